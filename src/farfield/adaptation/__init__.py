@@ -1,0 +1,1 @@
+"""Adapting a detector across range, device and scan pattern."""

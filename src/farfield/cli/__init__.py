@@ -1,0 +1,69 @@
+"""The ``farfield`` command: one file a verb. Only the chosen verb's module is imported."""
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from farfield.errors import FarfieldError
+
+VERBS = {
+    "demo": "simulate, detect, score and report: no data, no GPU",
+    "doctor": "say what a data set holds, what is missing and how to mend it",
+    "simulate": "write a simulated data set in a real data set's layout",
+    "convert": "write a data set in another layout, or as a fast binary cache",
+    "train": "train a detector from one YAML file; resumes by itself",
+    "predict": "detect objects in clouds or a data set and write the boxes",
+    "evaluate": "run a detector over a data set and score it by range",
+    "score": "score the files of any detector, without a model",
+    "report": "turn an evaluation into one self-contained HTML page",
+}
+
+
+def overview() -> str:
+    """Return the text of ``farfield --help``."""
+    verbs = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
+    return (
+        "farfield: 3D object detection at long range and in all weather\n\n"
+        "examples:\n"
+        "  farfield demo\n"
+        "  farfield doctor Cirrus_dataset1\n"
+        "  farfield simulate cirrus-sim data/sim --frames 100\n"
+        "  farfield train experiments/pointpillars_cirrus.yaml -o training.steps=500\n"
+        "  farfield score predictions.csv labels.csv --protocol dds --json scores.json\n\n"
+        f"verbs (farfield VERB --help tells more):\n{verbs}\n"
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(overview(), end="")
+        return 0 if arguments else 2
+    if arguments[0] in ("-V", "--version"):
+        from farfield import __version__
+
+        print(f"farfield {__version__}")
+        return 0
+    verb, rest = arguments[0], arguments[1:]
+    if verb not in VERBS:
+        print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
+        return 2
+    try:
+        return _run(import_module(f"farfield.cli.{verb}").run, verb, rest)
+    except FarfieldError as error:
+        print(f"farfield {verb}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"farfield {verb}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 141
+
+
+def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:
+    import tyro
+
+    kwargs: dict[str, Any] = {"prog": f"farfield {verb}", "args": arguments}
+    return int(tyro.cli(function, **kwargs) or 0)

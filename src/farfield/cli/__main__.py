@@ -1,0 +1,7 @@
+"""``python -m farfield.cli``."""
+
+import sys
+
+from farfield.cli import main
+
+sys.exit(main())

@@ -1,0 +1,1 @@
+"""Frames to scored boxes. One paper is one file."""

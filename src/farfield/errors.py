@@ -1,0 +1,38 @@
+"""The errors that users meet. Each says what, where, expected, got, and how to mend it."""
+
+from pathlib import Path
+
+
+class FarfieldError(Exception):
+    """Base of all errors that Farfield raises on purpose."""
+
+
+class FileFormatError(FarfieldError):
+    """A file is truncated, empty, over-long or contradicts its own header.
+
+    Args:
+        path: The file, or a name for bytes that came from elsewhere.
+        where: Line or byte, such as ``"line 7"`` or ``"byte 1024"``.
+        expected: What the format asks for.
+        found: What stands there instead.
+        mend: How to mend it, if that is known.
+    """
+
+    def __init__(self, path: Path | str, *, where: str, expected: str, found: str, mend: str = "") -> None:
+        self.path, self.where, self.expected, self.found, self.mend = path, where, expected, found, mend
+        super().__init__(f"{path}, {where}: expected {expected}, found {found}." + (f" {mend}" if mend else ""))
+
+
+class DatasetError(FarfieldError):
+    """A data set's folder does not hold what its layout promises."""
+
+
+class ConfigError(FarfieldError):
+    """An argument or a configuration value is not one of those possible."""
+
+
+class MissingExtraError(FarfieldError, ImportError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f'{purpose} needs {package}. Install it with: pip install "farfield[{extra}]"')

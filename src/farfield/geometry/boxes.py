@@ -1,0 +1,164 @@
+"""Oriented 3D boxes: the one type that annotations, predictions and simulated objects share.
+
+Convention (the same everywhere in Farfield): right-handed, x forward, y left, z up, metres; a box is its centre, its
+full length (along its own x), width (y) and height (z), and its yaw, counter-clockwise from +x, in [-pi, pi).
+
+Corner order, seen from above with the heading to the right::
+
+    1 ---- 0        4..7 are the same four corners at the top.
+    |      | ->
+    2 ---- 3
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+_CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
+
+
+def wrap_angle_rad(angle_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Wrap angles to [-pi, pi)."""
+    wrapped = np.mod(angle_rad + np.pi, 2 * np.pi) - np.pi
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)  # mod may round up to the period itself
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Boxes:
+    """A set of n oriented 3D boxes with labels and, where known, scores, track ids and point counts.
+
+    Args:
+        centre_m: Box centres x, y, z in metres, shape (n, 3).
+        size_m: Full length, width, height in metres, all positive, shape (n, 3).
+        yaw_rad: Heading, counter-clockwise from +x, shape (n,). Wrapped to [-pi, pi).
+        label: Class names, shape (n,). One string stands for all boxes.
+        score: Detection scores, shape (n,), or None for annotations.
+        track_id: Identity over time, shape (n,), or None; -1 marks a box without one.
+        point_count: Number of LiDAR points inside, shape (n,), or None; -1 marks an unknown count.
+
+    Raises:
+        ValueError: If shapes disagree, values are not finite or a size is not positive.
+    """
+
+    centre_m: Float[np.ndarray, "n 3"]
+    size_m: Float[np.ndarray, "n 3"]
+    yaw_rad: Float[np.ndarray, " n"]
+    label: Shaped[np.ndarray, " n"] | Sequence[str] | str = "unknown"
+    score: Float[np.ndarray, " n"] | None = None
+    track_id: Int[np.ndarray, " n"] | None = None
+    point_count: Int[np.ndarray, " n"] | None = None
+
+    def __post_init__(self) -> None:
+        def store(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> None:
+            array = np.asarray(value, dtype=dtype)
+            if array.shape != shape:
+                raise ValueError(f"Boxes.{name}: expected shape {shape}, got {array.shape}")
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise ValueError(f"Boxes.{name}: expected finite numbers, got {array[row]} in row {row}")
+            object.__setattr__(self, name, array)
+
+        n = len(np.asarray(self.yaw_rad))
+        store("centre_m", self.centre_m, np.float64, (n, 3))
+        store("size_m", self.size_m, np.float64, (n, 3))
+        store("yaw_rad", self.yaw_rad, np.float64, (n,))
+        object.__setattr__(self, "yaw_rad", wrap_angle_rad(self.yaw_rad))
+        label = [self.label] * n if isinstance(self.label, str) else self.label
+        store("label", np.asarray(label, dtype=np.str_) if n else np.empty(0, "<U1"), np.str_, (n,))
+        for name, dtype in (("score", np.float64), ("track_id", np.int64), ("point_count", np.int64)):
+            if getattr(self, name) is not None:
+                store(name, getattr(self, name), dtype, (n,))
+        if n and not (self.size_m > 0).all():
+            row = int(np.argwhere(~(self.size_m > 0))[0][0])
+            raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
+
+    @classmethod
+    def empty(cls, *, scored: bool = False) -> Self:
+        """Return a set without boxes; ``scored`` gives it an (empty) score array, as predictions have."""
+        none = np.zeros((0, 3))
+        return cls(centre_m=none, size_m=none, yaw_rad=np.zeros(0), label=[], score=np.zeros(0) if scored else None)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Boxes"]) -> "Boxes":
+        """Join several sets in order. An optional field must be present in all non-empty parts or in none.
+
+        Raises:
+            ValueError: If some parts carry a field that others lack.
+        """
+        filled = [part for part in parts if len(part)]
+        if not filled:
+            return parts[0] if parts else cls.empty()
+        joined: dict[str, Any] = {}
+        for field in fields(cls):
+            values = [getattr(part, field.name) for part in filled]
+            missing = [value is None for value in values]
+            if any(missing) and not all(missing):
+                raise ValueError(f"Boxes.concatenate: {field.name} is present in some parts and absent in others")
+            joined[field.name] = None if all(missing) else np.concatenate(values)
+        return cls(**joined)
+
+    def __len__(self) -> int:
+        return len(self.yaw_rad)
+
+    def __getitem__(
+        self, index: int | slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | Sequence[int]
+    ) -> "Boxes":
+        """Select boxes by slice, mask or indices. An integer gives a set of one."""
+        if isinstance(index, int | np.integer):
+            index = np.array([index])
+        elif not isinstance(index, slice):
+            index = np.asarray(index)
+            index = index.astype(np.intp) if index.size == 0 and index.dtype != bool else index
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Boxes(**{name: None if value is None else value[index] for name, value in values.items()})
+
+    def __repr__(self) -> str:
+        names, counts = np.unique(self.label, return_counts=True)
+        inside = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+        return f"Boxes({len(self)}: {inside})" if len(self) else "Boxes(0)"
+
+    def replace(self, **changes: Any) -> "Boxes":
+        """Return a copy with the named fields replaced."""
+        return replace(self, **changes)
+
+    def relabel(self, mapping: Mapping[str, str]) -> "Boxes":
+        """Return a copy with class names replaced; names that the mapping lacks stay."""
+        return self.replace(label=[mapping.get(str(name), str(name)) for name in self.label])
+
+    @property
+    def range_m(self) -> Float[np.ndarray, " n"]:
+        """Distance of the centres from the origin in the x-y plane, shape (n,), metres."""
+        return np.hypot(self.centre_m[:, 0], self.centre_m[:, 1])
+
+    @property
+    def volume_m3(self) -> Float[np.ndarray, " n"]:
+        """Volumes, shape (n,), cubic metres."""
+        return np.prod(self.size_m, axis=1)
+
+    def bev_corners_m(self) -> Float[np.ndarray, "n 4 2"]:
+        """Corners in the x-y plane, shape (n, 4, 2), counter-clockwise from front left."""
+        local = _CORNER_SIGNS[None] * self.size_m[:, None, :2]
+        cos, sin = np.cos(self.yaw_rad)[:, None], np.sin(self.yaw_rad)[:, None]
+        turned = np.stack([local[..., 0] * cos - local[..., 1] * sin, local[..., 0] * sin + local[..., 1] * cos], -1)
+        return turned + self.centre_m[:, None, :2]
+
+    def corners_m(self) -> Float[np.ndarray, "n 8 3"]:
+        """All eight corners, shape (n, 8, 3): the four of the bottom, then the four of the top."""
+        bev = np.concatenate([self.bev_corners_m()] * 2, axis=1)
+        half = self.size_m[:, 2] / 2
+        z = np.stack([self.centre_m[:, 2] - half] * 4 + [self.centre_m[:, 2] + half] * 4, axis=1)
+        return np.concatenate([bev, z[..., None]], axis=2)
+
+    def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Boxes":
+        """Move the boxes rigidly: from the source frame into the target frame.
+
+        The heading is the target's yaw of the moved x axis; roll and pitch of the pose move the centres only, because
+        a box has none.
+        """
+        rotation = np.asarray(target_T_source, dtype=np.float64)[:3, :3]
+        heading = np.stack([np.cos(self.yaw_rad), np.sin(self.yaw_rad), np.zeros(len(self))], 1) @ rotation.T
+        centre = self.centre_m @ rotation.T + np.asarray(target_T_source)[:3, 3]
+        return self.replace(centre_m=centre, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]))

@@ -1,0 +1,123 @@
+"""Pinhole cameras with Brown-Conrady distortion: projection and undistortion.
+
+Camera axes: x right, y down, z forward. Pixel centres at integer coordinates, u to the right, v down.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from farfield.geometry.poses import transform_points
+
+_NO_DISTORTION = np.zeros(5)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A calibrated camera.
+
+    Args:
+        matrix: Intrinsics [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, shape (3, 3).
+        distortion: Brown-Conrady coefficients k1, k2, p1, p2, k3 (OpenCV's order), shape (5,).
+        camera_T_lidar: Maps lidar coordinates (x forward, y left, z up) to camera coordinates, shape (4, 4).
+        width_px: Image width.
+        height_px: Image height.
+    """
+
+    matrix: Float[np.ndarray, "3 3"]
+    distortion: Float[np.ndarray, " 5"] = field(default_factory=lambda: _NO_DISTORTION.copy())
+    camera_T_lidar: Float[np.ndarray, "4 4"] = field(default_factory=lambda: CAMERA_T_LIDAR_AXES.copy())
+    width_px: int = 0
+    height_px: int = 0
+
+    def project(
+        self, points_m: Float[np.ndarray, "n 3"], *, min_depth_m: float = 0.1
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+        """Project lidar points into the image.
+
+        Args:
+            points_m: Points in lidar coordinates, shape (n, 3).
+            min_depth_m: Points nearer to the image plane than this are not visible.
+
+        Returns:
+            Pixels u, v, shape (n, 2) (NaN behind the camera); depths along the optical axis in metres, shape (n,);
+            and whether each point falls into the image, shape (n,).
+        """
+        in_camera = transform_points(self.camera_T_lidar, points_m.astype(np.float64))
+        depth = in_camera[:, 2]
+        ahead = depth > min_depth_m
+        pixels = np.full((len(points_m), 2), np.nan)
+        normalised = in_camera[ahead, :2] / depth[ahead, None]
+        valid = _within_fold(normalised, self.distortion)
+        pixels[ahead] = (
+            distort(normalised, self.distortion) * [self.matrix[0, 0], self.matrix[1, 1]] + self.matrix[:2, 2]
+        )
+        visible = ahead.copy()
+        visible[ahead] = valid
+        if self.width_px and self.height_px:
+            with np.errstate(invalid="ignore"):
+                visible &= ((pixels >= -0.5) & (pixels < [self.width_px - 0.5, self.height_px - 0.5])).all(axis=1)
+        return pixels, depth, visible
+
+    def rays(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+        """Directions of pixels in lidar coordinates, unit length, shape (n, 3): the inverse of ``project``."""
+        normalised = undistort((pixels - self.matrix[:2, 2]) / [self.matrix[0, 0], self.matrix[1, 1]], self.distortion)
+        in_camera = np.column_stack([normalised, np.ones(len(pixels))])
+        directions = in_camera @ self.camera_T_lidar[:3, :3]
+        return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+# lidar (x forward, y left, z up) to camera (x right, y down, z forward) axes, no translation
+CAMERA_T_LIDAR_AXES = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+def distort(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]) -> Float[np.ndarray, "n 2"]:
+    """Apply Brown-Conrady distortion (Brown 1966; OpenCV's order k1, k2, p1, p2, k3) to normalised coordinates."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = normalised[:, 0], normalised[:, 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], 1
+    )
+
+
+def undistort(
+    distorted: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"], *, iterations: int = 20
+) -> Float[np.ndarray, "n 2"]:
+    """Invert :func:`distort` by Newton's method on the 2 x 2 Jacobian.
+
+    Points beyond the fold of the distortion polynomial have no inverse; they come back as NaN.
+    """
+    if not np.any(distortion):
+        return np.array(distorted, dtype=np.float64)
+    guess = np.array(distorted, dtype=np.float64)
+    step = 1e-7
+    for _ in range(iterations):
+        error = distort(guess, distortion) - distorted
+        if np.abs(error).max(initial=0.0) < 1e-14:
+            break
+        dx = (distort(guess + [step, 0.0], distortion) - distort(guess - [step, 0.0], distortion)) / (2 * step)
+        dy = (distort(guess + [0.0, step], distortion) - distort(guess - [0.0, step], distortion)) / (2 * step)
+        determinant = dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]
+        determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
+        guess[:, 0] -= (dy[:, 1] * error[:, 0] - dy[:, 0] * error[:, 1]) / determinant
+        guess[:, 1] -= (dx[:, 0] * error[:, 1] - dx[:, 1] * error[:, 0]) / determinant
+    with np.errstate(invalid="ignore"):
+        good = np.abs(distort(guess, distortion) - distorted).max(axis=1, initial=0.0) < 1e-9
+    guess[~good] = np.nan
+    return guess
+
+
+def _within_fold(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]) -> Bool[np.ndarray, " n"]:
+    """Whether the radial polynomial still grows with the radius: beyond its fold far-off points land in the image."""
+    k1, k2, _, _, k3 = distortion
+    if not (k1 or k2 or k3):
+        return np.ones(len(normalised), dtype=np.bool_)
+    slope = np.polynomial.Polynomial([1.0, 0.0, 3 * k1, 0.0, 5 * k2, 0.0, 7 * k3])  # d/dr of r (1 + k1 r^2 + ...)
+    roots = slope.roots()
+    fold = min((root.real for root in roots if abs(root.imag) < 1e-12 and root.real > 0), default=np.inf)
+    return np.hypot(normalised[:, 0], normalised[:, 1]) < fold

@@ -1,0 +1,163 @@
+"""Exact overlap of rotated boxes in float64: bird's-eye view (BEV) and 3D.
+
+Method. In the frame of box B, where B is the rectangle |x| <= a, |y| <= b, the area of A inside B is a signed sum over
+the four edges of A: a vertical line meets A in one interval [low, high], and the part of it inside B has the length
+clamp(high) - clamp(low), clamp to [-b, b]. Summed over x, each edge adds the integral of its clamped height over its
+own stretch of |x| <= a. That integrand is continuous in every coordinate, so nothing depends on whether a corner lies
+"inside" or an edge "on" another one: coincident boxes, boxes turned by pi and shared edges are ordinary cases. Clipping
+polygons or collecting edge intersections, as is usual, needs a tolerance there and fails by whole box areas.
+All coordinates are taken relative to B's centre, so the error does not grow with the distance from the sensor.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.geometry.boxes import Boxes
+
+_CHUNK = 4096  # pairs at a time: the temporaries stay in the processor's second-level cache
+_EDGE_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64)
+
+
+def bev_intersection_m2(a: Float[np.ndarray, "n 5"], b: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, " n"]:
+    """Area that the rectangles of each pair share.
+
+    Args:
+        a: Rectangles as x, y, length, width (metres), yaw (radians), shape (n, 5).
+        b: The other rectangle of each pair, shape (n, 5).
+
+    Returns:
+        Areas in square metres, shape (n,).
+    """
+    area = np.empty(len(a))
+    for start in range(0, len(a), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        area[part] = _intersection_chunk(a[part], b[part])
+    return area
+
+
+def _intersection_chunk(a: Float[np.ndarray, "n 5"], b: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, " n"]:
+    at, bt = np.ascontiguousarray(a.T), np.ascontiguousarray(b.T)
+    cos_b, sin_b = np.cos(bt[4]), np.sin(bt[4])
+    dx, dy = at[0] - bt[0], at[1] - bt[1]
+    x_centre, y_centre = dx * cos_b + dy * sin_b, dy * cos_b - dx * sin_b
+    turn = at[4] - bt[4]
+    cos, sin = np.cos(turn), np.sin(turn)
+    half_l, half_w, x_max, y_max = at[2] / 2, at[3] / 2, bt[2] / 2, bt[3] / 2
+    xl, yl, xw, yw = half_l * cos, half_l * sin, -half_w * sin, half_w * cos
+    xs = [x_centre + s * xl + t * xw for s, t in _EDGE_SIGNS]
+    ys = [y_centre + s * yl + t * yw for s, t in _EDGE_SIGNS]
+    area = np.zeros(len(a))
+    for i in range(4):
+        area -= _clamped_integral(xs[i], ys[i], xs[(i + 1) % 4], ys[(i + 1) % 4], x_max, y_max)
+    return np.clip(area, 0.0, np.minimum(at[2] * at[3], bt[2] * bt[3]))
+
+
+def _clamped_integral(
+    x0: Float[np.ndarray, " n"],
+    y0: Float[np.ndarray, " n"],
+    x1: Float[np.ndarray, " n"],
+    y1: Float[np.ndarray, " n"],
+    x_max: Float[np.ndarray, " n"],
+    y_max: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Signed integral of clamp(y, -y_max, y_max) over the edge's part with |x| <= x_max."""
+    run = x1 - x0
+    slope = (y1 - y0) / np.where(run == 0, 1.0, run)
+    left, right = np.clip(x0, -x_max, x_max), np.clip(x1, -x_max, x_max)
+    y_left, y_right = y0 + (left - x0) * slope, y0 + (right - x0) * slope
+    low, high = np.minimum(y_left, y_right), np.maximum(y_left, y_right)
+    rise = np.maximum(high - low, 1e-300)
+    below = np.clip((-y_max - low) / rise, 0.0, 1.0)  # share of the stretch that lies under the rectangle
+    above = np.clip((high - y_max) / rise, 0.0, 1.0)
+    inside = (np.clip(low, -y_max, y_max) + np.clip(high, -y_max, y_max)) / 2
+    mean = (above - below) * y_max + (1.0 - below - above) * inside
+    return (right - left) * mean
+
+
+def _bev_rows(boxes: Boxes) -> Float[np.ndarray, "n 5"]:
+    return np.column_stack([boxes.centre_m[:, :2], boxes.size_m[:, :2], boxes.yaw_rad])
+
+
+def paired_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, " n"]:
+    """Intersection over union of the i-th box of ``a`` with the i-th box of ``b``.
+
+    Args:
+        a: n boxes.
+        b: n boxes.
+        kind: ``"bev"`` for areas in the x-y plane, ``"3d"`` for volumes.
+
+    Returns:
+        IoU in [0, 1], shape (n,).
+
+    Raises:
+        ValueError: If the lengths differ or ``kind`` is unknown.
+    """
+    if len(a) != len(b):
+        raise ValueError(f"paired_iou: expected as many boxes in b as in a ({len(a)}), got {len(b)}")
+    if kind not in ("bev", "3d"):
+        raise ValueError(f"paired_iou: expected kind to be one of 'bev', '3d', got {kind!r}")
+    iou = np.zeros(len(a))
+    reach = (np.hypot(*a.size_m[:, :2].T) + np.hypot(*b.size_m[:, :2].T)) / 2
+    gap = np.hypot(*(a.centre_m[:, :2] - b.centre_m[:, :2]).T)
+    top = np.minimum(a.centre_m[:, 2] + a.size_m[:, 2] / 2, b.centre_m[:, 2] + b.size_m[:, 2] / 2)
+    bottom = np.maximum(a.centre_m[:, 2] - a.size_m[:, 2] / 2, b.centre_m[:, 2] - b.size_m[:, 2] / 2)
+    near = np.flatnonzero((gap < reach) & ((top > bottom) | (kind == "bev")))
+    if near.size == 0:
+        return iou
+    rows_a, rows_b = _bev_rows(a)[near], _bev_rows(b)[near]
+    shared = bev_intersection_m2(rows_a, rows_b)
+    measure_a, measure_b = rows_a[:, 2] * rows_a[:, 3], rows_b[:, 2] * rows_b[:, 3]
+    if kind == "3d":
+        height_a, height_b = a.size_m[near, 2], b.size_m[near, 2]
+        # A height difference of boxes at z of 100 m may round above the lower height itself.
+        shared = shared * np.minimum(top[near] - bottom[near], np.minimum(height_a, height_b))
+        measure_a, measure_b = measure_a * height_a, measure_b * height_b
+    iou[near] = np.clip(shared / (measure_a + measure_b - shared), 0.0, 1.0)
+    return iou
+
+
+def pairwise_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, "n m"]:
+    """Intersection over union of every box of ``a`` with every box of ``b``.
+
+    Pairs whose circumscribed circles do not meet are rejected before any clipping.
+
+    Args:
+        a: n boxes.
+        b: m boxes.
+        kind: ``"bev"`` or ``"3d"``.
+
+    Returns:
+        IoU in [0, 1], shape (n, m).
+    """
+    iou = np.zeros((len(a), len(b)))
+    reach = (np.hypot(*a.size_m[:, :2].T)[:, None] + np.hypot(*b.size_m[:, :2].T)[None]) / 2
+    gap_x = a.centre_m[:, 0, None] - b.centre_m[None, :, 0]
+    gap_y = a.centre_m[:, 1, None] - b.centre_m[None, :, 1]
+    row, column = np.nonzero(gap_x**2 + gap_y**2 < reach**2)
+    if row.size:
+        iou[row, column] = paired_iou(a[row], b[column], kind=kind)
+    return iou
+
+
+def aligned_iou(a: Boxes, b: Boxes, *, kind: str = "yaw") -> Float[np.ndarray, " n"]:
+    """IoU after the centres are aligned (Cirrus, section IV.A "Aligned Intersection over Union").
+
+    Args:
+        a: n boxes.
+        b: n boxes.
+        kind: ``"yaw"`` keeps both headings (3D), ``"scale"`` aligns them too (1 minus nuScenes' scale error),
+            ``"bev"`` keeps headings and ignores heights.
+
+    Returns:
+        IoU in [0, 1], shape (n,).
+
+    Raises:
+        ValueError: If ``kind`` is unknown.
+    """
+    if kind == "scale":
+        shared = np.prod(np.minimum(a.size_m, b.size_m), axis=1)
+        return shared / (a.volume_m3 + b.volume_m3 - shared)
+    if kind not in ("yaw", "bev"):
+        raise ValueError(f"aligned_iou: expected kind to be one of 'yaw', 'scale', 'bev', got {kind!r}")
+    origin = np.zeros_like(a.centre_m)
+    return paired_iou(a.replace(centre_m=origin), b.replace(centre_m=origin), kind="3d" if kind == "yaw" else "bev")

@@ -1,0 +1,1 @@
+"""Detection metrics in numpy. One protocol is one file."""

@@ -1,0 +1,1 @@
+"""4D radar tensors to cubes to sparse clouds."""

@@ -1,0 +1,1 @@
+"""Physics to Frame: roads, traffic, meshes, ray casting, LiDAR."""

@@ -1,0 +1,1 @@
+"""Loaders, augmentation, the training loop, checkpoints."""
