@@ -1,0 +1,86 @@
+# Every target sets itself up from a bare machine with Python 3.11 or newer; the environment lives in .venv.
+#
+#   make demo          simulate, detect, score and report; ends with the report's path
+#   make test          format, lint, types, import contract and the quick tests
+#   make test-slow     the tests that take minutes
+#   make bench-NAME    run benchmarks/NAME.py
+#
+# A machine with a GPU keeps its own torch:  make install TORCH=torch
+# A machine without one, on the plain PyPI:  make install TORCH_FLAGS="--index-url https://download.pytorch.org/whl/cpu"
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+ENOUGH := import sys; raise SystemExit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3; do \
+	if $$python -c '$(ENOUGH)' >/dev/null 2>&1; then echo $$python; break; fi; done)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+TORCH ?= torch==2.13.0
+TORCH_FLAGS ?=
+WORKERS ?= 2
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+PYTEST_FLAGS ?=
+
+# Several test workers or small tensors gain nothing from threads and lose much to their quarrels.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+SHAPES := --jaxtyping-packages=farfield,beartype.beartype
+
+.PHONY: help install demo test test-slow test-core lint format bench wheel clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or newer found; name one with PYTHON=/path/to/python" >&2; exit 1; }
+	@test -x $(BIN)/python || { echo "make: creating $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
+	$(PIP) install --quiet --upgrade "pip>=25.1"
+	$(PIP) install --quiet -c constraints.txt $(TORCH_FLAGS) "$(TORCH)"
+	$(PIP) install --quiet -c constraints.txt -e ".[all]" --group dev
+	@touch $@
+
+demo: $(STAMP)
+	@$(BIN)/farfield demo
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+test: lint
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n $(WORKERS) $(SHAPES) $(PYTEST_FLAGS) tests
+
+test-slow: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -m slow $(SHAPES) $(PYTEST_FLAGS) tests
+
+# The tests that need no torch, on any Python:  make test-core PYTHON=python3.13
+test-core:
+	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or newer found; name one with PYTHON=/path/to/python" >&2; exit 1; }
+	venv=.venv-core-$$($(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'); \
+	test -x $$venv/bin/python || $(PYTHON) -m venv $$venv; \
+	$$venv/bin/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"; \
+	$$venv/bin/python -m pip install --quiet -c constraints.txt -e ".[simulate,argoverse2]" --group test; \
+	$(ONE_THREAD) $$venv/bin/python -m pytest -q -n $(WORKERS) -p no:cacheprovider $(SHAPES) $(PYTEST_FLAGS) tests
+
+bench: $(STAMP)
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+bench-%: $(STAMP) benchmarks/%.py
+	@$(BIN)/python benchmarks/$*.py
+
+wheel: $(STAMP)
+	rm -rf build dist
+	$(BIN)/python -m build --wheel --outdir dist .
+
+clean:
+	rm -rf $(VENV) .venv-core-* build dist src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache farfield-demo
+	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,157 @@
+"""The rules of the house that no linter checks: light imports, public names, docstrings, small files, clean paths."""
+
+import ast
+import importlib.util
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import farfield
+from farfield.cli import VERBS
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = sorted((ROOT / "src" / "farfield").rglob("*.py"))
+SNAPSHOT = ROOT / "tests" / "public_api.txt"
+HEAVY = (
+    "torch",
+    "matplotlib",
+    "scipy",
+    "h5py",
+    "pydantic",
+    "tyro",
+    "rich",
+    "PIL",
+    "jinja2",
+    "embreex",
+    "pyarrow",
+    "yaml",
+)
+TORCH = {"torch", "lightning_fabric", "safetensors"}
+TORCH_ROOMS = {"detectors", "adaptation", "training"}
+LINE_LIMIT = 400
+
+
+def _heavy_modules_after(statement: str) -> set[str]:
+    code = f"import sys\n{statement}\nprint('LOADED', *(name for name in {HEAVY!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_import_is_light() -> None:
+    assert _heavy_modules_after("import farfield") == set()
+
+
+@pytest.mark.parametrize("argument", ["--help", "--version", "no-such-verb"])
+def test_command_overview_is_light(argument: str) -> None:
+    assert _heavy_modules_after(f"from farfield.cli import main\nmain([{argument!r}])") == set()
+
+
+def test_overview_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    assert farfield.cli.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n  {verb} " in shown for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_verb_module_is_light_and_shows_examples(verb: str) -> None:
+    heavy = _heavy_modules_after(f"import importlib\nimportlib.import_module('farfield.cli.{verb}')")
+    assert not heavy & {"torch", "matplotlib", "embreex", "pyarrow"}
+    module = importlib.import_module(f"farfield.cli.{verb}")
+    text = inspect.getdoc(module.run) or ""
+    assert "examples:" in text
+    assert f"farfield {verb}" in text
+
+
+def _public_api() -> str:
+    lines = [f"verb {verb}" for verb in sorted(VERBS)]
+    for name in sorted(farfield.__all__):
+        thing = getattr(farfield, name)
+        exception = inspect.isclass(thing) and issubclass(thing, Exception)
+        names = "" if exception else ", ".join(inspect.signature(thing).parameters)
+        lines.append(f"{'class' if inspect.isclass(thing) else 'def'} {name}({names})")
+    return "\n".join(lines) + "\n"
+
+
+def test_public_api_is_the_recorded_one() -> None:
+    message = (
+        "the public API changed: if that is meant, run `python tests/test_house.py` and add a line to CHANGELOG.md; "
+        "a removed or renamed parameter breaks users"
+    )
+    assert _public_api() == SNAPSHOT.read_text(encoding="utf-8"), message
+
+
+def _public_definitions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.ClassDef]:
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node
+            if isinstance(node, ast.ClassDef):
+                inside = (part for part in node.body if isinstance(part, ast.FunctionDef))
+                yield from (part for part in inside if not part.name.startswith("_") and not _is_override(part))
+
+
+def _is_override(node: ast.FunctionDef) -> bool:
+    return any(isinstance(decorator, ast.Name) and decorator.id == "override" for decorator in node.decorator_list)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT / "src")))
+def test_public_names_have_docstrings_and_files_are_small(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    assert ast.get_docstring(tree), f"{path.name} has no module docstring"
+    missing = [node.name for node in _public_definitions(tree) if not ast.get_docstring(node)]
+    assert not missing, f"{path.name}: no docstring: {', '.join(missing)}"
+    assert len(text.splitlines()) <= LINE_LIMIT
+    assert "from __future__ import annotations" not in text, "it turns the run-time shape checks off"
+
+
+def test_test_files_are_small_too() -> None:
+    long = {p.name: n for p in (ROOT / "tests").rglob("*.py") if (n := len(p.read_text().splitlines())) > LINE_LIMIT}
+    assert not long
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT / "src")))
+def test_only_three_rooms_import_torch(path: Path) -> None:
+    room = path.relative_to(ROOT / "src" / "farfield").parts[0]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        found |= {name.partition(".")[0] for name in names}
+    assert room in TORCH_ROOMS or not found & TORCH
+
+
+def _tracked_texts() -> Iterator[tuple[Path, str]]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    for name in listed.decode().split("\0"):
+        path = ROOT / name
+        if name and path.is_file() and b"\0" not in (content := path.read_bytes()):
+            yield path, content.decode("utf-8", errors="replace")
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")
+def test_no_machine_paths_in_tracked_files() -> None:
+    machine = re.compile(r"(?<![\w.])/(?:work|home|root|Users)/\w|/tmp/\w|\.pyenv")
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}"
+        for path, text in _tracked_texts()
+        if path != Path(__file__).resolve()
+        for number, line in enumerate(text.splitlines(), 1)
+        if machine.search(line)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_readme_links_lead_somewhere() -> None:
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert re.match(r"https?://", target) or (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+if __name__ == "__main__":
+    SNAPSHOT.write_text(_public_api(), encoding="utf-8")
