@@ -1,0 +1,199 @@
+"""Headerless ASCII clouds, one point a line: the ``.xyz`` files of Cirrus.
+
+The Gaussian pattern has 5 columns (x, y, z, intensity, one unknown), the uniform pattern 8.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+
+KNOWN_COLUMNS = (5, 8)
+_CHUNK_BYTES = 1 << 24  # text parsed at a time: the list of lines takes several times the memory of the text
+_LINE_BYTES = 4096  # longer than any line of numbers
+_EXACT = float(1 << 53)  # integers below are exact in float64
+
+
+def read_xyz(
+    path: Path | str,
+    *,
+    columns: int | None = None,
+    delimiter: str = "auto",
+    on_nan: Literal["error", "drop"] = "error",
+    max_bytes: int = MAX_BYTES,
+) -> Float[np.ndarray, "n c"]:
+    """Read a headerless ASCII cloud.
+
+    Args:
+        path: The file.
+        columns: Number of columns; None accepts 5 or 8, as the first line has it.
+        delimiter: ``"auto"`` (from the first line: semicolon, comma, else white space), ``","``, ``";"``, or
+            ``" "`` for any white space.
+        on_nan: What to do with points that hold NaN or infinity: ``"error"`` or ``"drop"``.
+        max_bytes: Largest file that is accepted.
+
+    Returns:
+        One row a point, at least one, shape (n, columns), float64, in the file's own units.
+
+    Raises:
+        FileFormatError: If the file is empty, truncated, too large, or holds anything but such rows of numbers.
+        ValueError: If an argument is not one of those possible.
+    """
+    if delimiter not in ("auto", ",", ";", " ", "\t"):
+        raise ValueError(f"read_xyz: expected delimiter 'auto', ',', ';', ' ' or '\\t', got {delimiter!r}")
+    data = read_bytes(path, max_bytes=max_bytes)
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = data.rstrip()
+    if not data:
+        raise FileFormatError(path, where="line 1", expected="at least one point", found="an empty file")
+    first = data[: _LINE_BYTES + 1].partition(b"\n")[0].decode("ascii", errors="replace")
+    separator = _separator(first) if delimiter == "auto" else delimiter.strip() or None
+    count = len(first.split(separator))
+    if count != columns if columns is not None else count not in KNOWN_COLUMNS:
+        raise FileFormatError(
+            path,
+            where="line 1",
+            expected=f"{columns} columns" if columns is not None else "5 columns (Gaussian) or 8 (uniform)",
+            found=f"{count} in {first[:80]!r}",
+            mend="Pass columns= if the file is meant to have so many.",
+        )
+    parts, start, line = [], 0, 1
+    while start < len(data):
+        end = _chunk_end(data, start, path=path, line=line)
+        lines = data[start:end].decode("latin-1").split("\n")
+        parts.append(_parse(lines, count, separator, path=path, line=line))
+        start, line = end + 1, line + len(lines)
+    rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
+    return _finite(rows, on_nan=on_nan, path=path)
+
+
+def _separator(line: str) -> str | None:
+    return next((mark for mark in ";," if mark in line), None)
+
+
+def _chunk_end(data: bytes, start: int, *, path: Path | str, line: int) -> int:
+    """Index of the last line end of the next chunk, or of the end of the data."""
+    stop = start + _CHUNK_BYTES
+    if stop >= len(data):
+        return len(data)
+    end = data.rfind(b"\n", start, stop)
+    if end < 0:
+        raise FileFormatError(
+            path,
+            where=f"line {line}",
+            expected="a line of numbers",
+            found=f"more than {_CHUNK_BYTES} bytes in one line",
+        )
+    return end
+
+
+def _parse(
+    lines: list[str], count: int, separator: str | None, *, path: Path | str, line: int
+) -> Float[np.ndarray, "n c"]:
+    try:
+        rows = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
+    except ValueError as error:
+        raise _fault(lines, count, separator, path=path, line=line, reason=str(error)) from error
+    if rows.shape != (len(lines), count):  # numpy skips blank lines
+        raise _fault(lines, count, separator, path=path, line=line, reason="a blank line")
+    return rows
+
+
+def _fault(
+    lines: list[str], count: int, separator: str | None, *, path: Path | str, line: int, reason: str
+) -> FileFormatError:
+    """Find the line that the fast parser could not read; a slow pass, for the message only."""
+    for number, text in enumerate(lines, start=line):
+        fields = text.split(separator)
+        if len(fields) != count:
+            expected, found = f"{count} columns", f"{len(fields)} in {text[:80]!r}"
+            mend = "The file may be truncated." if number == line + len(lines) - 1 else ""
+            return FileFormatError(path, where=f"line {number}", expected=expected, found=found, mend=mend)
+        for field in fields:
+            if not _is_number(field):
+                return FileFormatError(path, where=f"line {number}", expected="a number", found=repr(field[:80]))
+    return FileFormatError(path, where=f"line {line}", expected=f"{count} columns of numbers", found=reason)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.isascii() and "_" not in text  # Python takes 1_000 for a number
+
+
+def _finite(
+    rows: Float[np.ndarray, "n c"], *, on_nan: Literal["error", "drop"], path: Path | str
+) -> Float[np.ndarray, "n c"]:
+    finite = np.isfinite(rows).all(axis=1)
+    if finite.all():
+        return rows
+    if on_nan == "drop" and finite.any():
+        return rows[finite]
+    bad = int(np.argmin(finite))
+    raise FileFormatError(
+        path,
+        where=f"line {bad + 1}",
+        expected="finite numbers" if on_nan == "error" else "at least one point with finite numbers",
+        found=str(rows[bad].tolist()),
+        mend="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+    )
+
+
+def write_xyz(path: Path | str, rows: Float[np.ndarray, "n c"], *, decimals: int | Sequence[int] = 4) -> None:
+    """Write a headerless, comma-separated ASCII cloud, all or nothing.
+
+    Args:
+        path: The file to write.
+        rows: One row a point, at least one, finite, shape (n, c).
+        decimals: Digits after the point, one number for all columns or one a column. A value half-way between two
+            neighbours may go to either.
+
+    Raises:
+        ValueError: If the rows are not a finite table with at least one row, or ``decimals`` does not fit it.
+    """
+    rows = np.asarray(rows, dtype=np.float64)
+    if rows.ndim != 2 or rows.size == 0 or not np.isfinite(rows).all():
+        raise ValueError(f"write_xyz: expected a table of finite numbers with at least one row, got {rows.shape}")
+    places = [decimals] * rows.shape[1] if isinstance(decimals, int) else list(decimals)
+    if len(places) != rows.shape[1] or not all(0 <= place <= 15 for place in places):
+        raise ValueError(f"write_xyz: expected 0..15 decimals for {rows.shape[1]} columns, got {decimals!r}")
+    with open_atomic(path) as handle:
+        for start in range(0, len(rows), 1 << 16):
+            handle.write(_format(rows[start : start + (1 << 16)], places))
+
+
+def _format(rows: Float[np.ndarray, "n c"], places: list[int]) -> bytes:
+    if any(np.abs(rows[:, j]).max() * 10.0**place >= _EXACT for j, place in enumerate(places)):
+        line = ",".join(f"%.{place}f" for place in places) + "\n"  # huge values: slow and exact
+        return ((line * len(rows)) % tuple(rows.ravel().tolist())).encode("ascii")
+    texts = [_format_column(rows[:, j], place) for j, place in enumerate(places)]
+    texts[-1][:, -1] = ord("\n")
+    table = np.concatenate(texts, axis=1)
+    return table[table != 0].tobytes()
+
+
+def _format_column(values: Float[np.ndarray, " n"], places: int) -> UInt8[np.ndarray, "n width"]:
+    """Digits of fixed-point numbers and a comma as ASCII codes, right-aligned; 0 stands for no character."""
+    scaled = np.rint(values * 10.0**places).astype(np.int64)
+    rest = np.abs(scaled)
+    digits = max(len(str(int(rest.max()))), places + 1)
+    text = np.zeros((len(values), digits + (places > 0) + 2), dtype=np.uint8)
+    text[:, -1], text[:, 0] = ord(","), np.where(scaled < 0, ord("-"), 0)
+    position = text.shape[1] - 2
+    for digit in range(digits):
+        if digit == places > 0:
+            text[:, position] = ord(".")
+            position -= 1
+        tenth = rest // 10
+        shown = (rest > 0) | (digit <= places)
+        text[:, position] = np.where(shown, rest - tenth * 10 + ord("0"), 0)
+        rest, position = tenth, position - 1
+    return text
