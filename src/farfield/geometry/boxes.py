@@ -112,7 +112,7 @@ class Boxes:
         elif not isinstance(index, slice):
             index = np.asarray(index)
             index = index.astype(np.intp) if index.size == 0 and index.dtype != bool else index
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         return Boxes(**{name: None if value is None else value[index] for name, value in values.items()})
 
     def __repr__(self) -> str:

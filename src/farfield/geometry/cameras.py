@@ -69,7 +69,7 @@ class Camera:
 
 
 # lidar (x forward, y left, z up) to camera (x right, y down, z forward) axes, no translation
-CAMERA_T_LIDAR_AXES = np.array(
+CAMERA_T_LIDAR_AXES: Float[np.ndarray, "4 4"] = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 
@@ -119,5 +119,6 @@ def _within_fold(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndar
         return np.ones(len(normalised), dtype=np.bool_)
     slope = np.polynomial.Polynomial([1.0, 0.0, 3 * k1, 0.0, 5 * k2, 0.0, 7 * k3])  # d/dr of r (1 + k1 r^2 + ...)
     roots = slope.roots()
-    fold = min((root.real for root in roots if abs(root.imag) < 1e-12 and root.real > 0), default=np.inf)
+    real = [float(root.real) for root in roots.astype(np.complex128) if abs(root.imag) < 1e-12]
+    fold = min((root for root in real if root > 0), default=np.inf)
     return np.hypot(normalised[:, 0], normalised[:, 1]) < fold
