@@ -12,9 +12,9 @@ from jaxtyping import Float, UInt8
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.table import parse_table
 
 KNOWN_COLUMNS = (5, 8)
-_CHUNK_BYTES = 1 << 24  # text parsed at a time: the list of lines takes several times the memory of the text
 _LINE_BYTES = 4096  # longer than any line of numbers
 _EXACT = float(1 << 53)  # integers below are exact in float64
 
@@ -63,70 +63,13 @@ def read_xyz(
             found=f"{count} in {first[:80]!r}",
             mend="Pass columns= if the file is meant to have so many.",
         )
-    parts, start, line = [], 0, 1
-    while start < len(data):
-        end = _chunk_end(data, start, path=path, line=line)
-        lines = data[start:end].decode("latin-1").split("\n")
-        parts.append(_parse(lines, count, separator, path=path, line=line))
-        start, line = end + 1, line + len(lines)
-    rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
+    table = parse_table(data, dtypes=[np.dtype(np.float64)] * count, separator=separator, path=path)
+    rows = np.stack(table, axis=1)
     return _finite(rows, on_nan=on_nan, path=path)
 
 
 def _separator(line: str) -> str | None:
     return next((mark for mark in ";," if mark in line), None)
-
-
-def _chunk_end(data: bytes, start: int, *, path: Path | str, line: int) -> int:
-    """Index of the last line end of the next chunk, or of the end of the data."""
-    stop = start + _CHUNK_BYTES
-    if stop >= len(data):
-        return len(data)
-    end = data.rfind(b"\n", start, stop)
-    if end < 0:
-        raise FileFormatError(
-            path,
-            where=f"line {line}",
-            expected="a line of numbers",
-            found=f"more than {_CHUNK_BYTES} bytes in one line",
-        )
-    return end
-
-
-def _parse(
-    lines: list[str], count: int, separator: str | None, *, path: Path | str, line: int
-) -> Float[np.ndarray, "n c"]:
-    try:
-        rows = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
-    except ValueError as error:
-        raise _fault(lines, count, separator, path=path, line=line, reason=str(error)) from error
-    if rows.shape != (len(lines), count):  # numpy skips blank lines
-        raise _fault(lines, count, separator, path=path, line=line, reason="a blank line")
-    return rows
-
-
-def _fault(
-    lines: list[str], count: int, separator: str | None, *, path: Path | str, line: int, reason: str
-) -> FileFormatError:
-    """Find the line that the fast parser could not read; a slow pass, for the message only."""
-    for number, text in enumerate(lines, start=line):
-        fields = text.split(separator)
-        if len(fields) != count:
-            expected, found = f"{count} columns", f"{len(fields)} in {text[:80]!r}"
-            mend = "The file may be truncated." if number == line + len(lines) - 1 else ""
-            return FileFormatError(path, where=f"line {number}", expected=expected, found=found, mend=mend)
-        for field in fields:
-            if not _is_number(field):
-                return FileFormatError(path, where=f"line {number}", expected="a number", found=repr(field[:80]))
-    return FileFormatError(path, where=f"line {line}", expected=f"{count} columns of numbers", found=reason)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return text.isascii() and "_" not in text  # Python takes 1_000 for a number
 
 
 def _finite(

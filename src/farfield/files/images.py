@@ -1,0 +1,70 @@
+"""Camera images as arrays."""
+
+import io
+import warnings
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import open_atomic, read_bytes
+
+MAX_PIXELS = 100_000_000  # 300 MB in memory
+_MAX_IMAGE_BYTES = 1 << 28
+_FORMATS = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG"}
+
+
+def read_image(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> UInt8[np.ndarray, "height width 3"]:
+    """Read a JPEG or PNG image as RGB; grey values are repeated, transparency is dropped.
+
+    Args:
+        path: The file.
+        max_pixels: Largest width x height that is decoded.
+
+    Returns:
+        Shape (height, width, 3), uint8.
+
+    Raises:
+        FileFormatError: If the file is no such image, is truncated, or has too many pixels.
+    """
+    data = read_bytes(path, max_bytes=_MAX_IMAGE_BYTES)
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
+            if image.width * image.height > max_pixels:  # Pillow has read the header only
+                expected, found = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
+                raise FileFormatError(path, where="the image header", expected=expected, found=found)
+            return np.array(_as_rgb(image))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        found = f"{str(error)[:200]} ({len(data)} bytes)"
+        raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", found=found) from error
+
+
+def _as_rgb(image: Image.Image) -> Image.Image:
+    if image.mode.startswith("I"):  # 16-bit grey: keep the high byte, where convert() would saturate
+        high = np.asarray(image).astype(np.uint32) >> 8
+        return Image.fromarray(np.minimum(high, 255).astype(np.uint8)).convert("RGB")
+    return image.convert("RGB")
+
+
+def write_image(path: Path | str, array: UInt8[np.ndarray, "height width 3"], *, quality: int = 90) -> None:
+    """Write an RGB image as JPEG or PNG, by the file's suffix, all or nothing.
+
+    Args:
+        path: The file to write: ``*.jpg``, ``*.jpeg`` or ``*.png``.
+        array: Shape (height, width, 3), uint8.
+        quality: JPEG quality from 1 to 95; without effect on PNG.
+
+    Raises:
+        ValueError: If the suffix or the array's shape or dtype is another.
+    """
+    kind = _FORMATS.get(Path(path).suffix.lower())
+    if kind is None:
+        raise ValueError(f"write_image: expected a file name ending in {', '.join(_FORMATS)}, got {Path(path).name!r}")
+    if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3 or array.size == 0:
+        raise ValueError(f"write_image: expected uint8 of shape (height, width, 3), got {array.dtype} {array.shape}")
+    encoded = io.BytesIO()
+    Image.fromarray(array).save(encoded, format=kind, quality=quality)
+    with open_atomic(path) as handle:
+        handle.write(encoded.getbuffer())
