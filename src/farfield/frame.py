@@ -6,7 +6,7 @@ Coordinates: right-handed, x forward, y left, z up, metres, in the frame of the 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
@@ -82,6 +82,9 @@ class Lazy(Mapping[str, Any]):
             self._loaded[key] = self._loaders[key]()
         return self._loaded[key]
 
+    def __contains__(self, key: object) -> bool:
+        return key in self._loaders  # Mapping's own would load the value
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._loaders)
 
@@ -127,7 +130,7 @@ class Frame:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, cloud: Cloud, boxes: Boxes | None = None, *, name: str = "lidar", **rest: Any) -> Self:
+    def of(cls, cloud: Cloud, boxes: Boxes | None = None, *, name: str = "lidar", **rest: Any) -> "Frame":
         """Make a frame from one cloud (and its boxes) already in memory."""
         rest = {"sequence": "memory", "frame_id": "0", **rest}
         return cls(clouds={name: cloud}, annotation=None if boxes is None else lambda: boxes, **rest)

@@ -12,7 +12,7 @@ Corner order, seen from above with the heading to the right::
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -22,8 +22,10 @@ _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64)
 
 def wrap_angle_rad(angle_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Wrap angles to [-pi, pi)."""
+    angle_rad = np.asarray(angle_rad, dtype=np.float64)
     wrapped = np.mod(angle_rad + np.pi, 2 * np.pi) - np.pi
-    return np.where(wrapped >= np.pi, -np.pi, wrapped)  # mod may round up to the period itself
+    wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)  # mod may round up to the period itself
+    return np.where((angle_rad >= -np.pi) & (angle_rad < np.pi), angle_rad, wrapped)  # those keep every bit
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,15 +55,18 @@ class Boxes:
 
     def __post_init__(self) -> None:
         def store(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> None:
-            array = np.asarray(value, dtype=dtype)
-            if array.shape != shape:
-                raise ValueError(f"Boxes.{name}: expected shape {shape}, got {array.shape}")
+            given = np.asarray(value)
+            if given.shape != shape:
+                raise ValueError(f"Boxes.{name}: expected shape {shape}, got {given.shape}")
+            if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
+                raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
+            array = given.astype(dtype, copy=False)
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise ValueError(f"Boxes.{name}: expected finite numbers, got {array[row]} in row {row}")
             object.__setattr__(self, name, array)
 
-        n = len(np.asarray(self.yaw_rad))
+        n = len(np.atleast_1d(self.yaw_rad))
         store("centre_m", self.centre_m, np.float64, (n, 3))
         store("size_m", self.size_m, np.float64, (n, 3))
         store("yaw_rad", self.yaw_rad, np.float64, (n,))
@@ -76,7 +81,7 @@ class Boxes:
             raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
 
     @classmethod
-    def empty(cls, *, scored: bool = False) -> Self:
+    def empty(cls, *, scored: bool = False) -> "Boxes":
         """Return a set without boxes; ``scored`` gives it an (empty) score array, as predictions have."""
         none = np.zeros((0, 3))
         return cls(centre_m=none, size_m=none, yaw_rad=np.zeros(0), label=[], score=np.zeros(0) if scored else None)
