@@ -118,8 +118,8 @@ class Frame:
     sequence: str
     frame_id: str
     time_ns: int | None = None
-    clouds: Mapping[str, Cloud] = field(default_factory=dict)
-    images: Mapping[str, UInt8[np.ndarray, "height width 3"]] = field(default_factory=dict)
+    clouds: Lazy | Mapping[str, Cloud] = field(default_factory=dict)
+    images: Lazy | Mapping[str, UInt8[np.ndarray, "height width 3"]] = field(default_factory=dict)
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     annotation: Callable[[], Boxes] | None = None
     world_T_lidar: Float[np.ndarray, "4 4"] | None = None
@@ -127,7 +127,7 @@ class Frame:
     conditions: Mapping[str, str] = field(default_factory=dict)
     radar: Mapping[str, Any] = field(default_factory=dict)
     reference: str = "lidar"
-    metadata: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Lazy | Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, cloud: Cloud, boxes: Boxes | None = None, *, name: str = "lidar", **rest: Any) -> "Frame":

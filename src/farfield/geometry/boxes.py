@@ -117,8 +117,11 @@ class Boxes:
         elif not isinstance(index, slice):
             index = np.asarray(index)
             index = index.astype(np.intp) if index.size == 0 and index.dtype != bool else index
-        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Boxes(**{name: None if value is None else value[index] for name, value in values.items()})
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            chosen[field.name] = None if values is None else values[index]
+        return Boxes(**chosen)
 
     def __repr__(self) -> str:
         names, counts = np.unique(self.label, return_counts=True)

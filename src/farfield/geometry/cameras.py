@@ -10,6 +10,10 @@ from jaxtyping import Bool, Float
 
 from farfield.geometry.poses import transform_points
 
+# lidar (x forward, y left, z up) to camera (x right, y down, z forward) axes, no translation
+CAMERA_T_LIDAR_AXES = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
 _NO_DISTORTION = np.zeros(5)
 
 
@@ -68,12 +72,6 @@ class Camera:
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-# lidar (x forward, y left, z up) to camera (x right, y down, z forward) axes, no translation
-CAMERA_T_LIDAR_AXES: Float[np.ndarray, "4 4"] = np.array(
-    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-
-
 def distort(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]) -> Float[np.ndarray, "n 2"]:
     """Apply Brown-Conrady distortion (Brown 1966; OpenCV's order k1, k2, p1, p2, k3) to normalised coordinates."""
     k1, k2, p1, p2, k3 = distortion
@@ -92,24 +90,35 @@ def undistort(
 
     Points beyond the fold of the distortion polynomial have no inverse; they come back as NaN.
     """
-    if not np.any(distortion):
-        return np.array(distorted, dtype=np.float64)
     guess = np.array(distorted, dtype=np.float64)
-    step = 1e-7
-    for _ in range(iterations):
-        error = distort(guess, distortion) - distorted
-        if np.abs(error).max(initial=0.0) < 1e-14:
-            break
-        dx = (distort(guess + [step, 0.0], distortion) - distort(guess - [step, 0.0], distortion)) / (2 * step)
-        dy = (distort(guess + [0.0, step], distortion) - distort(guess - [0.0, step], distortion)) / (2 * step)
-        determinant = dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]
-        determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
-        guess[:, 0] -= (dy[:, 1] * error[:, 0] - dy[:, 0] * error[:, 1]) / determinant
-        guess[:, 1] -= (dx[:, 0] * error[:, 1] - dx[:, 1] * error[:, 0]) / determinant
-    with np.errstate(invalid="ignore"):
-        good = np.abs(distort(guess, distortion) - distorted).max(axis=1, initial=0.0) < 1e-9
+    if not np.any(distortion):
+        return guess
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # points without an inverse run away
+        for _ in range(iterations):
+            error = distort(guess, distortion) - distorted
+            (xx, xy), (yx, yy) = _distortion_jacobian(guess, distortion)
+            determinant = xx * yy - xy * yx
+            guess[:, 0] -= (yy * error[:, 0] - xy * error[:, 1]) / determinant
+            guess[:, 1] -= (xx * error[:, 1] - yx * error[:, 0]) / determinant
+        residual = np.abs(distort(guess, distortion) - distorted).max(axis=1, initial=0.0)
+        tolerance = 1e-12 * np.maximum(1.0, np.abs(distorted).max(axis=1, initial=0.0))
+        good = (residual < tolerance) & _within_fold(guess, distortion)
     guess[~good] = np.nan
     return guess
+
+
+def _distortion_jacobian(
+    normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]
+) -> Float[np.ndarray, "2 2 n"]:
+    k1, k2, p1, p2, k3 = distortion
+    x, y = normalised[:, 0], normalised[:, 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))  # d radial / d r2, times 2
+    mixed = growth * x * y + 2 * (p1 * x + p2 * y)
+    xx = radial + growth * x * x + 2 * p1 * y + 6 * p2 * x
+    yy = radial + growth * y * y + 6 * p1 * y + 2 * p2 * x
+    return np.array([[xx, mixed], [mixed, yy]])
 
 
 def _within_fold(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]) -> Bool[np.ndarray, " n"]:
@@ -117,8 +126,8 @@ def _within_fold(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndar
     k1, k2, _, _, k3 = distortion
     if not (k1 or k2 or k3):
         return np.ones(len(normalised), dtype=np.bool_)
-    slope = np.polynomial.Polynomial([1.0, 0.0, 3 * k1, 0.0, 5 * k2, 0.0, 7 * k3])  # d/dr of r (1 + k1 r^2 + ...)
+    slope = np.polynomial.Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3])  # d/dr of r (1 + k1 r^2 + ...), in r^2
     roots = slope.roots()
-    real = [float(root.real) for root in roots.astype(np.complex128) if abs(root.imag) < 1e-12]
-    fold = min((root for root in real if root > 0), default=np.inf)
+    turning = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    fold = np.sqrt(turning.min()) if turning.size else np.inf
     return np.hypot(normalised[:, 0], normalised[:, 1]) < fold

@@ -112,7 +112,8 @@ def paired_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, " n
         # A height difference of boxes at z of 100 m may round above the lower height itself.
         shared = shared * np.minimum(top[near] - bottom[near], np.minimum(height_a, height_b))
         measure_a, measure_b = measure_a * height_a, measure_b * height_b
-    iou[near] = np.clip(shared / (measure_a + measure_b - shared), 0.0, 1.0)
+    union = measure_a + measure_b - shared
+    iou[near] = np.clip(np.divide(shared, union, out=np.zeros_like(shared), where=union > 0), 0.0, 1.0)
     return iou
 
 
