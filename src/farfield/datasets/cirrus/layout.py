@@ -1,0 +1,195 @@
+"""Where the files of Cirrus stand, and which belong together: parts, times, segments, pairs."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from farfield.datasets.cirrus.mapping import AUTHORS_LAYOUT, Layout, Mapping, Pairing
+from farfield.errors import DatasetError
+
+KINDS = ("gaussian", "uniform", "camera", "labels")
+_NANOSECONDS = re.compile(r"\d{16,19}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One ``Cirrus_dataset<N>`` or one authors' batch: its folder, number and files by kind, in time order."""
+
+    root: Path
+    number: int
+    layout: Layout
+    files: dict[str, tuple[Path, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """The files of one frame. ``pair_dt_ms`` is uniform minus Gaussian, ``camera_dt_ms`` camera minus key."""
+
+    part: Part
+    sequence: str
+    gaussian: Path | None = None
+    uniform: Path | None = None
+    camera: Path | None = None
+    labels: Path | None = None
+    pair_dt_ms: float | None = None
+    camera_dt_ms: float | None = None
+
+    @property
+    def key(self) -> Path:
+        """The file that names the frame: the Gaussian sweep, or the uniform one where there is no Gaussian."""
+        path = self.gaussian or self.uniform
+        assert path is not None
+        return path
+
+
+def time_of(path: Path) -> int | None:
+    """Unix time in nanoseconds that a file name gives, or None.
+
+    >>> time_of(Path("1558131117608556768.xyz")), time_of(Path("000001.xyz"))
+    (1558131117608556768, None)
+    """
+    return int(path.stem) if _NANOSECONDS.fullmatch(path.stem) else None
+
+
+def find_parts(root: Path, mapping: Mapping) -> list[Part]:
+    """Find the parts below ``root``: itself, its ``dataset`` folder, or its children.
+
+    Returns:
+        Parts by number; empty if there is nothing in this layout.
+    """
+    places = [root, root / "dataset"]
+    if root.is_dir():
+        children = sorted((path for path in root.iterdir() if path.is_dir()), key=_natural)
+        places += [place for child in children for place in (child, child / "dataset")]
+    parts: list[Part] = []
+    for place in places:
+        layouts = [mapping.layout] if mapping.layout else [Layout(), AUTHORS_LAYOUT]
+        found = [part for layout in layouts for part in _parts_at(place, layout)]
+        if place in (root, root / "dataset") and found:
+            return found
+        parts += found
+    return parts
+
+
+def _parts_at(place: Path, layout: Layout) -> list[Part]:
+    if not place.is_dir():
+        return []
+    parts = []
+    for number in _numbers(place, layout):
+        files = {kind: _files(place, getattr(layout, kind), number) for kind in KINDS}
+        if files["gaussian"] or files["uniform"]:
+            parts.append(Part(root=place, number=number, layout=layout, files=files))
+    return parts
+
+
+def _numbers(place: Path, layout: Layout) -> list[int]:
+    folders = [Path(getattr(layout, kind)).parts[0] for kind in KINDS[:2]]
+    if not any("{n}" in folder for folder in folders):
+        return [1]
+    names = [path.name for path in place.iterdir() if path.is_dir()]
+    patterns = [re.compile(re.escape(folder).replace(r"\{n\}", r"(\d{1,6})")) for folder in folders if "{n}" in folder]
+    return sorted({int(match[1]) for name in names for pattern in patterns if (match := pattern.fullmatch(name))})
+
+
+def _files(place: Path, pattern: str, number: int) -> tuple[Path, ...]:
+    found = [path for path in place.glob(pattern.replace("{n}", str(number))) if not path.name.startswith(".")]
+    if not found and pattern.endswith(".json"):  # the authors' text labels stand in for missing JSON
+        texts = pattern.replace("json_files", "txt_files").removesuffix(".json") + ".txt"
+        found = list(place.glob(texts.replace("{n}", str(number))))
+    timed = all(time_of(path) is not None for path in found)
+    return tuple(sorted(found, key=lambda path: (time_of(path) or 0) if timed else _natural(path)))
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [(int(text), "") if text.isdigit() else (-1, text) for text in re.split(r"(\d+)", path.name)]
+
+
+def pair(
+    keys: Sequence[Path], others: Sequence[Path], pairing: Pairing
+) -> tuple[list[Path | None], list[float | None]]:
+    """Find each key file's partner and the time from the key to it.
+
+    Args:
+        keys: Files in time order.
+        others: Files of the other sensor in time order.
+        pairing: ``nearest`` in time or by ``order``; partners farther off than ``max_dt_ms`` are not paired. Without
+            times in the names only the order is left.
+
+    Returns:
+        Partner, and its time minus the key's in milliseconds, one each a key; None where there is none.
+    """
+    key_ns, other_ns = [time_of(path) for path in keys], [time_of(path) for path in others]
+    timed = None not in key_ns and None not in other_ns
+    count = min(len(keys), len(others))
+    if not timed or not others:
+        return [*others[:count], *[None] * (len(keys) - count)], [None] * len(keys)
+    wanted, have = np.array(key_ns, dtype=np.int64), np.array(other_ns, dtype=np.int64)
+    if pairing.mode == "order":
+        choice = np.minimum(np.arange(len(keys)), len(others) - 1)
+    else:
+        after = np.clip(np.searchsorted(have, wanted), 1, max(len(have) - 1, 1))
+        before = after - 1
+        after = np.minimum(after, len(have) - 1)
+        choice = np.where(np.abs(have[before] - wanted) <= np.abs(have[after] - wanted), before, after)
+    dt_ms = (have[choice] - wanted) / 1e6
+    good = np.abs(dt_ms) <= pairing.max_dt_ms
+    good &= (np.arange(len(keys)) < len(others)) | (pairing.mode == "nearest")
+    partners = [others[index] if ok else None for index, ok in zip(choice, good, strict=True)]
+    return partners, [float(dt) if ok else None for dt, ok in zip(dt_ms, good, strict=True)]
+
+
+def segment_numbers(times_ns: Sequence[int | None], gap_s: float) -> list[int]:
+    """Number the segments of one part: a pause longer than ``gap_s`` begins the next; without times there is one."""
+    if not times_ns or None in times_ns:
+        return [0] * len(times_ns)
+    pauses = np.diff(np.array(times_ns, dtype=np.float64)) > gap_s * 1e9  # exact to 256 ns, far below a pause
+    return [0, *np.cumsum(pauses).tolist()]
+
+
+def index_frames(root: Path, parts: Sequence[Part], mapping: Mapping) -> list[Entry]:
+    """List the frames of all parts with their files and segments.
+
+    Raises:
+        DatasetError: If there is no cloud at all.
+    """
+    entries: list[Entry] = []
+    first_segment = 0
+    for part in parts:
+        has_key = bool(part.files[mapping.pairing.key])
+        key = mapping.pairing.key if has_key else ("uniform" if mapping.pairing.key == "gaussian" else "gaussian")
+        other = "uniform" if key == "gaussian" else "gaussian"
+        keys = part.files[key]
+        partners, pair_dt = pair(keys, part.files[other], mapping.pairing)
+        cameras, camera_dt = pair(keys, part.files["camera"], mapping.pairing)
+        by_stem = {path.stem: path for path in part.files["labels"]}
+        segments = segment_numbers([time_of(path) for path in keys], mapping.segments.gap_s)
+        sign = 1.0 if key == "gaussian" else -1.0
+        for index, path in enumerate(keys):
+            sweeps = {key: path, other: partners[index]}
+            gaussian, dt = sweeps["gaussian"], pair_dt[index]
+            entries.append(
+                Entry(
+                    part=part,
+                    sequence=f"segment_{first_segment + segments[index]:02d}",
+                    **sweeps,
+                    camera=cameras[index],
+                    labels=None if gaussian is None else by_stem.get(gaussian.stem),
+                    pair_dt_ms=None if dt is None else sign * dt,
+                    camera_dt_ms=camera_dt[index],
+                )
+            )
+        first_segment += max(segments, default=-1) + 1
+    if not entries:
+        raise DatasetError(f"{root}: expected Cirrus clouds, found none. {expectation(mapping)}")
+    return entries
+
+
+def expectation(mapping: Mapping) -> str:
+    """Say what was looked for."""
+    layout = mapping.layout or Layout()
+    looked = f"{layout.gaussian} or {layout.uniform} in the folder or its children"
+    authors = "" if mapping.layout else f"; or the authors' {AUTHORS_LAYOUT.gaussian} in it or its folder 'dataset'"
+    return f"Looked for {looked}{authors}. Another layout is described by a mapping file (layout: ...)."

@@ -1,0 +1,197 @@
+"""Read Cirrus (Wang et al., "Cirrus: A Long-range Bi-pattern LiDAR Dataset", ICRA 2021) as frames."""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels, read_labels
+from farfield.datasets.cirrus.layout import Entry, expectation, find_parts, index_frames, time_of
+from farfield.datasets.cirrus.mapping import Mapping, read_mapping
+from farfield.datasets.cloud_files import intensity_scale_of, read_rows
+from farfield.errors import DatasetError, FileFormatError
+from farfield.files.images import read_image
+from farfield.frame import Camera, Cloud, Frame, Lazy
+
+PATTERNS = ("gaussian", "uniform")
+
+
+class Cirrus(Dataset):
+    """Cirrus in its public layout, in the authors' internal layout, or in one that a mapping file describes.
+
+    Frames carry clouds ``"gaussian"`` and ``"uniform"`` (where there is one), image ``"camera"``, and boxes on the
+    Gaussian clock. ``frame_id`` is the time in nanoseconds as the file name has it; sequences are segments recovered
+    from pauses.
+
+    ``frame.metadata`` holds ``files``, ``pair_dt_ms`` (uniform minus Gaussian), ``camera_dt_ms``, ``box_protocol``
+    ("visible": Cirrus draws boxes round what the cloud shows), ``intensity_scale``, ``raw_label``, and, where the file
+    gives them, ``full_boxes`` and ``point_count_uniform``.
+
+    Args:
+        root: One ``Cirrus_dataset<N>``, a folder of several, or the authors' ``dataset``.
+        mapping: Mapping file, or its content; see :mod:`farfield.datasets.cirrus.mapping`.
+        pairing: ``"nearest"`` in time or in ``"order"``; overrides the mapping.
+        max_dt_ms: Sweeps farther apart are not paired; overrides the mapping.
+
+    Raises:
+        DatasetError: If the folder holds no clouds in the layout.
+        ConfigError: If the mapping is wrong.
+    """
+
+    name = "cirrus"
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        mapping: Mapping | Path | str | None = None,
+        pairing: Literal["nearest", "order"] | None = None,
+        max_dt_ms: float | int | None = None,
+    ) -> None:
+        self.root = Path(root)
+        settings = mapping if isinstance(mapping, Mapping) else read_mapping(mapping) if mapping else Mapping()
+        changes = {"mode": pairing, "max_dt_ms": max_dt_ms}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        self.mapping = settings.model_copy(update={"pairing": settings.pairing.model_copy(update=changes)})
+        self.split_file = Path(self.mapping.splits.file)
+        self.parts = find_parts(self.root, self.mapping)
+        if not self.parts:
+            raise DatasetError(f"{self.root}: expected Cirrus clouds, found none. {expectation(self.mapping)}")
+        self.entries: Sequence[Entry] = index_frames(self.root, self.parts, self.mapping)
+        self.sequences = tuple(entry.sequence for entry in self.entries)
+        self.frame_ids = tuple(entry.key.stem for entry in self.entries)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        entry = self.entries[index]
+        return [path for path in (entry.gaussian, entry.uniform, entry.camera, entry.labels) if path]
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        entry = self.entries[index]
+        paths = {"gaussian": entry.gaussian, "uniform": entry.uniform, "camera": entry.camera}
+        present = {name: path for name, path in paths.items() if path is not None}
+        times = {name: time_of(path) for name, path in present.items()}
+        raw = self.raw_labels(index)
+        root = raw.root if raw else {}
+        image = {} if entry.camera is None else {"camera": partial(read_image, entry.camera)}
+        return Frame(
+            sequence=entry.sequence,
+            frame_id=entry.key.stem,
+            time_ns=time_of(entry.key),
+            clouds=Lazy({name: partial(self.cloud, index, name) for name in PATTERNS if name in present}),
+            images=Lazy(image),
+            cameras=self.cameras,
+            annotation=None if raw is None else partial(boxes_from_labels, raw, self.mapping.labels),
+            world_T_lidar=_pose(raw),
+            times_ns={name: time for name, time in times.items() if time is not None},
+            conditions={str(name): str(value) for name, value in dict(root.get("conditions") or {}).items()},
+            metadata=Lazy(self._metadata(index, entry, raw)),
+        )
+
+    def raw_labels(self, index: int) -> RawLabels | None:
+        """Read the annotations of frame ``index`` as the file has them; None where there are none."""
+        path = self.entries[index].labels
+        return None if path is None else read_labels(path, self.mapping.labels)
+
+    def _metadata(self, index: int, entry: Entry, raw: RawLabels | None) -> dict[str, Callable[[], Any]]:
+        files = [str(path) for path in self.files(index)]
+        known: dict[str, Callable[[], Any]] = {
+            "files": lambda: files,
+            "pair_dt_ms": lambda: entry.pair_dt_ms,
+            "camera_dt_ms": lambda: entry.camera_dt_ms,
+            "box_protocol": lambda: "visible",
+            "intensity_scale": lambda: self.intensity_scale,
+        }
+        if raw is not None:
+            known["raw_label"] = lambda: raw.classes
+            if len(raw) and all("full_position" in label and "full_size" in label for label in raw.extra):
+                known["full_boxes"] = partial(boxes_from_labels, raw, self.mapping.labels, full=True)
+            counts = [label.get("point_count_uniform") for label in raw.extra]
+            if counts and all(isinstance(count, int) for count in counts):
+                known["point_count_uniform"] = lambda: np.array(counts, dtype=np.int64)
+        return known
+
+    def cloud_columns(self, index: int, pattern: str) -> dict[str, np.ndarray]:
+        """Columns of a cloud by the mapping's names, in the file's own units."""
+        entry = self.entries[index]
+        path = entry.gaussian if pattern == "gaussian" else entry.uniform
+        if path is None:
+            raise KeyError(f"frame {entry.key.stem} has no {pattern} sweep")
+        names = getattr(self.mapping.xyz.columns, pattern)
+        count = None if len(names) in (5, 8) else len(names)
+        columns = read_rows(path, entry.part.root, columns=count, delimiter=self.mapping.xyz.delimiter)
+        names = (*names, *(f"extra{number}" for number in range(len(names) - 4, len(columns) - 4)))
+        keep = len(columns) if self.mapping.xyz.on_extra_columns == "keep" else 4
+        return dict(list(zip(names, columns, strict=False))[:keep])
+
+    def cloud(self, index: int, pattern: str) -> Cloud:
+        """Read one sweep of frame ``index``; intensity is brought to 0..1.
+
+        Raises:
+            FileFormatError: If the file is damaged or its intensity exceeds the scale.
+        """
+        columns = self.cloud_columns(index, pattern)
+        scale = self.intensity_scale[pattern]
+        strength = columns["intensity"].astype(np.float32) / np.float32(scale)
+        if len(strength) and (strength.max() > 1 + 1e-5 or strength.min() < 0):
+            raise FileFormatError(
+                getattr(self.entries[index], pattern),
+                where="the intensity column",
+                expected=f"values from 0 to {scale:g}",
+                found=f"{columns['intensity'].min():g} to {columns['intensity'].max():g}",
+                mend="Give the true full scale in the mapping: xyz: {intensity_scale: 255}.",
+            )
+        points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
+        extra = {name: column for name, column in columns.items() if name not in ("x", "y", "z", "intensity")}
+        return Cloud(points, np.minimum(strength, np.float32(1.0)), extra)
+
+    @cached_property
+    def intensity_scale(self) -> dict[str, float]:
+        """Value that stands for full reflectance, by pattern: given, or decided from up to three files."""
+        given = self.mapping.xyz.intensity_scale
+        scales: dict[str, float] = {}
+        for pattern in PATTERNS:
+            have = [i for i, entry in enumerate(self.entries) if getattr(entry, pattern) is not None]
+            if have and given == "auto":
+                sample = sorted({have[0], have[len(have) // 2], have[-1]})
+                largest = max(float(self.cloud_columns(i, pattern)["intensity"].max(initial=0.0)) for i in sample)
+                scales[pattern] = intensity_scale_of(largest)
+            elif have:
+                scales[pattern] = float(given)
+        return scales
+
+    @cached_property
+    def calibration_file(self) -> Path | None:
+        """The calibration: the one that the mapping names, or one of the usual names in the root or the first part."""
+        if self.mapping.calib.file is not None:
+            path = self.root / self.mapping.calib.file
+            if not path.is_file():
+                raise DatasetError(f"{path}: expected the calibration file that the mapping names, found none")
+            return path
+        places = [folder / name for folder in (self.root, self.parts[0].root) for name in CALIBRATION_NAMES]
+        return next((path for path in places if path.is_file()), None)
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """Cameras by name; empty without a calibration file."""
+        path = self.calibration_file
+        return {} if path is None else read_calibration(path, inverse=self.mapping.calib.convention == "cam_to_lidar")
+
+
+def _pose(raw: RawLabels | None) -> Any:
+    value = raw.root.get("world_T_lidar") if raw else None
+    if value is None:
+        return None
+    try:
+        matrix = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        assert raw is not None
+        raise FileFormatError(raw.path, where="world_T_lidar", expected="4 x 4 finite numbers", found=repr(value)[:80])
+    return matrix

@@ -1,0 +1,148 @@
+"""Write frames in the public layout of Cirrus, so that simulated data travels every path that real data does."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.datasets.calibration import write_calibration
+from farfield.errors import DatasetError
+from farfield.files.atomic import write_text
+from farfield.files.images import write_image
+from farfield.files.xyz import write_xyz
+from farfield.frame import Boxes, Cloud, Frame
+from farfield.geometry.poses import quaternion_from_yaw
+
+_EXTRA_COLUMNS = {"gaussian": 1, "uniform": 4}
+_DECIMALS = (4, 4, 4, 6)
+
+
+class CirrusWriter:
+    """Write ``Cirrus_dataset<N>``: one file a sweep, annotation and image; the same bytes for the same frame.
+
+    Clouds get 5 columns (Gaussian) or 8 (uniform): x, y, z with 4 decimals, intensity in 0..1 with 6, then the cloud's
+    ``extra0``... or 0. Readers recover sequences from pauses, so frames of different sequences must lie more than a
+    second apart in time.
+
+    Args:
+        root: Folder in which ``Cirrus_dataset<N>`` is made.
+        number: N.
+    """
+
+    def __init__(self, root: Path | str, *, number: int = 1) -> None:
+        self.root = Path(root) / f"Cirrus_dataset{number}"
+        self.number = number
+        self._written: dict[str, str] = {}
+        self._has_calibration = False
+
+    def paths(self, frame: Frame) -> dict[str, Path]:
+        """Name the files of a frame by kind: gaussian, uniform, annotation, camera.
+
+        Raises:
+            DatasetError: If the frame has no time.
+        """
+        times = {name: frame.times_ns.get(name, self._time_ns(frame)) for name in ("gaussian", "uniform", "camera")}
+        found = {name: self._folder(name) / f"{times[name]}.xyz" for name in _EXTRA_COLUMNS if name in frame.clouds}
+        if frame.annotation is not None:
+            found["annotation"] = self._folder("annotation") / f"{times['gaussian']}.json"
+        if "camera" in frame.images:
+            found["camera"] = self._folder("camera") / f"{times['camera']}.jpg"
+        return found
+
+    def write(self, frame: Frame, *, box_label_source: Literal["boxes", "full_boxes"] = "boxes") -> dict[str, Path]:
+        """Write one frame.
+
+        Args:
+            frame: Clouds ``gaussian`` and ``uniform``, boxes, image and calibration ``camera``: what there is.
+            box_label_source: ``"boxes"`` labels the frame's boxes (Cirrus: the visible part) and adds
+                ``metadata["full_boxes"]`` as extra keys; ``"full_boxes"`` labels those instead.
+
+        Returns:
+            The files written, by kind.
+
+        Raises:
+            DatasetError: If the frame has no time, no cloud, or the time of a frame of another sequence.
+        """
+        paths = self.paths(frame)
+        if not paths.keys() & _EXTRA_COLUMNS.keys():
+            raise DatasetError(f"frame {frame.key}: expected a cloud 'gaussian' or 'uniform', got {list(frame.clouds)}")
+        stem = next(iter(paths.values())).stem
+        if self._written.setdefault(stem, frame.sequence) != frame.sequence:
+            raise DatasetError(f"frame {frame.key}: its time {stem} was written for sequence {self._written[stem]!r}")
+        for path in paths.values():
+            path.parent.mkdir(parents=True, exist_ok=True)
+        for name in _EXTRA_COLUMNS.keys() & paths.keys():
+            rows = cloud_rows(frame.clouds[name], _EXTRA_COLUMNS[name])
+            write_xyz(paths[name], rows, decimals=(*_DECIMALS, *[0] * _EXTRA_COLUMNS[name]))
+        if "annotation" in paths:
+            content = annotation(frame, box_label_source)
+            write_text(paths["annotation"], json.dumps(content, indent=1) + "\n")
+        if "camera" in paths:
+            write_image(paths["camera"], frame.images["camera"])
+        if frame.cameras and not self._has_calibration:
+            write_calibration(self.root / "calibration.json", frame.cameras)
+            self._has_calibration = True
+        return paths
+
+    def _folder(self, kind: str) -> Path:
+        return self.root / f"dataset{self.number}_{kind}"
+
+    @staticmethod
+    def _time_ns(frame: Frame) -> int:
+        if frame.time_ns is not None:
+            return frame.time_ns
+        raise DatasetError(f"frame {frame.key}: expected time_ns, which names the files of Cirrus; got None")
+
+
+def cloud_rows(cloud: Cloud, extra_columns: int) -> Float[np.ndarray, "n c"]:
+    """Rows x, y, z, intensity and the extra columns ``extra0``..., 0 where the cloud has none."""
+    zero = np.zeros(len(cloud))
+    extra = [cloud.extra.get(f"extra{number}", zero) for number in range(extra_columns)]
+    return np.column_stack([cloud.points_m.astype(np.float64), cloud.intensity.astype(np.float64), *extra])
+
+
+def annotation(frame: Frame, source: str = "boxes") -> dict[str, Any]:
+    """Build the annotation file's content for a frame; lengths to a micrometre."""
+    boxes = frame.boxes if frame.boxes is not None else Boxes.empty()
+    full = frame.metadata.get("full_boxes")
+    if source == "full_boxes":
+        if full is None:
+            raise DatasetError(f"frame {frame.key}: expected metadata['full_boxes'], which box_label_source asks for")
+        boxes, full = full, None
+    if full is not None and len(full) != len(boxes):
+        raise DatasetError(f"frame {frame.key}: expected as many full boxes as boxes ({len(boxes)}), got {len(full)}")
+    columns: dict[str, list[Any]] = {
+        "label_class": np.asarray(boxes.label).tolist(),
+        "position": _rounded(boxes.centre_m),
+        "size": _rounded(np.maximum(boxes.size_m, 1e-6)),
+        "quaternion": np.round(quaternion_from_yaw(boxes.yaw_rad), 12).tolist(),
+    }
+    if full is not None:
+        columns |= {"full_position": _rounded(full.centre_m), "full_size": _rounded(np.maximum(full.size_m, 1e-6))}
+    if boxes.track_id is not None:
+        columns["track_id"] = boxes.track_id.tolist()
+    columns |= _point_counts(frame, boxes)
+    content: dict[str, Any] = {"label_type": "cuboid"}
+    if frame.world_T_lidar is not None:
+        content["world_T_lidar"] = np.round(frame.world_T_lidar, 12).tolist()
+    if frame.conditions:
+        content["conditions"] = dict(sorted(frame.conditions.items()))
+    content["labels"] = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    return content
+
+
+def _point_counts(frame: Frame, boxes: Boxes) -> Mapping[str, list[int]]:
+    counts: dict[str, list[int]] = {}
+    if boxes.point_count is not None:
+        counts["point_count_gaussian"] = boxes.point_count.tolist()
+    uniform = frame.metadata.get("point_count_uniform")
+    if uniform is not None:
+        counts["point_count_uniform"] = np.asarray(uniform).tolist()
+    return counts
+
+
+def _rounded(values: Float[np.ndarray, "n 3"]) -> list[list[float]]:
+    return np.round(values, 6).tolist()

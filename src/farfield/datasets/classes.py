@@ -1,0 +1,79 @@
+"""Class names: the vocabulary of Cirrus, which Farfield uses everywhere, and how other data sets map to it.
+
+Cirrus, section III: vehicle, large vehicle, pedestrian, bicycle, animal, wheeled pedestrian, motorcycle, trailer;
+``unknown`` stands for annotated objects without a class.
+"""
+
+from collections.abc import Mapping
+
+CIRRUS_CLASSES = (
+    "vehicle",
+    "large_vehicle",
+    "pedestrian",
+    "bicycle",
+    "animal",
+    "wheeled_pedestrian",
+    "motorcycle",
+    "trailer",
+    "unknown",
+)
+
+CIRRUS_ALIASES = {"car": "vehicle", "truck": "large_vehicle", "bus": "large_vehicle", "cyclist": "bicycle"}
+
+CIRRUS_FROM_KITTI = {
+    "Car": "vehicle",
+    "Van": "vehicle",
+    "Truck": "large_vehicle",
+    "Tram": "large_vehicle",
+    "Pedestrian": "pedestrian",
+    "Person_sitting": "pedestrian",
+    "Person": "pedestrian",
+    "Cyclist": "bicycle",
+    "Misc": "unknown",
+}
+
+KITTI_FROM_CIRRUS = {
+    "vehicle": "Car",
+    "large_vehicle": "Truck",
+    "pedestrian": "Pedestrian",
+    "bicycle": "Cyclist",
+}
+
+CIRRUS_FROM_ARGOVERSE2 = {
+    "REGULAR_VEHICLE": "vehicle",
+    "LARGE_VEHICLE": "large_vehicle",
+    "BUS": "large_vehicle",
+    "SCHOOL_BUS": "large_vehicle",
+    "ARTICULATED_BUS": "large_vehicle",
+    "BOX_TRUCK": "large_vehicle",
+    "TRUCK": "large_vehicle",
+    "TRUCK_CAB": "large_vehicle",
+    "VEHICULAR_TRAILER": "trailer",
+    "TRAFFIC_LIGHT_TRAILER": "trailer",
+    "MESSAGE_BOARD_TRAILER": "trailer",
+    "PEDESTRIAN": "pedestrian",
+    "OFFICIAL_SIGNALER": "pedestrian",
+    "BICYCLE": "bicycle",
+    "BICYCLIST": "bicycle",
+    "MOTORCYCLE": "motorcycle",
+    "MOTORCYCLIST": "motorcycle",
+    "WHEELED_RIDER": "wheeled_pedestrian",
+    "WHEELED_DEVICE": "wheeled_pedestrian",
+    "WHEELCHAIR": "wheeled_pedestrian",
+    "STROLLER": "wheeled_pedestrian",
+    "DOG": "animal",
+    "ANIMAL": "animal",
+}
+
+
+def normalised_class(name: str, aliases: Mapping[str, str]) -> str:
+    """Bring a class name into the vocabulary of Cirrus; what is not in it becomes ``unknown``.
+
+    >>> normalised_class("Large Vehicle", {}), normalised_class("Wheeled-Pedestrian", {}), normalised_class("tank", {})
+    ('large_vehicle', 'wheeled_pedestrian', 'unknown')
+    """
+    if name in aliases:
+        return aliases[name]
+    plain = "_".join(name.strip().lower().replace("-", " ").replace("_", " ").split())
+    plain = aliases.get(plain, CIRRUS_ALIASES.get(plain, plain))
+    return plain if plain in CIRRUS_CLASSES else "unknown"

@@ -1,0 +1,157 @@
+"""One's own clouds in one folder, with boxes in small JSON files beside them.
+
+Clouds: ``.pcd``, ``.bin`` (KITTI velodyne), ``.npy`` (rows), ``.xyz``, ``.ffcloud``; x forward, y left, z up, metres.
+Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
+
+    {"boxes": [{"label": "vehicle", "centre_m": [x, y, z], "size_m": [l, w, h], "yaw_rad": 0.1,
+                "score": 0.9, "track_id": 3}]}
+
+``score`` and ``track_id`` are optional; unknown keys are errors.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from farfield.errors import DatasetError, FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+from farfield.files.images import read_image
+from farfield.frame import Boxes, Frame, Lazy
+
+_BOX_FOLDERS = ("", "boxes", "labels")
+_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+_MAX_BYTES = 64 << 20
+_NANOSECONDS = re.compile(r"\d{16,19}")
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _BoxEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    label: str
+    centre_m: tuple[_Finite, _Finite, _Finite]
+    size_m: tuple[_Positive, _Positive, _Positive]
+    yaw_rad: _Finite
+    score: _Finite | None = None
+    track_id: int | None = None
+
+
+class _BoxFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    boxes: list[_BoxEntry]
+
+
+def read_boxes(path: Path | str) -> Boxes:
+    """Read boxes from this module's JSON.
+
+    Raises:
+        FileFormatError: If the file does not hold such boxes.
+    """
+    try:
+        entries = _BoxFile.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES)).boxes
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"]) or "the file"
+        raise FileFormatError(path, where=where, expected=first["msg"], found=repr(first["input"])[:80]) from error
+    if not entries:
+        return Boxes.empty()
+    scores = [entry.score for entry in entries]
+    tracks = [-1 if entry.track_id is None else entry.track_id for entry in entries]
+    if any(score is None for score in scores) and any(score is not None for score in scores):
+        raise FileFormatError(path, where="boxes", expected="a score for all boxes or for none", found="some")
+    return Boxes(
+        centre_m=np.array([entry.centre_m for entry in entries]),
+        size_m=np.array([entry.size_m for entry in entries]),
+        yaw_rad=np.array([entry.yaw_rad for entry in entries]),
+        label=[entry.label for entry in entries],
+        score=None if scores[0] is None else np.array(scores, dtype=np.float64),
+        track_id=None
+        if all(t is None for t in tracks)
+        else np.array([-1 if t is None else t for t in tracks], dtype=np.int64),
+    )
+
+
+def write_boxes(path: Path | str, boxes: Boxes) -> None:
+    """Write boxes as this module's JSON, whole or not at all."""
+    columns = {
+        "label": np.asarray(boxes.label).tolist(),
+        "centre_m": boxes.centre_m.tolist(),
+        "size_m": boxes.size_m.tolist(),
+        "yaw_rad": boxes.yaw_rad.tolist(),
+    }
+    if boxes.score is not None:
+        columns["score"] = boxes.score.tolist()
+    if boxes.track_id is not None:
+        columns["track_id"] = boxes.track_id.tolist()
+    entries = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    write_text(path, json.dumps({"boxes": entries}, indent=1) + "\n")
+
+
+class Folder(Dataset):
+    """The clouds of one folder, one sequence named like the folder, each frame named by its file's stem.
+
+    Args:
+        root: The folder.
+        bin_columns: Numbers a point in ``.bin`` files.
+        intensity_scale: Value that stands for full reflectance; None decides for each file.
+
+    Raises:
+        DatasetError: If there is no cloud, or two clouds share a stem.
+    """
+
+    name = "folder"
+
+    def __init__(self, root: Path | str, *, bin_columns: int = 4, intensity_scale: float | None = None) -> None:
+        self.root = Path(root)
+        self.bin_columns, self.intensity_scale = bin_columns, intensity_scale
+        self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
+        if not self.clouds:
+            raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
+        self.frame_ids = tuple(path.stem for path in self.clouds)
+        self.sequences = (self.root.resolve().name,) * len(self.clouds)
+        double = next((stem for stem, count in Counter(self.frame_ids).items() if count > 1), None)
+        if double is not None:
+            raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
+
+    def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
+        stem = self.frame_ids[index]
+        places = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
+        return next((path for path in places if path.is_file()), None)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
+        return [self.clouds[index], *(path for path in beside if path)]
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        path, stem = self.clouds[index], self.frame_ids[index]
+        boxes, image = (
+            self._beside(index, _BOX_FOLDERS, [".json"]),
+            self._beside(index, ("", "images"), _IMAGE_SUFFIXES),
+        )
+        calibration = next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
+        load = partial(read_cloud, path, bin_columns=self.bin_columns, intensity_scale=self.intensity_scale)
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=stem,
+            time_ns=int(stem) if _NANOSECONDS.fullmatch(stem) else None,
+            clouds=Lazy({"lidar": load}),
+            images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
+            cameras={} if calibration is None else read_calibration(calibration),
+            annotation=None if boxes is None else partial(read_boxes, boxes),
+            metadata={"files": [str(file) for file in self.files(index)]},
+        )

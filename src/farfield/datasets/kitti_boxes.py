@@ -1,0 +1,92 @@
+"""KITTI's camera-frame objects to lidar boxes and back (Geiger et al., CVPR 2012, object devkit readme).
+
+KITTI gives the centre of a box's bottom face in rectified camera coordinates (x right, y down, z ahead), sizes as
+height, width, length, and ``rotation_y`` about the camera's y axis, 0 along x.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.errors import DatasetError
+from farfield.frame import Camera
+from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
+from farfield.geometry.poses import transform_points
+
+
+def camera_from_calib(calib: Mapping[str, np.ndarray]) -> Float[np.ndarray, "4 4"]:
+    """Map of lidar to rectified camera coordinates: ``R0_rect @ Tr_velo_to_cam``.
+
+    Args:
+        calib: Matrices of a calibration file; KITTI tracking's ``R_rect`` and ``Tr_velo_cam`` do as well.
+
+    Raises:
+        DatasetError: If a matrix is missing.
+    """
+    rectify = next((calib[name] for name in ("R0_rect", "R_rect", "R0") if name in calib), None)
+    motion = next((calib[name] for name in ("Tr_velo_to_cam", "Tr_velo_cam") if name in calib), None)
+    if rectify is None or motion is None:
+        raise DatasetError(f"calibration: expected R0_rect and Tr_velo_to_cam, got {', '.join(calib) or 'nothing'}")
+    matrix = np.eye(4)
+    matrix[:3] = np.asarray(rectify, dtype=np.float64).reshape(-1)[:9].reshape(3, 3) @ np.asarray(motion)[:3]
+    return matrix
+
+
+def camera_of(calib: Mapping[str, np.ndarray], *, width_px: int = 0, height_px: int = 0) -> Camera:
+    """Build the left colour camera (P2) with its pose; P2's fourth column becomes an offset of the camera."""
+    if "P2" not in calib:
+        raise DatasetError(f"calibration: expected P2, got {', '.join(calib) or 'nothing'}")
+    projection = np.asarray(calib["P2"], dtype=np.float64)
+    offset = np.eye(4)
+    offset[:3, 3] = np.linalg.solve(projection[:, :3], projection[:, 3])
+    return Camera(
+        matrix=projection[:, :3].copy(),
+        camera_T_lidar=offset @ camera_from_calib(calib),
+        width_px=width_px,
+        height_px=height_px,
+    )
+
+
+def lidar_from_camera(
+    bottom_m: Float[np.ndarray, "n 3"],
+    size_hwl_m: Float[np.ndarray, "n 3"],
+    rotation_y_rad: Float[np.ndarray, " n"],
+    camera_T_lidar: Float[np.ndarray, "4 4"] = CAMERA_T_LIDAR_AXES,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Convert boxes from the camera's to the lidar's convention.
+
+    Args:
+        bottom_m: Centres of the bottom faces, camera coordinates, shape (n, 3).
+        size_hwl_m: Height, width, length, shape (n, 3).
+        rotation_y_rad: Angle about the camera's y axis, shape (n,).
+        camera_T_lidar: Maps lidar to camera coordinates.
+
+    Returns:
+        Centres in lidar coordinates, sizes as length, width, height, and yaws.
+    """
+    lidar_T_camera = np.linalg.inv(camera_T_lidar)
+    centre_in_camera = bottom_m - np.array([0.0, 0.5, 0.0]) * size_hwl_m[:, :1]
+    zero = np.zeros_like(rotation_y_rad)
+    heading = np.stack([np.cos(rotation_y_rad), zero, -np.sin(rotation_y_rad)], 1) @ lidar_T_camera[:3, :3].T
+    yaw = np.arctan2(heading[:, 1], heading[:, 0])
+    return transform_points(lidar_T_camera, centre_in_camera), size_hwl_m[:, ::-1].copy(), yaw
+
+
+def camera_from_lidar(
+    centre_m: Float[np.ndarray, "n 3"],
+    size_lwh_m: Float[np.ndarray, "n 3"],
+    yaw_rad: Float[np.ndarray, " n"],
+    camera_T_lidar: Float[np.ndarray, "4 4"] = CAMERA_T_LIDAR_AXES,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Convert boxes from the lidar's to the camera's convention: the inverse of :func:`lidar_from_camera`.
+
+    The camera may be tilted by a few degrees: the heading is projected to its x-z plane, exact to second order.
+
+    Returns:
+        Centres of the bottom faces in camera coordinates, sizes as height, width, length, and ``rotation_y``.
+    """
+    centre_in_camera = transform_points(camera_T_lidar, centre_m)
+    bottom = centre_in_camera + np.array([0.0, 0.5, 0.0]) * size_lwh_m[:, 2:]
+    heading = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros_like(yaw_rad)], 1) @ camera_T_lidar[:3, :3].T
+    return bottom, size_lwh_m[:, ::-1].copy(), np.arctan2(-heading[:, 2], heading[:, 0])
