@@ -66,7 +66,7 @@ def _clamped_integral(
     left, right = np.clip(x0, -x_max, x_max), np.clip(x1, -x_max, x_max)
     y_left, y_right = y0 + (left - x0) * slope, y0 + (right - x0) * slope
     low, high = np.minimum(y_left, y_right), np.maximum(y_left, y_right)
-    rise = np.maximum(high - low, 1e-300)
+    rise = np.maximum(high - low, 1e-250)
     below = np.clip((-y_max - low) / rise, 0.0, 1.0)  # share of the stretch that lies under the rectangle
     above = np.clip((high - y_max) / rise, 0.0, 1.0)
     inside = (np.clip(low, -y_max, y_max) + np.clip(high, -y_max, y_max)) / 2

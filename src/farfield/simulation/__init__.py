@@ -1,1 +1,6 @@
 """Physics to Frame: roads, traffic, meshes, ray casting, LiDAR."""
+
+from farfield.simulation.presets import PRESETS, Preset, find_preset
+from farfield.simulation.sequence import simulate_frame, simulate_sequence
+
+__all__ = ["PRESETS", "Preset", "find_preset", "simulate_frame", "simulate_sequence"]

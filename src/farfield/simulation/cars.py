@@ -1,0 +1,179 @@
+"""Passenger cars: parametric lofted bodies with bonnet, screens, roof and boot, wheels, lamps, plates and seats."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from farfield.simulation.materials import Material
+from farfield.simulation.mesh import Mesh, box, loft, quads, wheel
+
+_PAINT, _SCREEN, _CABIN, _PILLAR = "paint", "screen", "cabin", "pillar"
+
+
+@dataclass(frozen=True)
+class BodyStyle:
+    """A side profile from the front bumper (u = 0) to the rear bumper (u = 1).
+
+    Args:
+        stations: Position u, height of the top as a share of the car's height, and what follows the station.
+        belt: Height of the windows' lower edge as a share of the car's height.
+        size_m: Mean length, width, height.
+        sigma_m: Their standard deviations.
+    """
+
+    stations: tuple[tuple[float, float, str], ...]
+    belt: float
+    size_m: tuple[float, float, float]
+    sigma_m: tuple[float, float, float]
+
+
+_FRONT = ((0.0, 0.44, _PAINT), (0.02, 0.53, _PAINT))
+
+
+BODY_STYLES: dict[str, BodyStyle] = {
+    "sedan": BodyStyle(
+        (*_FRONT, (0.14, 0.60, _PAINT), (0.28, 0.66, _SCREEN), (0.45, 0.965, _CABIN), (0.55, 1.0, _PILLAR))
+        + ((0.58, 0.998, _CABIN), (0.71, 0.95, _SCREEN), (0.85, 0.71, _PAINT), (0.975, 0.68, _PAINT))
+        + ((1.0, 0.50, _PAINT),),
+        0.64,
+        (4.75, 1.86, 1.47),
+        (0.25, 0.06, 0.05),
+    ),
+    "hatch": BodyStyle(
+        (*_FRONT, (0.13, 0.58, _PAINT), (0.26, 0.64, _SCREEN), (0.45, 0.965, _CABIN), (0.57, 1.0, _PILLAR))
+        + ((0.60, 1.0, _CABIN), (0.90, 0.94, _SCREEN), (0.975, 0.63, _PAINT), (1.0, 0.48, _PAINT)),
+        0.61,
+        (4.2, 1.79, 1.50),
+        (0.25, 0.05, 0.06),
+    ),
+    "estate": BodyStyle(
+        (*_FRONT, (0.14, 0.59, _PAINT), (0.27, 0.65, _SCREEN), (0.44, 0.965, _CABIN), (0.54, 1.0, _PILLAR))
+        + ((0.57, 1.0, _CABIN), (0.93, 0.95, _SCREEN), (0.98, 0.63, _PAINT), (1.0, 0.50, _PAINT)),
+        0.61,
+        (4.75, 1.85, 1.50),
+        (0.2, 0.05, 0.06),
+    ),
+    "suv": BodyStyle(
+        ((0.0, 0.46, _PAINT), (0.02, 0.57, _PAINT), (0.12, 0.62, _PAINT), (0.25, 0.65, _SCREEN))
+        + ((0.40, 0.965, _CABIN), (0.52, 1.0, _PILLAR), (0.55, 1.0, _CABIN), (0.92, 0.95, _SCREEN))
+        + ((0.98, 0.63, _PAINT), (1.0, 0.48, _PAINT)),
+        0.62,
+        (4.75, 1.94, 1.76),
+        (0.25, 0.07, 0.08),
+    ),
+    "pickup": BodyStyle(
+        ((0.0, 0.46, _PAINT), (0.015, 0.57, _PAINT), (0.10, 0.62, _PAINT), (0.24, 0.64, _SCREEN))
+        + ((0.36, 0.965, _CABIN), (0.44, 1.0, _PILLAR), (0.46, 1.0, _CABIN), (0.57, 0.97, _SCREEN))
+        + ((0.60, 0.60, _PAINT), (0.99, 0.60, _PAINT), (1.0, 0.42, _PAINT)),
+        0.60,
+        (5.6, 1.99, 1.86),
+        (0.3, 0.06, 0.08),
+    ),
+    "mpv": BodyStyle(
+        ((0.0, 0.42, _PAINT), (0.02, 0.49, _PAINT), (0.09, 0.53, _PAINT), (0.19, 0.58, _SCREEN))
+        + ((0.38, 0.955, _CABIN), (0.50, 1.0, _PILLAR), (0.53, 1.0, _CABIN), (0.94, 0.96, _SCREEN))
+        + ((0.985, 0.60, _PAINT), (1.0, 0.44, _PAINT)),
+        0.58,
+        (5.0, 1.97, 1.78),
+        (0.2, 0.05, 0.06),
+    ),
+    "van": BodyStyle(
+        ((0.0, 0.36, _PAINT), (0.015, 0.43, _PAINT), (0.07, 0.47, _PAINT), (0.15, 0.52, _SCREEN))
+        + ((0.29, 0.95, _CABIN), (0.36, 0.99, _PILLAR), (0.45, 1.0, _PAINT), (0.97, 1.0, _PAINT))
+        + ((0.99, 0.97, _PAINT), (1.0, 0.90, _PAINT)),
+        0.52,
+        (5.6, 2.05, 2.25),
+        (0.4, 0.08, 0.2),
+    ),
+}
+
+CAR_SHARES: dict[str, float] = {
+    "sedan": 0.30,
+    "suv": 0.31,
+    "pickup": 0.14,
+    "hatch": 0.08,
+    "mpv": 0.07,
+    "van": 0.06,
+    "estate": 0.04,
+}
+
+
+def _profile(style: BodyStyle, rng: np.random.Generator) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The style's stations, each gap and height varied by up to ten per cent."""
+    u = np.array([station[0] for station in style.stations])
+    top = np.array([station[1] for station in style.stations])
+    gaps = np.diff(u) * rng.uniform(0.9, 1.1, len(u) - 1)
+    u = np.concatenate([[0.0], np.cumsum(gaps) / gaps.sum()])
+    low = top < 0.9
+    top = np.where(low, top * (1 + 0.05 * rng.uniform(-1, 1)) + 0.015 * rng.uniform(-1, 1, len(top)), top)
+    return u, np.minimum(top, 1.0)
+
+
+def _rings(
+    style: BodyStyle, u: Float[np.ndarray, " k"], top: Float[np.ndarray, " k"], rng: np.random.Generator
+) -> Float[np.ndarray, "k 10 3"]:
+    """Sections of a body of length, width and height 1 (y from -0.5 to 0.5, z from the sill up to 1)."""
+    nose, tail = rng.uniform(0.80, 0.90), rng.uniform(0.84, 0.94)
+    plan = np.interp(u, [0, 0.03, 0.14, 0.85, 0.96, 1.0], [nose, 0.5 + nose / 2, 1, 1, 0.5 + tail / 2, tail]) / 2
+    glazed = top > style.belt + 0.06
+    belt = np.where(glazed, style.belt, top - 0.04)
+    roof = plan * np.where(glazed, rng.uniform(0.74, 0.84), 0.92)
+    sill = rng.uniform(0.11, 0.15) + 0.05 * np.interp(u, [0, 0.06, 0.94, 1], [1, 0, 0, 1])
+    shoulder = np.minimum(0.34, belt - 0.05)
+    y = np.stack([0.88 * plan, plan, 0.985 * plan, roof, 0.72 * roof], axis=1)
+    z = np.stack([sill, shoulder, belt, top - np.where(glazed, 0.05, 0.02), top], axis=1)
+    ring_y, ring_z = np.concatenate([y, -y[:, ::-1]], axis=1), np.concatenate([z, z[:, ::-1]], axis=1)
+    return np.stack([np.broadcast_to(0.5 - u[:, None], ring_y.shape), ring_y, ring_z], axis=-1)
+
+
+def _skin(style: BodyStyle) -> Int[np.ndarray, "k1 10"]:
+    """Material of each cell between sections: glass for screens and side windows, dark trim below the sill."""
+    skin = np.full((len(style.stations) - 1, 10), int(Material.CAR_PAINT))
+    skin[:, [0, 8]] = Material.CAR_PAINT
+    skin[:, 9] = Material.TRIM
+    for row, (_, _, follows) in enumerate(style.stations[:-1]):
+        if follows == _SCREEN:
+            skin[row, 2:7] = Material.GLASS
+        elif follows == _CABIN:
+            skin[row, [2, 6]] = Material.GLASS
+    return skin
+
+
+def _patch(x_m: float, y_m: float, z_m: float, width_m: float, height_m: float) -> Float[np.ndarray, "4 3"]:
+    half = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) / 2
+    return np.array([x_m, y_m, z_m]) + half * [0.0, width_m, height_m]
+
+
+def build_car(style_name: str, size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh:
+    """Build one car.
+
+    Args:
+        style_name: A key of ``BODY_STYLES``.
+        size_m: Length, width, height.
+        rng: Varies the shape by about ten per cent and draws the paint.
+
+    Returns:
+        A painted mesh of about 500 triangles, x forward, standing on z = 0, exactly as large as ``size_m``.
+    """
+    style = BODY_STYLES[style_name]
+    length, width, height = (float(value) for value in size_m)
+    u, top = _profile(style, rng)
+    body = loft(_rings(style, u, top, rng) * [length, width, height], _skin(style), int(Material.CAR_PAINT))
+    radius = float(np.clip(0.205 * height, 0.30, 0.40) * rng.uniform(0.96, 1.06))
+    axle_front, axle_rear = (0.5 - rng.uniform(0.165, 0.20)) * length, (0.5 - rng.uniform(0.78, 0.82)) * length
+    wheels = [wheel(x, side * width / 2, radius, 0.22) for x in (axle_front, axle_rear) for side in (1, -1)]
+    face = 0.004
+    lamp_z, plate_z = 0.38 * height, 0.36 * height
+    patches = [
+        _patch(sign * (length / 2 + face), side * 0.31 * width, lamp_z, 0.16 * width, 0.07 * height)
+        for sign in (1, -1)
+        for side in (1, -1)
+    ]
+    patches.append(_patch(-length / 2 - face, 0.0, plate_z - 0.02 * height, 0.32, 0.16))
+    lights = quads(np.stack(patches), np.array([int(Material.LAMP)] * 4 + [int(Material.PLATE)]))
+    grille = quads(_patch(length / 2 + face, 0.0, 0.30 * height, 0.5 * width, 0.14 * height)[None], int(Material.TRIM))
+    seats = [box([0.5, 0.7 * width, 0.5 * height], [x, 0.0, 0.50 * height], int(Material.CLOTH)) for x in (0.0, -0.9)]
+    if style_name == "pickup":
+        seats = [box([0.5, 0.7 * width, 0.5 * height], [0.02 * length, 0.0, 0.50 * height], int(Material.CLOTH))]
+    return Mesh.merge([body, *wheels, lights, grille, *seats]).fitted(size_m).painted(rng)

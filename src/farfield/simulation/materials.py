@@ -1,0 +1,97 @@
+"""Surface materials at 1550 nm: diffuse reflectance, its spread between objects, roughness and gloss.
+
+Values are defaults for a lidar at 1550 nm; reflectances of asphalt, paint, vegetation and cloth are customary figures,
+not measurements of one data set.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+class Material(IntEnum):
+    """What a triangle is made of."""
+
+    ASPHALT = 0
+    CONCRETE = 1
+    LANE_PAINT = 2
+    GRASS = 3
+    SOIL = 4
+    CAR_PAINT = 5
+    TYRE = 6
+    GLASS = 7
+    LAMP = 8
+    PLATE = 9
+    CLOTH = 10
+    SKIN = 11
+    METAL = 12
+    BRICK = 13
+    FOLIAGE = 14
+    SIGN = 15
+    TRIM = 16
+    CARGO = 17
+    BARK = 18
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Optical figures of one material.
+
+    Args:
+        reflectance: Median diffuse reflectance; retro-reflective films exceed 1.
+        spread: Standard deviation of the logarithm of the reflectance between objects.
+        backscatter: Share of the diffuse reflectance that a rough surface sends straight back at grazing incidence
+            (the sin^2 term of Oren and Nayar, 1994).
+        gloss: Extra return at normal incidence, falling off as cos^20.
+    """
+
+    reflectance: float
+    spread: float = 0.1
+    backscatter: float = 0.0
+    gloss: float = 0.0
+
+
+SURFACES: dict[Material, Surface] = {
+    Material.ASPHALT: Surface(0.18, 0.15, 0.03),
+    Material.CONCRETE: Surface(0.35, 0.15, 0.03),
+    Material.LANE_PAINT: Surface(0.45, 0.25, 0.10),
+    Material.GRASS: Surface(0.30, 0.15, 0.12),
+    Material.SOIL: Surface(0.30, 0.15, 0.08),
+    Material.CAR_PAINT: Surface(0.25, 0.70, 0.0, 0.25),
+    Material.TYRE: Surface(0.04, 0.15),
+    Material.GLASS: Surface(0.05, 0.10),
+    Material.LAMP: Surface(2.0, 0.40),
+    Material.PLATE: Surface(8.0, 0.40),
+    Material.CLOTH: Surface(0.25, 0.40, 0.05),
+    Material.SKIN: Surface(0.25, 0.10),
+    Material.METAL: Surface(0.40, 0.20, 0.0, 0.30),
+    Material.BRICK: Surface(0.30, 0.25, 0.03),
+    Material.FOLIAGE: Surface(0.30, 0.20, 0.10),
+    Material.SIGN: Surface(20.0, 0.30),
+    Material.TRIM: Surface(0.06, 0.30),
+    Material.CARGO: Surface(0.40, 0.45, 0.0, 0.10),
+    Material.BARK: Surface(0.25, 0.20, 0.05),
+}
+
+_MEDIAN = np.array([SURFACES[material].reflectance for material in Material])
+_SPREAD = np.array([SURFACES[material].spread for material in Material])
+BACKSCATTER = np.array([SURFACES[material].backscatter for material in Material])
+GLOSS = np.array([SURFACES[material].gloss for material in Material])
+
+
+def draw_reflectance(material: Int[np.ndarray, " f"], rng: np.random.Generator) -> Float[np.ndarray, " f"]:
+    """Reflectance of each face of one object: log-normal between objects, one value a material within it.
+
+    Args:
+        material: Material of each face, shape (f,).
+        rng: Source of randomness; always draws the same count of numbers.
+
+    Returns:
+        Reflectances, shape (f,); diffuse ones are clipped to [0.03, 1].
+    """
+    drawn = _MEDIAN * np.exp(_SPREAD * rng.standard_normal(len(_MEDIAN)))
+    diffuse = _MEDIAN <= 1.0
+    drawn[diffuse] = np.clip(drawn[diffuse], 0.03, 1.0)
+    return drawn[material]

@@ -1,0 +1,80 @@
+"""Ray casting: a bounding volume hierarchy over one mesh, searched by Embree."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from farfield.errors import MissingExtraError
+from farfield.simulation.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What n rays hit first.
+
+    Args:
+        range_m: Distance along each ray, shape (n,); inf where nothing was hit.
+        face: Index of the triangle, shape (n,); -1 where nothing was hit.
+        cosine: Absolute cosine of the angle of incidence, shape (n,).
+    """
+
+    range_m: Float32[np.ndarray, " n"]
+    face: Int[np.ndarray, " n"]
+    cosine: Float32[np.ndarray, " n"]
+
+
+def _embree_scene() -> Any:
+    try:
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError as error:
+        raise MissingExtraError("embreex", "simulate", "The simulator's ray casting") from error
+    return EmbreeScene()
+
+
+class Tracer:
+    """Casts rays at one rigid mesh. Coordinates are kept relative to ``anchor_m`` so that float32 suffices.
+
+    Args:
+        mesh: Triangles, in any frame.
+        anchor_m: A point near the rays' origins, in the same frame.
+
+    Raises:
+        MissingExtraError: If embreex is not installed.
+    """
+
+    def __init__(self, mesh: Mesh, *, anchor_m: Float[np.ndarray, " 3"] | None = None) -> None:
+        self.mesh = mesh
+        self.anchor_m = np.zeros(3) if anchor_m is None else anchor_m
+        self._scene = _embree_scene()
+        vertices = (mesh.vertices_m - self.anchor_m).astype(np.float32)
+        if len(mesh.faces):
+            from embreex.mesh_construction import TriangleMesh
+
+            self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+
+    def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+        """First hit of each ray.
+
+        Args:
+            origin_m: Where all rays start, shape (3,), in the mesh's frame.
+            directions: Unit directions, shape (n, 3).
+        """
+        return self.cast_from(np.broadcast_to(origin_m, directions.shape), directions)
+
+    def cast_from(self, origins_m: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+        """First hit of each ray, every ray with an origin of its own."""
+        n = len(directions)
+        if n == 0 or len(self.mesh.faces) == 0:
+            none = np.full(n, np.inf, dtype=np.float32)
+            return Hits(none, np.full(n, -1, dtype=np.int32), np.zeros(n, dtype=np.float32))
+        rays = np.ascontiguousarray(directions, dtype=np.float32)
+        origins = np.ascontiguousarray(origins_m - self.anchor_m, dtype=np.float32)
+        out = self._scene.run(origins, rays, output=1)
+        face: Int[np.ndarray, " n"] = out["primID"]
+        normal: Float32[np.ndarray, "n 3"] = out["Ng"]
+        dot = np.abs(np.einsum("ij,ij->i", normal, rays))
+        cosine = dot / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-20))
+        missed = face < 0
+        return Hits(np.where(missed, np.float32(np.inf), out["tfar"]), face, np.where(missed, np.float32(0), cosine))
