@@ -56,7 +56,7 @@ def rotation_from_quaternion(quaternion_xyzw: Float[np.ndarray, "*shape 4"]) -> 
 def yaw_from_quaternion(quaternion_xyzw: Float[np.ndarray, "*shape 4"]) -> Float[np.ndarray, "*shape"]:
     """Yaw in radians of quaternions in the order x, y, z, w: the direction of the turned x axis seen from above."""
     rotation = rotation_from_quaternion(quaternion_xyzw)
-    return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    return np.asarray(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]))
 
 
 def quaternion_from_yaw(yaw_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 4"]:

@@ -1,0 +1,127 @@
+"""Cloud, Lazy and Frame."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from farfield.frame import Boxes, Cloud, Frame, Lazy
+from farfield.geometry.poses import pose_from_yaw
+
+
+def cloud(rng: np.random.Generator, n: int = 6, **extra: np.ndarray) -> Cloud:
+    return Cloud(rng.uniform(-50, 50, (n, 3)).astype(np.float32), rng.random(n).astype(np.float32), extra)
+
+
+def forbidden() -> Any:
+    raise AssertionError("was loaded")
+
+
+@pytest.mark.usefixtures("without_shape_checks")
+def test_columns_of_unequal_length_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="columns of equal length, got 6 points"):
+        cloud(rng, ring=np.zeros(5, dtype=np.int64))
+
+
+@pytest.mark.parametrize("index", [slice(1, 4), np.array([5, 0]), np.arange(6) > 3], ids=["slice", "indices", "mask"])
+def test_selection_takes_the_same_rows_of_every_column(rng: np.random.Generator, index: Any) -> None:
+    whole = cloud(rng, ring=np.arange(6))
+    part = whole[index]
+    np.testing.assert_array_equal(part.points_m, whole.points_m[index])
+    np.testing.assert_array_equal(part.intensity, whole.intensity[index])
+    np.testing.assert_array_equal(part.extra["ring"], np.arange(6)[index])
+    assert len(part) == len(part.points_m)
+
+
+def test_joined_clouds_keep_the_columns_that_all_have(rng: np.random.Generator) -> None:
+    a, b = cloud(rng, 3, ring=np.arange(3), time_ns=np.arange(3)), cloud(rng, 2, ring=np.arange(2))
+    joined = Cloud.concatenate([a, b])
+    assert list(joined.extra) == ["ring"]
+    assert joined.extra["ring"].tolist() == [0, 1, 2, 0, 1]
+    np.testing.assert_array_equal(joined.points_m, np.concatenate([a.points_m, b.points_m]))
+
+
+def test_transform_moves_points_and_keeps_the_rest(rng: np.random.Generator) -> None:
+    whole = cloud(rng, ring=np.arange(6))
+    moved = whole.transform(pose_from_yaw(np.pi, (1.0, 2.0, 3.0)))
+    np.testing.assert_allclose(moved.points_m, whole.points_m * [-1, -1, 1] + [1, 2, 3], atol=1e-5)
+    assert moved.points_m.dtype == np.float32
+    np.testing.assert_array_equal(moved.extra["ring"], np.arange(6))
+
+
+def test_points_in_boxes_through_the_cloud() -> None:
+    points = Cloud(np.array([[0, 0, 0], [9, 0, 0]], dtype=np.float32), np.zeros(2, dtype=np.float32))
+    boxes = Boxes(centre_m=np.array([[9.0, 0, 0]]), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1))
+    assert [indices.tolist() for indices in points.in_boxes(boxes)] == [[1]]
+
+
+def test_lazy_loads_once_and_only_what_is_asked_for() -> None:
+    calls: list[str] = []
+    lazy = Lazy({"a": lambda: calls.append("a") or 1, "b": forbidden})  # type: ignore[func-returns-value]
+    assert list(lazy) == ["a", "b"]
+    assert len(lazy) == 2
+    assert "b" in lazy
+    assert "c" not in lazy
+    assert calls == []
+    assert (lazy["a"], lazy["a"]) == (1, 1)
+    assert calls == ["a"]
+    assert repr(lazy) == "Lazy(a, b (not loaded))"
+    with pytest.raises(KeyError, match="'c'; present: a, b"):
+        lazy["c"]
+    assert lazy.get("c") is None
+
+
+def test_a_failed_load_is_tried_again() -> None:
+    outcomes = iter([OSError("disk"), 7])
+
+    def load() -> int:
+        outcome = next(outcomes)
+        if isinstance(outcome, OSError):
+            raise outcome
+        return outcome
+
+    lazy = Lazy({"a": load})
+    with pytest.raises(OSError, match="disk"):
+        lazy["a"]
+    assert lazy["a"] == 7
+
+
+def test_frame_from_memory(rng: np.random.Generator) -> None:
+    points, boxes = cloud(rng), Boxes.empty()
+    frame = Frame.of(points, boxes, sequence="drive", time_ns=5)
+    assert frame.key == ("drive", "0")
+    assert frame.cloud() is points
+    assert frame.cloud("lidar") is points
+    assert frame.boxes is boxes
+    assert Frame.of(points).boxes is None
+
+
+def test_boxes_are_loaded_once() -> None:
+    calls: list[int] = []
+
+    def load() -> Boxes:
+        calls.append(1)
+        return Boxes.empty()
+
+    frame = Frame(sequence="s", frame_id="1", annotation=load)
+    assert calls == []
+    assert frame.boxes is frame.boxes
+    assert calls == [1]
+
+
+def test_choosing_a_cloud_loads_no_other(rng: np.random.Generator) -> None:
+    points = cloud(rng)
+    frame = Frame(sequence="s", frame_id="1", clouds=Lazy({"gaussian": lambda: points, "uniform": forbidden}))
+    assert frame.cloud() is points
+    assert frame.cloud("gaussian") is points
+    with pytest.raises(KeyError, match="has no cloud 'radar'; present: gaussian, uniform"):
+        frame.cloud("radar")
+    with pytest.raises(KeyError, match="present: none"):
+        Frame(sequence="s", frame_id="1").cloud()
+
+
+def test_merged_joins_all_clouds(rng: np.random.Generator) -> None:
+    a, b = cloud(rng, 3), cloud(rng, 4)
+    merged = Frame(sequence="s", frame_id="1", clouds={"gaussian": a, "uniform": b}).cloud("merged")
+    np.testing.assert_array_equal(merged.points_m, np.concatenate([a.points_m, b.points_m]))
+    assert len(merged) == 7
