@@ -22,7 +22,7 @@ def _choose(truck_share: float, rng: np.random.Generator) -> str:
     draw = rng.random()
     if draw < truck_share:
         return draw_truck(rng, long_haul=True)
-    return "motorcycle" if draw > 0.985 else draw_car(rng)
+    return "motorcycle" if draw > 0.975 else draw_car(rng)
 
 
 class Highway:
@@ -142,7 +142,7 @@ def build_highway(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
     _, gaps, speeds = _STATES[state]
     speed, gap = rng.uniform(*speeds), rng.uniform(*gaps)
     travel = 1.2 * speed * duration_s
-    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1100, undulation_m=0.22)
+    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1100, undulation_m=0.18)
     steps = round(duration_s / STEP_S) + 2
     population = Population(road, steps=steps, rng=np.random.default_rng(traffic_seed))
     _add_traffic(population, highway, speed=speed, gap=gap, duration_s=duration_s, state=state)

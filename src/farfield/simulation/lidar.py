@@ -177,7 +177,7 @@ def measure(
         rng: Draws the same count of numbers whatever was hit.
     """
     n = len(range_m)
-    lucky, texture, noise = rng.random(n, dtype=np.float32), rng.standard_normal(n, dtype=np.float32), None
+    lucky, texture = rng.random(n, dtype=np.float32), rng.standard_normal(n, dtype=np.float32)
     noise = rng.standard_normal(n, dtype=np.float32)
     hit = np.flatnonzero((range_m < model.max_range_m) & (range_m > model.min_range_m))
     textured = reflectance[hit] * np.exp(model.texture * texture[hit].astype(np.float64))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -177,9 +178,15 @@ def ellipsoid(centre_m: Sequence[float], radii_m: Sequence[float], material: int
 
 def wheel(x_m: float, outer_y_m: float, radius_m: float, width_m: float) -> Mesh:
     """A wheel that touches the ground at z = 0, its outer side at ``outer_y_m``: tyre, and a metal rim."""
+    unit = _unit_wheel()
     side = float(np.sign(outer_y_m))
-    inner = outer_y_m - side * width_m
-    tyre = tube([x_m, inner, radius_m], [x_m, outer_y_m, radius_m], radius_m, Material.TYRE, sides=12)
-    rim_at = outer_y_m + side * 0.004
-    rim = tube([x_m, outer_y_m, radius_m], [x_m, rim_at, radius_m], 0.55 * radius_m, Material.METAL, sides=8)
+    vertices = unit.vertices_m * [radius_m, side * width_m, radius_m] + [x_m, outer_y_m, radius_m]
+    return Mesh(vertices, unit.faces, unit.material, unit.reflectance)
+
+
+@cache
+def _unit_wheel() -> Mesh:
+    """A wheel of radius and width 1: its outer side at y = 0, its middle at z = 0."""
+    tyre = tube([0, -1, 0], [0, 0, 0], 1.0, Material.TYRE, sides=12)
+    rim = tube([0, 0, 0], [0, 0.02, 0], 0.55, Material.METAL, sides=8)
     return Mesh.merge([tyre, rim])

@@ -12,6 +12,8 @@ from farfield.simulation.lidar import LidarModel, Scan, measure
 from farfield.simulation.materials import Material
 from farfield.simulation.trace import Tracer
 
+_PANES = 2  # a shot passes through so many panes of glass at most
+
 
 @dataclass(frozen=True, eq=False)
 class Body:
@@ -57,6 +59,8 @@ class _Nearest:
         skip_m: Float[np.ndarray, " k"] | None = None,
     ) -> None:
         """Cast the named shots at one body; ``skip_m`` lets each ray begin so far out."""
+        if shots.size == 0:
+            return
         body_T_common = invert(body.world_T_body) @ world_T_common
         start = transform_points(body_T_common, origin_m[None])[0]
         turned = directions[shots] @ body_T_common[:3, :3].T.astype(np.float32)
@@ -77,26 +81,29 @@ class _Nearest:
 
 def shots_towards(
     scan: Scan, body: Body, world_T_common: Float[np.ndarray, "4 4"]
-) -> Int[np.ndarray, " k"]:
-    """Indices of the shots that may hit a body: those within the angles of its bounding box."""
-    low, high = body.tracer.mesh.vertices_m.min(axis=0), body.tracer.mesh.vertices_m.max(axis=0)
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = transform_points(invert(world_T_common) @ body.world_T_body, corners) - scan.origin_m
-    columns = len(scan.azimuth_rad)
-    if seen[:, 0].min() < 0.5:
-        if seen[:, 0].max() < 0.5:
-            return np.zeros(0, dtype=np.int64)
-        return np.arange(len(scan.elevation_rad) * columns)
-    azimuth = np.arctan2(seen[:, 1], seen[:, 0])
-    elevation = np.arctan2(seen[:, 2], np.hypot(seen[:, 0], seen[:, 1]))
-    nearest = np.hypot(seen[:, 0], seen[:, 1]).min()
-    bulge = np.arctan2(seen[:, 2], nearest * 0.7)  # the box's edges bow outwards between its corners
+) -> tuple[Int[np.ndarray, " k"], float]:
+    """Which shots may hit a body, and from what distance on.
+
+    Returns:
+        Indices of the shots within the angles of its bounding box, and a distance that no hit falls below.
+    """
+    columns, lines = len(scan.azimuth_rad), len(scan.elevation_rad)
+    seen = transform_points(invert(world_T_common) @ body.world_T_body, body.tracer.corners_m) - scan.origin_m
+    x, y, z = seen.T
+    if x.max() < 0.5:
+        return np.zeros(0, dtype=np.int64), np.inf
+    if x.min() < 0.5:
+        return np.arange(lines * columns), 0.0
+    middle = seen.mean(axis=0)
+    nearest = float(np.linalg.norm(middle) - np.linalg.norm(seen[0] - middle))
+    flat = np.hypot(x, y)
+    azimuth = np.arctan2(y, x)
+    elevation = np.concatenate([np.arctan2(z, flat), np.arctan2(z, 0.5 * flat.min())])  # edges bow between corners
     margin = scan.margin_rad
     first, last = np.searchsorted(scan.azimuth_rad, [azimuth.min() - margin, azimuth.max() + margin])
-    reach = [min(elevation.min(), bulge.min()) - margin, max(elevation.max(), bulge.max()) + margin]
-    bottom, top = np.searchsorted(scan.elevation_rad, reach)
+    bottom, top = np.searchsorted(scan.elevation_rad, [elevation.min() - margin, elevation.max() + margin])
     rows = np.arange(bottom, top)[:, None] * columns
-    return (rows + np.arange(first, last)[None]).reshape(-1)
+    return (rows + np.arange(first, last)[None]).reshape(-1), nearest
 
 
 def sweep(
@@ -121,12 +128,14 @@ def sweep(
     columns = len(scan.azimuth_rad)
     directions = scan.directions.reshape(-1, 3)
     every = np.arange(len(directions))
-    towards = [every if body.actor < 0 else shots_towards(scan, body, world_T_common) for body in bodies]
+    towards = [(every, 0.0) if body.actor < 0 else shots_towards(scan, body, world_T_common) for body in bodies]
+    order = sorted(range(len(bodies)), key=lambda i: (bodies[i].actor >= 0, towards[i][1]))
+    bodies, towards = [bodies[i] for i in order], [towards[i] for i in order]
     nearest = _Nearest(len(directions))
-    for body, shots in zip(bodies, towards, strict=True):
-        nearest.cast(body, world_T_common, scan.origin_m, directions, shots)
+    for body, (shots, least_m) in zip(bodies, towards, strict=True):
+        nearest.cast(body, world_T_common, scan.origin_m, directions, shots[nearest.range_m[shots] > least_m])
     passes = rng.random(len(directions), dtype=np.float32) >= model.glass_return
-    for _ in range(3):
+    for _ in range(_PANES):
         _see_through(nearest, passes, bodies, towards, world_T_common, scan, directions)
     back = measure(model, nearest.range_m, nearest.cosine, nearest.reflectance, nearest.material, rng)
     points = directions[back.shot] * back.range_m[:, None] + scan.origin_m
@@ -139,7 +148,7 @@ def _see_through(
     nearest: _Nearest,
     passes: Bool[np.ndarray, " n"],
     bodies: Sequence[Body],
-    towards: Sequence[Int[np.ndarray, " _"]],
+    towards: Sequence[tuple[Int[np.ndarray, " _"], float]],
     world_T_common: Float[np.ndarray, "4 4"],
     scan: Scan,
     directions: Float[np.ndarray, "n 3"],
@@ -151,7 +160,8 @@ def _see_through(
     begin = nearest.range_m + 0.01
     nearest.range_m[through] = np.inf
     nearest.material[through], nearest.actor[through] = 0, -1
-    for body, shots in zip(bodies, towards, strict=True):
+    for body, (shots, least_m) in zip(bodies, towards, strict=True):
         going = shots[through[shots]]
+        going = going[nearest.range_m[going] > least_m]
         if going.size:
             nearest.cast(body, world_T_common, scan.origin_m, directions, going, skip_m=begin[going])

@@ -10,6 +10,9 @@ from farfield.errors import MissingExtraError
 from farfield.simulation.mesh import Mesh
 
 
+_CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=bool)
+
+
 @dataclass(frozen=True, eq=False)
 class Hits:
     """What n rays hit first.
@@ -37,8 +40,11 @@ class Tracer:
     """Casts rays at one rigid mesh. Coordinates are kept relative to ``anchor_m`` so that float32 suffices.
 
     Args:
-        mesh: Triangles, in any frame.
+        mesh: Triangles, in any frame; at least one.
         anchor_m: A point near the rays' origins, in the same frame.
+
+    Attributes:
+        corners_m: Corners of the mesh's bounding box.
 
     Raises:
         MissingExtraError: If embreex is not installed.
@@ -48,11 +54,12 @@ class Tracer:
         self.mesh = mesh
         self.anchor_m = np.zeros(3) if anchor_m is None else anchor_m
         self._scene = _embree_scene()
+        low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+        self.corners_m: Float[np.ndarray, "8 3"] = np.where(_CORNERS, high, low)
         vertices = (mesh.vertices_m - self.anchor_m).astype(np.float32)
-        if len(mesh.faces):
-            from embreex.mesh_construction import TriangleMesh
+        from embreex.mesh_construction import TriangleMesh
 
-            self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+        self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
 
     def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """First hit of each ray.
@@ -66,7 +73,7 @@ class Tracer:
     def cast_from(self, origins_m: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """First hit of each ray, every ray with an origin of its own."""
         n = len(directions)
-        if n == 0 or len(self.mesh.faces) == 0:
+        if n == 0:
             none = np.full(n, np.inf, dtype=np.float32)
             return Hits(none, np.full(n, -1, dtype=np.int32), np.zeros(n, dtype=np.float32))
         rays = np.ascontiguousarray(directions, dtype=np.float32)

@@ -21,7 +21,7 @@ def _choose(truck_share: float, rng: np.random.Generator) -> str:
     draw = rng.random()
     if draw < truck_share:
         return draw_truck(rng, long_haul=False)
-    return "motorcycle" if draw > 0.97 else draw_car(rng)
+    return "motorcycle" if draw > 0.96 else draw_car(rng)
 
 
 class Street:
@@ -168,14 +168,14 @@ def _add_crossers(population: Population, street: Street, duration_s: float) -> 
 def _add_people(population: Population, street: Street, last_m: float, duration_s: float) -> None:
     """Pedestrians on the pavements and crossings, cyclists at the edge, now and then a wheelchair or a dog."""
     rng, road = population.rng, population.road
-    busy = rng.uniform(0.01, 0.07)
+    busy = rng.uniform(0.015, 0.09)
     for side, index in ((-1, 0), (1, 1)):
         kerb, walk = float(street.kerb_m[index]), float(street.walk_m[index])
         for s in rng.uniform(-20, last_m, rng.poisson(busy * last_m)):
-            kind = str(rng.choice(["pedestrian", "wheelchair", "animal"], p=[0.95, 0.025, 0.025]))
+            kind = str(rng.choice(["pedestrian", "wheelchair", "animal"], p=[0.9, 0.05, 0.05]))
             speed = 0.0 if rng.random() < 0.2 else rng.uniform(0.6, 1.8)
             population.add_along(kind, float(s), side * (kerb + rng.uniform(0.9, walk - 0.3)), int(rng.choice([-1, 1])), speed)
-        for s in rng.uniform(-20, last_m, rng.poisson(0.008 * last_m)):
+        for s in rng.uniform(-20, last_m, rng.poisson(0.02 * last_m)):
             d = street.edge_m + street.cycle_m / 2 if street.cycle_m else street.edge_m - 0.5
             population.add_along("cyclist", float(s), side * d, -side, rng.uniform(3.0, 6.5))
     for junction in street.junctions_m:
@@ -201,7 +201,7 @@ def build_urban(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
         speed = rng.uniform(2, 7)
     travel = 1.25 * speed * duration_s
     street = Street(rng, -80.0, travel + 420.0)
-    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1400, undulation_m=0.2)
+    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1400, undulation_m=0.16)
     steps = round(duration_s / STEP_S) + 2
     population = Population(road, steps=steps, rng=np.random.default_rng(traffic_seed))
     lanes = []

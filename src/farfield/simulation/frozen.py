@@ -1,0 +1,103 @@
+"""Frozen splits: named seeds whose frames are known by checksum.
+
+Rays are cast in single precision, and another processor may round a hit or an exponential differently in the last bit.
+So there are two verdicts. ``identical``: every point rounded to a millimetre, every intensity and every box agrees with
+the recorded digest. ``equivalent``: the counts of points agree within 0.2 % and those of boxes within one.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from farfield.errors import ConfigError
+from farfield.frame import Boxes, Frame
+
+FROZEN = ("cirrus-sim-val-v1",)
+_COUNT_TOLERANCE = 0.002
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What is known of one frozen frame.
+
+    Args:
+        digest: First 16 hexadecimal digits of the SHA-256 of its rounded content.
+        points: Number of Gaussian and uniform points.
+        boxes: Number of annotated boxes.
+    """
+
+    digest: str
+    points: tuple[int, int]
+    boxes: int
+
+
+def _boxes_bytes(boxes: Boxes) -> bytes:
+    rows = np.column_stack([boxes.centre_m, boxes.size_m, np.degrees(boxes.yaw_rad)])
+    text = "\n".join(str(label) for label in boxes.label)
+    return np.round(rows * 1000).astype("<i8").tobytes() + text.encode()
+
+
+def frame_record(frame: Frame) -> FrameRecord:
+    """Digest and counts of a frame: coordinates to 1 mm, intensities to 1/255, boxes to 1 mm and 0.001 degrees."""
+    content = hashlib.sha256(frame.frame_id.encode())
+    clouds = [frame.clouds[name] for name in ("gaussian", "uniform")]
+    for cloud in clouds:
+        content.update(np.round(cloud.points_m.astype(np.float64) * 1000).astype("<i4").tobytes())
+        content.update(np.round(cloud.intensity * 255).astype("<u1").tobytes())
+    boxes = frame.boxes if frame.boxes is not None else Boxes.empty()
+    for each in (boxes, frame.metadata["full_boxes"]):
+        content.update(_boxes_bytes(each))
+    return FrameRecord(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
+
+
+def split_digest(records: Mapping[tuple[int, int], FrameRecord]) -> str:
+    """SHA-256 over all frames' digests in the order of sequence and frame."""
+    lines = [f"{sequence} {index} {records[sequence, index].digest}" for sequence, index in sorted(records)]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+@cache
+def frozen_records(name: str) -> dict[tuple[int, int], FrameRecord]:
+    """The recorded frames of a frozen split, by (sequence, index).
+
+    Raises:
+        ConfigError: If there is no frozen split of that name, or its file does not match its own checksum.
+    """
+    if name not in FROZEN:
+        raise ConfigError(f"frozen split: expected one of {', '.join(FROZEN)}; got {name!r}")
+    stored: dict[str, Any] = json.loads(files("farfield.simulation").joinpath(f"{name}.json").read_text("utf-8"))
+    records = {
+        (sequence, index): FrameRecord(digest, (gaussian, uniform), boxes)
+        for sequence, index, digest, gaussian, uniform, boxes in stored["frames"]
+    }
+    if split_digest(records) != stored["sha256"]:
+        raise ConfigError(f"{name}.json: expected checksum {stored['sha256']}, found {split_digest(records)}")
+    return records
+
+
+def records_json(name: str, records: Mapping[tuple[int, int], FrameRecord]) -> str:
+    """The text of a frozen split's file."""
+    rows = [
+        json.dumps([sequence, index, record.digest, *record.points, record.boxes])
+        for (sequence, index), record in sorted(records.items())
+    ]
+    body = ",\n  ".join(rows)
+    columns = '["sequence", "index", "digest", "gaussian_points", "uniform_points", "boxes"]'
+    return f'{{"name": "{name}", "sha256": "{split_digest(records)}",\n "columns": {columns},\n "frames": [\n  {body}\n]}}\n'
+
+
+def compare(record: FrameRecord, expected: FrameRecord) -> str:
+    """``"identical"``, ``"equivalent"`` or ``"different"``."""
+    if record == expected:
+        return "identical"
+    close = all(
+        abs(got - want) <= max(3, _COUNT_TOLERANCE * want)
+        for got, want in zip(record.points, expected.points, strict=True)
+    )
+    return "equivalent" if close and abs(record.boxes - expected.boxes) <= 1 else "different"
