@@ -1,0 +1,179 @@
+"""Boxes of any detector as comma-separated text with a header line.
+
+Columns, in any order: ``sequence`` (may be absent), ``frame``, ``label``, ``x``, ``y``, ``z`` (centre, metres, x
+forward, y left, z up), ``l``, ``w``, ``h`` (full sizes, metres), ``yaw_rad`` (counter-clockwise from +x), ``score``
+(empty or absent for annotated boxes); also ``track_id`` and ``point_count`` (both may be absent).
+"""
+
+import csv
+import io
+import math
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+
+MAX_CSV_BYTES = 1 << 28
+_NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
+_NEEDED = ("frame", "label", *_NUMBERS)
+_OPTIONAL = ("sequence", "score", "track_id", "point_count")
+COLUMNS = ("sequence", *_NEEDED, "score", "track_id", "point_count")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoxRows:
+    """Boxes of one or many frames, one row a box.
+
+    Args:
+        frame: Name of the frame, shape (n,).
+        label: Class names, shape (n,).
+        centre_m: x, y, z, shape (n, 3).
+        size_m: Length, width, height, all positive, shape (n, 3).
+        yaw_rad: Heading, shape (n,).
+        sequence: Name of the sequence, shape (n,), or None where the file has no such column.
+        score: Shape (n,), or None where no row has one.
+        track_id: Shape (n,), or None; -1 where a row has none.
+        point_count: Shape (n,), or None; -1 where a row has none.
+    """
+
+    frame: Shaped[np.ndarray, " n"]
+    label: Shaped[np.ndarray, " n"]
+    centre_m: Float[np.ndarray, "n 3"]
+    size_m: Float[np.ndarray, "n 3"]
+    yaw_rad: Float[np.ndarray, " n"]
+    sequence: Shaped[np.ndarray, " n"] | None = None
+    score: Float[np.ndarray, " n"] | None = None
+    track_id: Int[np.ndarray, " n"] | None = None
+    point_count: Int[np.ndarray, " n"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+def read_boxes_csv(path: Path | str) -> BoxRows:
+    """Read boxes of any detector, or annotated boxes.
+
+    Raises:
+        FileFormatError: If the header lacks a column or has an unknown one, or a row holds anything but finite numbers
+            and positive sizes, or only some rows have a score.
+    """
+    rows = _csv_rows(path, _text_of(path))
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    _check_header(path, header)
+    numbers = {name: array("d") for name in (*_NUMBERS, "score", "track_id", "point_count") if name in header}
+    words: dict[str, list[str]] = {name: [] for name in ("sequence", "frame", "label") if name in header}
+    known: dict[str, str] = {}  # one string a name, however many rows bear it
+    for line, row in rows:
+        if len(row) != len(header):
+            raise _wrong(path, line, f"{len(header)} columns as in the header", str(len(row)))
+        for name, text in zip(header, row, strict=True):
+            text = text.strip()
+            if name in words:
+                words[name].append(known.setdefault(text, text) if text else _missing(path, line, name))
+            else:
+                numbers[name].append(_number(path, line, name, text))
+    return _assemble(path, words, {name: np.array(values, dtype=np.float64) for name, values in numbers.items()})
+
+
+def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
+    """Write boxes with full precision; columns that are None are left out, except ``score``, which is left empty."""
+    names = [name for name in COLUMNS if name in _NEEDED or name == "score" or getattr(rows, name) is not None]
+    table: dict[str, Iterable[object]] = {name: [""] * len(rows) for name in names}
+    table |= {"frame": rows.frame.tolist(), "label": rows.label.tolist(), "yaw_rad": rows.yaw_rad.tolist()}
+    table |= dict(zip("xyz", rows.centre_m.T.tolist(), strict=True)) if len(rows) else {}
+    table |= dict(zip("lwh", rows.size_m.T.tolist(), strict=True)) if len(rows) else {}
+    for name in _OPTIONAL:
+        values = getattr(rows, name)
+        if values is not None:
+            table[name] = values.tolist()
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(zip(*(table[name] for name in names), strict=True))
+    write_text(path, text.getvalue())
+
+
+def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormatError:
+    return FileFormatError(path, where=f"line {line}", expected=expected, found=found)
+
+
+def _missing(path: Path | str, line: int, name: str) -> str:
+    raise _wrong(path, line, f"a {name}", "an empty cell")
+
+
+def _text_of(path: Path | str) -> str:
+    data = read_bytes(path, max_bytes=MAX_CSV_BYTES)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"byte 0x{error.object[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=found) from None
+
+
+def _csv_rows(path: Path | str, text: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        for row in reader:
+            if row:
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise _wrong(path, reader.line_num, "comma-separated text", str(error)) from None
+
+
+def _check_header(path: Path | str, header: list[str]) -> None:
+    missing = [name for name in _NEEDED if name not in header]
+    unknown = [name for name in header if name not in COLUMNS]
+    if missing or unknown or len(set(header)) < len(header):
+        found = f"{', '.join(header)[:200]}" if header else "an empty file"
+        raise FileFormatError(
+            path,
+            where="line 1",
+            expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {', '.join(_OPTIONAL)})",
+            found=found,
+            mend=f"Missing: {', '.join(missing)}." if missing else "",
+        )
+
+
+def _number(path: Path | str, line: int, name: str, text: str) -> float:
+    if not text and name in _OPTIONAL:
+        return math.nan if name == "score" else -1.0
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise _wrong(path, line, f"a finite number as {name}", repr(text[:40]))
+    if name in "lwh" and value <= 0:
+        raise _wrong(path, line, f"a positive size as {name}", text[:40])
+    if name not in _NUMBERS and name != "score" and (value != round(value) or abs(value) > 2**53):
+        raise _wrong(path, line, f"a whole number as {name}", text[:40])
+    return value
+
+
+def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, np.ndarray]) -> BoxRows:
+    score = numbers.get("score")
+    if score is not None and np.isnan(score).any():
+        if not np.isnan(score).all():
+            raise FileFormatError(
+                path, where="column score", expected="a score in every row or in none", found="both kinds of rows"
+            )
+        score = None
+    names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in words.items()}
+    counts = {name: numbers[name].astype(np.int64) for name in ("track_id", "point_count") if name in numbers}
+    return BoxRows(
+        frame=names["frame"],
+        label=names["label"],
+        sequence=names.get("sequence"),
+        centre_m=np.column_stack([numbers[name] for name in "xyz"]),
+        size_m=np.column_stack([numbers[name] for name in "lwh"]),
+        yaw_rad=numbers["yaw_rad"],
+        score=score,
+        track_id=counts.get("track_id"),
+        point_count=counts.get("point_count"),
+    )

@@ -1,0 +1,279 @@
+"""KITTI's text files: calibration, object labels, tracking labels, and detections in 15 comma-separated columns.
+
+Everything stays in KITTI's own convention: rectified camera frame (x right, y down, z forward), a box is the centre of
+its *bottom* face, sizes are height, width, length, and ``rotation_y`` turns about y (0 looks along x, clockwise seen
+from above). Readers of data sets convert; this module only moves text to arrays and back.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+
+MAX_TEXT_BYTES = 1 << 26  # KITTI's largest label file has 2 MB
+DETECTION_TYPES = {1: "Pedestrian", 2: "Car", 3: "Cyclist"}
+_LABEL_COLUMNS = 15  # type, truncation, occlusion, alpha, 2D box, h w l, x y z, rotation_y; then perhaps a score
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KittiObjects:
+    """Objects in KITTI's camera convention, one row an object.
+
+    Args:
+        type: ``Car``, ``Van``, ``DontCare``..., shape (n,).
+        truncation: Share outside the image in [0, 1] (tracking: 0, 1, 2); -1 unknown, shape (n,).
+        occlusion: 0 visible, 1 partly, 2 largely occluded, 3 unknown; -1 not given, shape (n,).
+        alpha_rad: Observation angle, shape (n,); -10 not given.
+        box_px: 2D box as left, top, right, bottom, shape (n, 4), pixels.
+        size_m: Height, width, length, shape (n, 3); -1 (object) or -1000 (tracking) where there is no 3D box.
+        bottom_m: Centre of the bottom face in the camera frame, shape (n, 3).
+        rotation_y_rad: Turn about the camera's y axis, shape (n,).
+        score: Detection scores, shape (n,), or None for labels.
+        line: Line of the file that each row comes from, from 1, shape (n,).
+    """
+
+    type: Shaped[np.ndarray, " n"]
+    truncation: Float[np.ndarray, " n"]
+    occlusion: Int[np.ndarray, " n"]
+    alpha_rad: Float[np.ndarray, " n"]
+    box_px: Float[np.ndarray, "n 4"]
+    size_m: Float[np.ndarray, "n 3"]
+    bottom_m: Float[np.ndarray, "n 3"]
+    rotation_y_rad: Float[np.ndarray, " n"]
+    score: Float[np.ndarray, " n"] | None
+    line: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.type)
+
+    def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "KittiObjects":
+        return replace(self, **{f.name: _pick(getattr(self, f.name), index) for f in fields(self)})
+
+    @property
+    def has_box(self) -> Bool[np.ndarray, " n"]:
+        """Which objects have a 3D box (``DontCare`` has none), shape (n,)."""
+        return np.asarray((self.size_m > 0).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KittiTracks:
+    """Objects of a whole sequence, each with its frame and track.
+
+    Args:
+        frame: Frame number, shape (n,).
+        track_id: Track number, -1 where there is none, shape (n,).
+        objects: The objects, n rows.
+    """
+
+    frame: Int[np.ndarray, " n"]
+    track_id: Int[np.ndarray, " n"]
+    objects: KittiObjects
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "KittiTracks":
+        return KittiTracks(frame=self.frame[index], track_id=self.track_id[index], objects=self.objects[index])
+
+
+def read_calib(path: Path | str) -> dict[str, Float[np.ndarray, "rows columns"]]:
+    """Read a calibration file: ``NAME: numbers`` a line, with or without the colon.
+
+    Returns:
+        12 numbers as a (3, 4) and 9 numbers as a (3, 3) matrix, by name (``P2``, ``R0_rect``, ``Tr_velo_to_cam``...).
+
+    Raises:
+        FileFormatError: If a line has another number of values, is no number, or a name comes twice.
+    """
+    matrices: dict[str, np.ndarray] = {}
+    for number, line in _lines(path):
+        name, *values = line.replace(":", " ", 1).split()
+        if len(values) not in (9, 12):
+            raise _wrong(path, number, "a name and 9 or 12 numbers", f"{len(values)} values after {name[:40]!r}")
+        if name in matrices:
+            raise _wrong(path, number, "each name once", f"{name[:40]!r} for the second time")
+        matrices[name] = _numbers(path, [values], [number])[0].reshape(3, -1)
+    if not matrices:
+        raise _wrong(path, 1, "calibration matrices", "an empty file")
+    return matrices
+
+
+def read_labels(path: Path | str) -> KittiObjects:
+    """Read an object label or detection file: 15 columns separated by spaces, or 16 with a score.
+
+    An empty file is a frame without objects.
+
+    Raises:
+        FileFormatError: If a line has another number of columns, or holds anything but finite numbers after the type.
+    """
+    return _objects(path, *_rows(path, skip=0))
+
+
+def read_tracking(path: Path | str) -> KittiTracks:
+    """Read a tracking label or result file: frame, track, then the columns of an object label.
+
+    Raises:
+        FileFormatError: As :func:`read_labels`, and if a frame or a track is no whole number.
+    """
+    lines, rows = _rows(path, skip=2)
+    ids = _whole(path, [row[:2] for row in rows], lines, 2)
+    objects = _objects(path, lines, [row[2:] for row in rows])
+    return _tracks(path, ids[:, 0], ids[:, 1], objects)
+
+
+def read_detections(path: Path | str) -> KittiTracks:
+    """Read tracking detections in 15 comma-separated columns.
+
+    The columns are frame, type (1 pedestrian, 2 car, 3 cyclist), 2D box, score, h w l, x y z of the bottom centre,
+    rotation_y, alpha.
+
+    Raises:
+        FileFormatError: If a line has another number of columns or a value is out of its domain.
+    """
+    lines: list[int] = []
+    rows: list[list[str]] = []
+    for number, line in _lines(path):
+        row = line.split(",")
+        if len(row) != 15:
+            raise _wrong(path, number, "15 comma-separated columns", f"{len(row)}")
+        lines.append(number)
+        rows.append(row)
+    values = _numbers(path, rows, lines, columns=15)
+    ids = _whole(path, [row[:2] for row in rows], lines, 2)
+    unknown = np.flatnonzero(~np.isin(ids[:, 1], list(DETECTION_TYPES)))
+    if len(unknown):
+        raise _wrong(path, lines[unknown[0]], f"a type code of {DETECTION_TYPES}", str(ids[unknown[0], 1]))
+    objects = KittiObjects(
+        type=np.array([DETECTION_TYPES[code] for code in ids[:, 1].tolist()], dtype=np.str_),
+        truncation=np.full(len(rows), -1.0),
+        occlusion=np.full(len(rows), -1),
+        alpha_rad=values[:, 14],
+        box_px=values[:, 2:6],
+        size_m=values[:, 7:10],
+        bottom_m=values[:, 10:13],
+        rotation_y_rad=values[:, 13],
+        score=values[:, 6],
+        line=np.array(lines, dtype=np.int64),
+    )
+    return _tracks(path, ids[:, 0], np.full(len(rows), -1), objects)
+
+
+def write_labels(path: Path | str, objects: KittiObjects) -> None:
+    """Write an object label file (15 columns, 16 where there are scores), numbers as precise as they are."""
+    write_text(path, "".join(f"{row}\n" for row in _text(objects)))
+
+
+def write_tracking(path: Path | str, tracks: KittiTracks) -> None:
+    """Write a tracking label file (17 columns, 18 where there are scores)."""
+    rows = zip(tracks.frame.tolist(), tracks.track_id.tolist(), _text(tracks.objects), strict=True)
+    write_text(path, "".join(f"{frame} {track} {row}\n" for frame, track, row in rows))
+
+
+def _text(objects: KittiObjects) -> list[str]:
+    number: Callable[[float], str] = repr
+    values = np.column_stack([objects.alpha_rad, objects.box_px, objects.size_m, objects.bottom_m])
+    values = np.column_stack([values, objects.rotation_y_rad])
+    if objects.score is not None:
+        values = np.column_stack([values, objects.score])
+    heads = zip(objects.type.tolist(), objects.truncation.tolist(), objects.occlusion.tolist(), strict=True)
+    return [
+        " ".join([kind, f"{truncation:g}", str(occlusion), *map(number, row)])
+        for (kind, truncation, occlusion), row in zip(heads, values.tolist(), strict=True)
+    ]
+
+
+def _pick(values: Any, index: Any) -> Any:
+    return None if values is None else values[index]
+
+
+def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormatError:
+    return FileFormatError(path, where=f"line {line}", expected=expected, found=found)
+
+
+def _lines(path: Path | str) -> list[tuple[int, str]]:
+    """Numbered lines that are not blank."""
+    data = read_bytes(path, max_bytes=MAX_TEXT_BYTES)
+    try:
+        text = data.decode("ascii")
+    except UnicodeDecodeError as error:
+        found = f"byte 0x{data[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", found=found) from None
+    return [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
+
+
+def _rows(path: Path | str, *, skip: int) -> tuple[list[int], list[list[str]]]:
+    """Space-separated rows of ``skip`` columns and a label, all of the same width."""
+    lines: list[int] = []
+    rows: list[list[str]] = []
+    widths = (skip + _LABEL_COLUMNS, skip + _LABEL_COLUMNS + 1)
+    for number, line in _lines(path):
+        row = line.split()
+        expected = widths if not rows else (len(rows[0]),)
+        if len(row) not in expected:
+            wanted = " or ".join(map(str, expected)) + " space-separated columns"
+            raise _wrong(path, number, wanted + (" as in the lines before" if rows else ""), str(len(row)))
+        lines.append(number)
+        rows.append(row)
+    return lines, rows
+
+
+def _numbers(
+    path: Path | str, rows: Sequence[Sequence[str]], lines: Sequence[int], *, columns: int = 0
+) -> Float[np.ndarray, "n columns"]:
+    """Turn rows of equal width into finite numbers, or name the first line that has another."""
+    try:
+        values = np.array(rows, dtype=np.float64) if rows else np.zeros((0, columns))
+    except ValueError:
+        for row, line in zip(rows, lines, strict=True):
+            for word in row:
+                try:
+                    float(word)
+                except ValueError:
+                    raise _wrong(path, line, "a number", repr(word[:40])) from None
+        raise
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, column = bad[0].tolist()
+        raise _wrong(path, lines[row], "finite numbers", repr(rows[row][column][:40]))
+    return values
+
+
+def _whole(path: Path | str, rows: list[list[str]], lines: list[int], columns: int) -> Int[np.ndarray, "n columns"]:
+    values = _numbers(path, rows, lines, columns=columns)
+    bad = np.flatnonzero(((values != np.round(values)) | (np.abs(values) > 2**53)).any(axis=1))
+    if len(bad):
+        raise _wrong(path, lines[bad[0]], "whole numbers", " ".join(rows[bad[0]])[:60])
+    return values.astype(np.int64)
+
+
+def _objects(path: Path | str, lines: list[int], rows: list[list[str]]) -> KittiObjects:
+    width = len(rows[0]) if rows else _LABEL_COLUMNS
+    values = _numbers(path, [row[1:] for row in rows], lines, columns=width - 1)
+    occlusion = _whole(path, [row[2:3] for row in rows], lines, 1)[:, 0]
+    return KittiObjects(
+        type=np.array([row[0] for row in rows], dtype=np.str_) if rows else np.empty(0, "<U1"),
+        truncation=values[:, 0],
+        occlusion=occlusion,
+        alpha_rad=values[:, 2],
+        box_px=values[:, 3:7],
+        size_m=values[:, 7:10],
+        bottom_m=values[:, 10:13],
+        rotation_y_rad=values[:, 13],
+        score=values[:, 14] if width > _LABEL_COLUMNS else None,
+        line=np.array(lines, dtype=np.int64),
+    )
+
+
+def _tracks(
+    path: Path | str, frame: Int[np.ndarray, " n"], track_id: Int[np.ndarray, " n"], objects: KittiObjects
+) -> KittiTracks:
+    if len(frame) and frame.min() < 0:
+        row = int(np.flatnonzero(frame < 0)[0])
+        raise _wrong(path, int(objects.line[row]), "a frame number from 0 on", str(frame[row]))
+    return KittiTracks(frame=frame, track_id=track_id, objects=objects)

@@ -1,0 +1,60 @@
+"""Bootstrap intervals over sequences: what a score would have been, had other sequences been driven.
+
+Frames of one drive resemble each other, so whole sequences are drawn with replacement; the frames of a single sequence
+are drawn only where there is but one. A replicate is a vector of weights, one a group, so nothing is matched again.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+Statistics = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """How intervals are drawn.
+
+    Args:
+        replicates: Number of resamplings; 0 gives no intervals.
+        level: Probability that the interval covers, in (0, 1).
+        seed: Seed of the generator.
+    """
+
+    replicates: int = 200
+    level: float = 0.95
+    seed: int = 0
+
+
+def replicate_weights(groups: int, replicates: int, rng: np.random.Generator) -> Float[np.ndarray, "replicates groups"]:
+    """Draw ``groups`` groups with replacement for each replicate; returns how often each came, (replicates, groups)."""
+    return rng.multinomial(groups, np.full(groups, 1.0 / groups), size=replicates).astype(np.float64)
+
+
+def intervals(
+    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics], groups: int, settings: Bootstrap
+) -> dict[str, list[float] | None]:
+    """Percentile interval of every statistic.
+
+    Args:
+        statistics: Named figures under given group weights; None where nothing was annotated among them.
+        groups: Number of groups.
+        settings: How to draw.
+
+    Returns:
+        [low, high] by name; None where fewer than two groups or replicates allow no interval.
+    """
+    if groups < 2 or settings.replicates < 2:
+        return dict.fromkeys(statistics(np.ones(groups)))
+    weights = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
+    drawn: dict[str, list[float]] = {}
+    for weight in weights:
+        for name, value in statistics(weight).items():
+            drawn.setdefault(name, []).extend([] if value is None else [value])
+    tail = (1.0 - settings.level) / 2
+    return {
+        name: [float(v) for v in np.quantile(values, [tail, 1 - tail])] if len(values) > 1 else None
+        for name, values in drawn.items()
+    }

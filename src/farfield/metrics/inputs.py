@@ -1,0 +1,231 @@
+"""Files of any detector and of annotators as boxes by frame: what ``farfield score`` reads.
+
+Boxes of KITTI stay in the camera that they were given in; only its axes are turned into ours (x ahead, y left, z up),
+and centres are lifted from the bottom face to the middle. Ranges are then distances from the camera.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Shaped
+
+from farfield.errors import ConfigError, FileFormatError
+from farfield.files.boxes_csv import BoxRows, read_boxes_csv
+from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
+from farfield.geometry.boxes import Boxes
+
+Key = tuple[str, str]
+Details = dict[Key, dict[str, np.ndarray]]
+FORMATS = ("boxes-csv", "kitti", "kitti-tracking")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoreInputs:
+    """Predictions and annotations by (sequence, frame), as the metrics take them.
+
+    Args:
+        predictions: Scored boxes.
+        annotations: Annotated boxes of every frame, the empty ones too.
+        prediction_details: KITTI's 2D boxes (``box_px``) in the order of the boxes.
+        annotation_details: KITTI's ``truncation``, ``occlusion``, ``box_px`` likewise, and ``dontcare_px``.
+        notes: What was assumed, one sentence each.
+    """
+
+    predictions: Mapping[Key, Boxes]
+    annotations: Mapping[Key, Boxes]
+    prediction_details: Details = field(default_factory=dict)
+    annotation_details: Details = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def read_inputs(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv") -> ScoreInputs:
+    """Read two files, or two folders whose files are paired by their stems.
+
+    Args:
+        predictions: File or folder of a detector's boxes.
+        labels: File or folder of annotated boxes.
+        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame) or ``"kitti-tracking"`` (a file a sequence).
+
+    Raises:
+        ConfigError: If the paths do not pair, or predictions lie in sequences or frames that have no labels.
+        FileFormatError: If a file is not what its format asks for.
+    """
+    if format not in FORMATS:
+        raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    notes: list[str] = []
+    predicted, annotated = _Collected(scored=True), _Collected(scored=False)
+    read: Callable[[_Collected, Path, str], None] = {
+        "boxes-csv": _read_csv,
+        "kitti": _read_kitti,
+        "kitti-tracking": _read_kitti_tracking,
+    }[format]
+    for predicted_path, label_path in _pairs(Path(predictions), Path(labels), notes):
+        stem = label_path.stem if Path(labels).is_dir() or format == "kitti-tracking" else ""
+        read(annotated, label_path, stem)
+        if predicted_path is not None:
+            read(predicted, predicted_path, stem)
+    _add_empty_frames(predicted.boxes, annotated.boxes, notes)
+    if predicted.without_score:
+        notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
+    return ScoreInputs(
+        predictions=predicted.boxes,
+        annotations=annotated.boxes,
+        prediction_details=predicted.details,
+        annotation_details=annotated.details,
+        notes=tuple(notes),
+    )
+
+
+@dataclass(eq=False)
+class _Collected:
+    """The boxes of one side as they are read."""
+
+    scored: bool
+    boxes: dict[Key, Boxes] = field(default_factory=dict)
+    details: Details = field(default_factory=dict)
+    without_score: int = 0
+
+    def add(self, path: Path, key: Key, boxes: Boxes, details: dict[str, np.ndarray] | None = None) -> None:
+        if key in self.boxes:
+            raise ConfigError(f"{path}: expected each frame in one file, got {key} for the second time")
+        self.boxes[key] = boxes
+        if details is not None:
+            self.details[key] = details
+
+    def scores(self, score: np.ndarray | None, count: int) -> np.ndarray | None:
+        """Scores for predictions (1 where the file has none), None for annotated boxes."""
+        if not self.scored:
+            return None
+        if score is None:
+            self.without_score += count
+            return np.ones(count)
+        return score
+
+
+def _pairs(predictions: Path, labels: Path, notes: list[str]) -> list[tuple[Path | None, Path]]:
+    for path in (predictions, labels):
+        if not path.exists():
+            raise ConfigError(f"{path}: expected a file or a folder, found nothing there")
+    if predictions.is_dir() != labels.is_dir():
+        raise ConfigError(f"expected two files or two folders, got {predictions} and {labels}, one of each kind")
+    if not labels.is_dir():
+        return [(predictions, labels)]
+    by_stem, wanted = _files(predictions), _files(labels)
+    strangers = sorted(set(by_stem) - set(wanted))
+    if strangers or not set(by_stem) & set(wanted):
+        raise ConfigError(
+            f"expected files of equal stems in {predictions} and {labels}; "
+            + (f"these predictions have no labels: {', '.join(strangers[:5])}" if strangers else "no stem is in both")
+        )
+    missing = len(wanted) - len(by_stem)
+    if missing:
+        notes.append(f"{missing} of {len(wanted)} label files have no file of predictions; they count as nothing found")
+    return [(by_stem.get(stem), path) for stem, path in sorted(wanted.items())]
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix not in (".txt", ".csv") or not path.is_file():
+            continue
+        if path.stem in found:
+            raise ConfigError(f"{folder}: expected one file a stem, got {found[path.stem].name} and {path.name}")
+        found[path.stem] = path
+    if not found:
+        raise ConfigError(f"{folder}: expected .txt or .csv files, found none")
+    return found
+
+
+def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], notes: list[str]) -> None:
+    """Frames without any annotated box cannot appear in a table of boxes: take them from the predictions."""
+    sequences = {sequence for sequence, _ in annotated}
+    added = [key for key in predicted if key not in annotated]
+    strangers = sorted({sequence for sequence, _ in added} - sequences)
+    if strangers:
+        raise ConfigError(
+            f"predictions: expected sequences that have labels, got {', '.join(map(repr, strangers[:5]))}; "
+            f"labels hold {', '.join(map(repr, sorted(sequences)[:5])) or 'none'}"
+        )
+    if added and len(added) == len(predicted) and any(len(boxes) for boxes in annotated.values()):
+        raise ConfigError(
+            f"expected predictions and labels to share frames, got none in common: predictions hold {added[0]}, "
+            f"labels {next(iter(annotated))}. Frame names must be the same text in both."
+        )
+    for key in added:
+        annotated[key] = Boxes.empty()
+    if added:
+        notes.append(f"{len(added)} frames have predictions but no line of labels; they count as annotated empty")
+
+
+def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], np.ndarray]]:
+    """Rows of each combination of names, in the order of the file."""
+    rows: dict[tuple[str, ...], list[int]] = {}
+    for row, names in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+        rows.setdefault(tuple(map(str, names)), []).append(row)
+    return [(names, np.array(found)) for names, found in rows.items()]
+
+
+def _read_csv(side: _Collected, path: Path, stem: str) -> None:
+    rows: BoxRows = read_boxes_csv(path)
+    boxes = Boxes(
+        centre_m=rows.centre_m,
+        size_m=rows.size_m,
+        yaw_rad=rows.yaw_rad,
+        label=rows.label,
+        score=side.scores(rows.score, len(rows)),
+        track_id=rows.track_id,
+        point_count=rows.point_count,
+    )
+    sequence = np.full(len(rows), stem) if rows.sequence is None else rows.sequence
+    for (name, frame), index in _groups(sequence, rows.frame):
+        side.add(path, (name, frame), boxes[index])
+
+
+def _read_kitti(side: _Collected, path: Path, stem: str) -> None:
+    objects = read_labels(path)
+    side.add(path, ("", stem), *_split(side, path, objects))
+
+
+def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
+    with path.open("rb") as handle:
+        commas = b"," in handle.readline(4096)
+    tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
+    for (frame,), index in _groups(tracks.frame):
+        side.add(path, (stem, frame), *_split(side, path, tracks.objects[index]))
+
+
+def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
+    """Boxes with their 2D facts; DontCare regions stand beside them."""
+    dontcare = objects.type == "DontCare"
+    boxless = np.flatnonzero(~dontcare & ~objects.has_box)
+    if len(boxless):
+        row = boxless[0]
+        found = " ".join(f"{value:g}" for value in objects.size_m[row])
+        raise FileFormatError(path, where=f"line {objects.line[row]}", expected="positive h w l", found=found)
+    real = objects[~dontcare]
+    details = {
+        "truncation": real.truncation,
+        "occlusion": real.occlusion,
+        "box_px": real.box_px,
+        "dontcare_px": objects.box_px[dontcare],
+    }
+    return kitti_boxes(real, score=side.scores(real.score, len(real))), details
+
+
+def kitti_boxes(objects: KittiObjects, *, score: np.ndarray | None = None) -> Boxes:
+    """Turn KITTI's camera axes into ours: x = z, y = -x, z = h/2 - y, yaw = -rotation_y - pi/2.
+
+    Args:
+        objects: n objects with 3D boxes.
+        score: Scores, shape (n,), or None.
+    """
+    x, y, z = objects.bottom_m.T
+    return Boxes(
+        centre_m=np.column_stack([z, -x, objects.size_m[:, 0] / 2 - y]),
+        size_m=objects.size_m[:, ::-1],
+        yaw_rad=-objects.rotation_y_rad - np.pi / 2,
+        label=objects.type,
+        score=score,
+    )

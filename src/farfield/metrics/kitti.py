@@ -1,0 +1,217 @@
+"""KITTI's average precision (Geiger et al., CVPR 2012): BEV and 3D overlap, R11 and R40, three difficulties.
+
+Conventions. Boxes overlap by exact rotated IoU; Car needs more than 0.7, other classes 0.5. Annotated boxes of a
+neighbouring class (Van for Car) or beyond the difficulty may be found or not. Detections whose 2D box is too low for
+the difficulty do not count. ``DontCare`` regions excuse detections in KITTI's 2D measure only; ``dontcare="image"``
+lets them do so here too. R11 averages the precision at recalls 0, 0.1 ... 1, R40 at 1/40 ... 1 (the official one since
+2019). Without 2D facts there is one difficulty, ``all``.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.kitti_frames import Details, KittiFrames, candidates, gather_kitti
+from farfield.metrics.kitti_matching import count_at_thresholds, recall_scores, sample_thresholds, sampled_precision
+from farfield.metrics.kitti_settings import DIFFICULTIES, KittiSettings
+from farfield.metrics.result import Result, table
+from farfield.metrics.scene import BoxesByFrame, in_range
+
+__all__ = ["Details", "KittiCurve", "KittiResult", "KittiSettings", "evaluate_kitti"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KittiCurve:
+    """Precision and recall at KITTI's sampled thresholds, each of shape (thresholds,)."""
+
+    recall: Float[np.ndarray, " t"]
+    precision: Float[np.ndarray, " t"]
+    confidence: Float[np.ndarray, " t"]
+
+    def sampled(self) -> dict[str, list[float]]:
+        """The curve as JSON values."""
+        values = {"recall": self.recall, "precision": self.precision, "confidence": self.confidence}
+        return {name: value.tolist() for name, value in values.items()}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KittiResult(Result):
+    """KITTI AP by overlap, recall points and difficulty; figures lie in [0, 1], the table shows per cent."""
+
+    def __str__(self) -> str:
+        parts = [*self.ranges, "overall"]
+        rows = [
+            [name.removeprefix("ap/").replace("/", " "), *(self.cell(part, name, scale=100) for part in parts)]
+            for name in self.figures
+        ]
+        for name in ("annotated", "predictions"):
+            counts = self.counts["ranges"] | {"overall": self.counts}
+            rows.append([name, *(str(counts[part][name]) for part in parts)])
+        title = f"KITTI AP of {self.label!r} in per cent, by range in metres; '-': nothing annotated"
+        return f"{title}\n\n{table(['', *parts], rows)}\n\n{self.footer()}"
+
+
+def evaluate_kitti(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: KittiSettings | None = None,
+    *,
+    prediction_details: Details | None = None,
+    annotation_details: Details | None = None,
+) -> KittiResult:
+    """Score predictions with KITTI's average precision.
+
+    Args:
+        predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
+        annotations: Annotated boxes by (sequence, frame): every frame that counts, those without boxes too.
+        settings: The options; None takes the defaults.
+        prediction_details: By frame, in the order of its boxes: ``box_px`` (n, 4) as left, top, right, bottom.
+        annotation_details: Likewise ``truncation`` (n,), ``occlusion`` (n,), ``box_px`` (n, 4), and ``dontcare_px``
+            (k, 4). None evaluates one difficulty, ``all``.
+
+    Returns:
+        Figures in [0, 1] named ``ap/bev_r11/easy``, ``ap/3d_r40/moderate``...
+
+    Raises:
+        ConfigError: If predictions lie in frames that are not annotated, lack scores, or details do not fit.
+    """
+    settings = settings or KittiSettings()
+    data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details)
+    parts = {"overall": (np.ones(len(data.predicted), dtype=bool), np.ones(len(data.annotated), dtype=bool))} | {
+        f"{low_m:g}-{high_m:g}": (in_range(data.predicted, low_m, high_m), in_range(data.annotated, low_m, high_m))
+        for low_m, high_m in settings.bins_m
+    }
+    counted = {
+        (part, measure, difficulty): _count(data, settings, measure, difficulty, *inside)
+        for part, inside in parts.items()
+        for measure in data.overlap
+        for difficulty in data.hardness
+    }
+    figures: dict[str, Statistics] = {part: {} for part in parts}
+    curves: dict[str, Any] = {part: {} for part in parts}
+    for (part, measure, difficulty), found in counted.items():
+        figures[part] |= {f"ap/{measure}_{name}/{difficulty}": value for name, value in found.point().items()}
+        curves[part].setdefault(measure, {})[difficulty] = found.curve()
+    counts = {
+        part: {"annotated": int((data.is_label & inside[1]).sum()), "predictions": int(inside[0].sum())}
+        for part, inside in parts.items()
+    }
+    frames = np.union1d(data.predicted_frame, data.annotated_frame[data.is_label])
+    overall = counts.pop("overall")
+    return KittiResult(
+        protocol="kitti",
+        label=settings.label,
+        settings=settings.to_json(),
+        convention=settings.convention(),
+        figures=figures.pop("overall"),
+        ranges=figures,
+        counts={"frames": len(frames), "frames_given": len(annotations), **overall, "ranges": counts},
+        intervals=_intervals(counted, data, settings),
+        grouped_by=data.grouped_by,
+        curves=curves,
+    )
+
+
+def _intervals(
+    counted: "dict[tuple[str, str, str], _Counted]", data: KittiFrames, settings: KittiSettings
+) -> dict[str, dict[str, list[float] | None]]:
+    """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
+    point = {name: found.point() for name, found in counted.items()}
+    start = {name: found.smooth(np.ones(data.groups)) for name, found in counted.items()}
+
+    def moved(weight: Float[np.ndarray, " groups"]) -> Statistics:
+        values: Statistics = {}
+        for (part, measure, difficulty), found in counted.items():
+            name = part, measure, difficulty
+            for points, drawn in found.smooth(weight).items():
+                values[f"{part}|ap/{measure}_{points}/{difficulty}"] = _shifted(
+                    point[name][points], drawn, start[name][points]
+                )
+        return values
+
+    drawn: dict[str, dict[str, list[float] | None]] = {}
+    for key, interval in intervals(moved, data.groups, settings.bootstrap).items():
+        part, _, name = key.partition("|")
+        drawn.setdefault(part, {})[name] = interval
+    return drawn
+
+
+def _shifted(point: float | None, drawn: float | None, start: float | None) -> float | None:
+    return None if point is None or drawn is None or start is None else min(max(point + drawn - start, 0.0), 1.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Counted:
+    """True and false positives by threshold and group, for one part, measure and difficulty."""
+
+    thresholds: list[float]
+    recalls: list[float]
+    true: Float[np.ndarray, "t g"]
+    false: Float[np.ndarray, "t g"]
+    annotated: Int[np.ndarray, " g"]
+
+    def precision(self, weight: Float[np.ndarray, " g"]) -> Float[np.ndarray, " t"]:
+        true, false = self.true @ weight, self.false @ weight
+        return np.divide(true, true + false, out=np.zeros(len(true)), where=true + false > 0)
+
+    def point(self) -> Statistics:
+        total = int(self.annotated.sum())
+        if total == 0:
+            return {"r11": None, "r40": None}
+        precision = self.precision(np.ones(len(self.annotated)))
+        sampled = sampled_precision(precision, np.array(self.recalls), total)
+        return {"r11": float(sampled[::4].mean()), "r40": float(sampled[1:].mean())}
+
+    def smooth(self, weight: Float[np.ndarray, " g"]) -> Statistics:
+        """AP under group weights, interpolated in recall: the thresholds stay, so only its changes are used."""
+        total = float(self.annotated @ weight)
+        if total <= 0:
+            return {"r11": None, "r40": None}
+        if not self.thresholds:
+            return {"r11": 0.0, "r40": 0.0}
+        recall = np.maximum.accumulate(self.true @ weight) / total
+        best = np.maximum.accumulate(self.precision(weight)[::-1])[::-1]
+        wanted = np.linspace(0, 1, 41)
+        sampled = np.interp(wanted, recall, best, right=0.0)
+        return {"r11": float(sampled[::4].mean()), "r40": float(sampled[1:].mean())}
+
+    def curve(self) -> KittiCurve | None:
+        if not self.annotated.sum():
+            return None
+        precision = self.precision(np.ones(len(self.annotated)))
+        return KittiCurve(
+            recall=np.array(self.recalls), precision=precision, confidence=np.array(self.thresholds, dtype=np.float64)
+        )
+
+
+def _count(
+    data: KittiFrames,
+    settings: KittiSettings,
+    measure: str,
+    difficulty: str,
+    predicted_in: Bool[np.ndarray, " n"],
+    annotated_in: Bool[np.ndarray, " m"],
+) -> _Counted:
+    must_find = data.is_label & ~data.hardness[difficulty] & annotated_in
+    annotated = np.bincount(data.group[data.annotated_frame[must_find]], minlength=data.groups)
+    small = data.height_px < (DIFFICULTIES[difficulty][0] if difficulty in DIFFICULTIES else 0.0)
+    enough = data.overlap[measure] > settings.least_overlap
+    found = candidates(data, enough, measure, must_find, small, predicted_in, annotated_in)
+    total = int(annotated.sum())
+    thresholds, recalls = sample_thresholds(recall_scores(found), total) if total else ([], [])
+    true, false = count_at_thresholds(found, np.array(thresholds, dtype=np.float64))
+    return _Counted(
+        thresholds=thresholds,
+        recalls=recalls,
+        true=_by_group(true, data),
+        false=_by_group(false, data),
+        annotated=annotated,
+    )
+
+
+def _by_group(counts: Int[np.ndarray, "t f"], data: KittiFrames) -> Float[np.ndarray, "t g"]:
+    sums = [np.bincount(data.group, weights=row, minlength=data.groups) for row in counts]
+    return np.array(sums).reshape(len(counts), data.groups)

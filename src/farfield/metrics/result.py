@@ -1,0 +1,107 @@
+"""The result of a score: figures, intervals and curves, which print themselves with their convention."""
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from farfield.metrics.bootstrap import Statistics
+
+Intervals = Mapping[str, list[float] | None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result:
+    """What every protocol returns.
+
+    Args:
+        protocol: ``"dds"``, ``"nuscenes"`` or ``"kitti"``.
+        label: The class that was scored.
+        settings: Every option, as JSON values.
+        convention: The options in one line.
+        figures: The scores of the whole region by name, such as ``"dds/0.003/map"``; None where nothing is annotated.
+        ranges: The same for each range bin, named such as ``"0-70"``.
+        mean_of_bins: Mean of the bins' scores.
+        counts: Boxes and frames that were counted.
+        intervals: Bootstrap [low, high] by part (``"overall"``, a bin, ``"mean_of_bins"``) and name.
+        grouped_by: What the bootstrap drew: ``"sequences"`` or ``"frames"``.
+        curves: Raw curves with ``recall``, ``precision`` and ``confidence``: by part, epsilon and threshold, or, for
+            KITTI, by part, measure and difficulty.
+    """
+
+    protocol: str
+    label: str
+    settings: Mapping[str, Any]
+    convention: str
+    figures: Statistics
+    ranges: Mapping[str, Statistics] = field(default_factory=dict)
+    mean_of_bins: Statistics = field(default_factory=dict)
+    counts: Mapping[str, Any] = field(default_factory=dict)
+    intervals: Mapping[str, Intervals] = field(default_factory=dict)
+    grouped_by: str = "sequences"
+    curves: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as JSON values at full precision: curves are given at 101 recalls; null is "not annotated"."""
+        top = {"ap": {}, "errors": {}, "dds": {}} | nest(self.figures)
+        empty = {name for name, part in self.ranges.items() if all(value is None for value in part.values())}
+        return {
+            "protocol": self.protocol,
+            "label": self.label,
+            "settings": dict(self.settings),
+            **top,
+            "ranges": {name: None if name in empty else nest(part) for name, part in self.ranges.items()},
+            "mean_of_bins": nest(self.mean_of_bins),
+            "counts": dict(self.counts),
+            "intervals": {"resampled": self.grouped_by} | {name: nest(part) for name, part in self.intervals.items()},
+            "curves": _curves_json(self.curves),
+        }
+
+    def cell(self, part: str, name: str, *, scale: float = 1.0) -> str:
+        """One figure with its interval as text, such as ``"0.8359 [0.8211, 0.8502]"``; 100 as scale shows per cent."""
+        figures = {"overall": self.figures, "mean_of_bins": self.mean_of_bins, **self.ranges}[part]
+        value, interval = figures.get(name), self.intervals.get(part, {}).get(name)
+        if value is None:
+            return "-"
+        digits = 4 if scale == 1 else 2
+        text = [f"{scale * number:.{digits}f}" for number in [value, *(interval or [])]]
+        return f"{text[0]} [{text[1]}, {text[2]}]" if interval else text[0]
+
+    def footer(self) -> str:
+        """The convention and what the intervals are, wrapped."""
+        bootstrap = self.settings.get("bootstrap", {})
+        drawn = f"[low, high]: {bootstrap.get('level', 0.95):.0%} bootstrap interval over {self.grouped_by}"
+        drawn += " (there is only one sequence)" if self.grouped_by == "frames" else ""
+        none = not any(interval for part in self.intervals.values() for interval in part.values())
+        lines = [f"{self.protocol}: {self.convention}", "no bootstrap intervals" if none else drawn]
+        return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+
+
+def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn ``{"dds/0/map": 1}`` into ``{"dds": {"0": {"map": 1}}}``."""
+    tree: dict[str, Any] = {}
+    for name, value in flat.items():
+        *path, leaf = name.split("/")
+        node = tree
+        for step in path:
+            node = node.setdefault(step, {})
+        node[leaf] = value
+    return tree
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """Lay out text cells in columns: the first to the left, the others to the right."""
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    lines = [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        )
+        for row in [head, ["-" * width for width in widths], *rows]
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _curves_json(curves: Any) -> Any:
+    if isinstance(curves, Mapping):
+        return {name: _curves_json(inner) for name, inner in curves.items()}
+    return None if curves is None else curves.sampled()
