@@ -137,10 +137,12 @@ def read_cache(path: Path | str, *, max_bytes: int = MAX_BYTES) -> dict[str, np.
         raise FileFormatError(path, where=where, expected=f"CRC-32 {checksum}", found=found, mend=mend)
     arrays, offset = {}, 0
     for column in table:
-        size = _bytes_of(column)
-        flat = np.frombuffer(payload[offset : offset + size], dtype=column["dtype"])
-        arrays[column["name"]] = flat.reshape(column["shape"]).copy()
-        offset += size
+        part = np.frombuffer(payload, dtype=np.uint8, count=_bytes_of(column), offset=offset)
+        if column["dtype"] == "|b1" and (part > 1).any():
+            where, expected = f"byte {start + length + offset}", f"booleans in {column['name']!r}"
+            raise FileFormatError(path, where=where, expected=expected, found="bytes above 1")
+        arrays[column["name"]] = part.view(column["dtype"]).reshape(column["shape"]).copy()
+        offset += part.size
     return arrays
 
 

@@ -74,7 +74,7 @@ def _separator(line: str) -> str | None:
 
 def _finite(
     rows: Float[np.ndarray, "n c"], *, on_nan: Literal["error", "drop"], path: Path | str
-) -> Float[np.ndarray, "n c"]:
+) -> Float[np.ndarray, "kept c"]:
     finite = np.isfinite(rows).all(axis=1)
     if finite.all():
         return rows
