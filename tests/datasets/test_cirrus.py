@@ -289,7 +289,7 @@ def test_cache_is_used_while_it_is_fresh(written):
         ('{"labels": [1]}', "label 0"),
         ('{"labels": [{"label_class": "vehicle", "position": [1, 2], "size": [], "quaternion": []}]}', "3 numbers"),
         (
-            '{"labels": [{"label_class": "a", "position": [1, 2, NaN], "size": [1, 1, 1], "quaternion": [0, 0, 0, 1]}]}',
+            '{"labels": [{"label_class": "a", "position": [1, 2, NaN], "size": [1, 1, 1], "quaternion":[0, 0, 0, 1]}]}',
             "finite",
         ),
         (

@@ -36,7 +36,7 @@ class _CameraEntry(BaseModel):
 
     matrix: tuple[_Row3, _Row3, _Row3]
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    camera_T_lidar: tuple[_Row4, _Row4, _Row4, _Row4]  # noqa: N815
+    camera_T_lidar: tuple[_Row4, _Row4, _Row4, _Row4]
     width: int = Field(0, ge=0)
     height: int = Field(0, ge=0)
 

@@ -1,0 +1,138 @@
+"""Read a data set once and keep what the examination needs."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.datasets.base import Dataset
+from farfield.errors import FarfieldError
+from farfield.frame import Boxes, Cloud, Frame
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sample:
+    """One frame whose clouds were read: its key, clouds by name, and boxes (None where not annotated)."""
+
+    key: tuple[str, str]
+    clouds: dict[str, Cloud]
+    boxes: Boxes | None
+
+    @property
+    def points_m(self) -> Float[np.ndarray, "n 3"]:
+        """Points of the cloud that the boxes belong to: the first one."""
+        first = next(iter(self.clouds.values()), None)
+        return np.zeros((0, 3)) if first is None else first.points_m.astype(np.float64)
+
+
+@dataclass(kw_only=True)
+class Survey:
+    """What was read.
+
+    Args:
+        dataset: The data set.
+        sensors: Number of frames with each cloud, by name.
+        images: Number of frames with each image.
+        cameras: Names of calibrated cameras.
+        times_ns: Time of each frame, None where unknown.
+        pair_dt_ms: Uniform minus Gaussian times of the paired frames.
+        boxes: Boxes of every annotated frame.
+        raw_labels: How often each class name stands in the files, where a reader tells.
+        unlabelled: Number of frames without annotation.
+        samples: Frames whose clouds were read.
+        damaged: Errors met, one a frame or cloud.
+    """
+
+    dataset: Dataset
+    sensors: dict[str, int] = field(default_factory=dict)
+    images: dict[str, int] = field(default_factory=dict)
+    cameras: set[str] = field(default_factory=set)
+    times_ns: list[int | None] = field(default_factory=list)
+    pair_dt_ms: list[float] = field(default_factory=list)
+    boxes: list[Boxes] = field(default_factory=list)
+    raw_labels: dict[str, int] = field(default_factory=dict)
+    unlabelled: int = 0
+    samples: list[Sample] = field(default_factory=list)
+    damaged: list[str] = field(default_factory=list)
+
+    def all_boxes(self) -> Boxes:
+        """All annotated boxes of all frames."""
+        return Boxes.concatenate([_bare(boxes) for boxes in self.boxes]) if self.boxes else Boxes.empty()
+
+    def annotated_samples(self) -> Iterator[tuple[Sample, Boxes]]:
+        """Samples with a cloud and at least one box."""
+        for sample in self.samples:
+            if sample.boxes is not None and len(sample.boxes) and sample.clouds:
+                yield sample, sample.boxes
+
+
+def survey(dataset: Dataset, *, max_clouds: int = 20, progress: Progress | None = None) -> Survey:
+    """Read all annotations and the clouds of some frames, spread evenly.
+
+    Args:
+        dataset: The data set.
+        max_clouds: Number of frames whose clouds are read; 0 reads all.
+        progress: Called with the number of frames done and the number of all.
+    """
+    found = Survey(dataset=dataset)
+    count = len(dataset)
+    spread = np.linspace(0, count - 1, min(count, max_clouds or count))
+    chosen = set(spread.round().astype(int).tolist())
+    for index in range(count):
+        try:
+            frame = dataset[index]
+        except (FarfieldError, OSError, ValueError) as error:
+            found.damaged.append(str(error))
+            found.times_ns.append(None)
+            continue
+        _note(found, frame)
+        boxes = _boxes(found, frame)
+        if index in chosen:
+            found.samples.append(Sample(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
+        if progress is not None:
+            progress(index + 1, count)
+    return found
+
+
+def _note(found: Survey, frame: Frame) -> None:
+    for name in frame.clouds:
+        found.sensors[name] = found.sensors.get(name, 0) + 1
+    for name in frame.images:
+        found.images[name] = found.images.get(name, 0) + 1
+    found.cameras |= set(frame.cameras)
+    found.times_ns.append(frame.time_ns)
+    dt_ms = frame.metadata.get("pair_dt_ms")
+    if dt_ms is not None:
+        found.pair_dt_ms.append(float(dt_ms))
+
+
+def _boxes(found: Survey, frame: Frame) -> Boxes | None:
+    try:
+        boxes = frame.boxes
+        if boxes is None:
+            found.unlabelled += 1
+            return None
+        for name in frame.metadata.get("raw_label", ()):
+            found.raw_labels[str(name)] = found.raw_labels.get(str(name), 0) + 1
+    except (FarfieldError, OSError, ValueError) as error:
+        found.damaged.append(str(error))
+        return None
+    found.boxes.append(boxes)
+    return boxes
+
+
+def _clouds(found: Survey, frame: Frame) -> dict[str, Cloud]:
+    clouds: dict[str, Cloud] = {}
+    for name in frame.clouds:
+        try:
+            clouds[name] = frame.clouds[name]
+        except (FarfieldError, OSError, ValueError) as error:
+            found.damaged.append(str(error))
+    return clouds
+
+
+def _bare(boxes: Boxes) -> Boxes:
+    return boxes.replace(score=None, track_id=None, point_count=None)
