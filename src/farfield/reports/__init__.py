@@ -1,1 +1,1 @@
-"""Figures, tables and one self-contained HTML page."""
+"""Figures, tables and one self-contained HTML page. Plain data in; no detector, no network."""

@@ -1,0 +1,145 @@
+"""An evaluation on disk: what ``farfield evaluate`` and ``farfield demo`` write and ``farfield report`` reads.
+
+Layout of the folder::
+
+    evaluation.json          results by name, settings, provenance, objects, list of shown frames
+    frames/0000.json         one shown frame: names, time, conditions, labels, cameras
+    frames/0000.ffcloud      its clouds and boxes
+    frames/0000_camera.jpg   its images
+
+Nothing is pickled, and the data set itself is not needed to draw the report again.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+from farfield.frame import Frame
+from farfield.geometry.boxes import Boxes
+from farfield.reports.frame_store import load_frame, save_frame
+
+EVALUATION = "evaluation.json"
+_LIMIT_BYTES = 1 << 28
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameView:
+    """One frame that a report shows.
+
+    Args:
+        frame: The frame, with its clouds in reach.
+        predictions: Predicted boxes of the first cloud, or by cloud name where several patterns were run.
+        title: A few words above its pictures.
+    """
+
+    frame: Frame
+    predictions: Boxes | Mapping[str, Boxes] | None = None
+    title: str = ""
+
+    @property
+    def by_cloud(self) -> dict[str, Boxes | None]:
+        """Predictions by cloud name, in the order of the frame's clouds; only clouds that were asked for."""
+        if isinstance(self.predictions, Mapping):
+            given = self.predictions
+            return {name: given[name] for name in [*self.frame.clouds, "merged"] if name in given}
+        first = next(iter(self.frame.clouds), None)
+        return {} if first is None else {first: self.predictions}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation:
+    """Everything that a report shows.
+
+    Args:
+        results: Result JSON (what ``farfield score`` writes) by pattern or data set name.
+        settings: What the detector and the run were set to.
+        provenance: Where it comes from: versions, seed, commit, data fingerprint, ``simulated`` (bool).
+        frames: Frames to show.
+        objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
+        title: Title of the report.
+    """
+
+    results: Mapping[str, Mapping[str, Any]]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    frames: list[FrameView] = field(default_factory=list)
+    objects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    title: str = "Farfield evaluation"
+
+    def save(self, folder: Path | str) -> Path:
+        """Write the evaluation into a folder, which is made if needed.
+
+        Returns:
+            The path of ``evaluation.json``, which is written last.
+        """
+        folder = Path(folder)
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+        names = [f"{number:04d}" for number in range(len(self.frames))]
+        for name, view in zip(names, self.frames, strict=True):
+            save_frame(folder / "frames", name, view.frame, view.predictions, title=view.title)
+        content = {
+            "format": _FORMAT,
+            "title": self.title,
+            "results": self.results,
+            "settings": self.settings,
+            "provenance": self.provenance,
+            "objects": self.objects,
+            "frames": names,
+        }
+        write_text(folder / EVALUATION, json.dumps(content, indent=1, allow_nan=False, default=str) + "\n")
+        return folder / EVALUATION
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Evaluation":
+        """Read an evaluation from its folder or its ``evaluation.json``.
+
+        The file may also be a single result, as ``farfield score --json`` writes it: a report without pictures.
+
+        Raises:
+            FileFormatError: If the file is no evaluation.
+        """
+        path = Path(path)
+        path = path / EVALUATION if path.is_dir() else path
+        content = _read_json(path)
+        if "results" not in content and {"protocol", "settings"} <= set(content):
+            return cls(results={str(content.get("label", "result")): content}, title=f"Scores of {path.stem}")
+        for name in ("results", "settings", "provenance"):
+            if not isinstance(content.get(name), dict):
+                found = f"{type(content.get(name)).__name__} under {name!r}"
+                raise FileFormatError(
+                    path,
+                    where=f"key {name!r}",
+                    expected="an object",
+                    found=found,
+                    mend="Give the evaluation.json of `farfield evaluate` or the JSON of `farfield score --json`.",
+                )
+        frames = []
+        for name in content.get("frames", []):
+            if not (isinstance(name, str) and name.isalnum()):
+                raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", found=repr(name))
+            frame, predictions, title = load_frame(path.parent / "frames", name)
+            frames.append(FrameView(frame=frame, predictions=predictions, title=title))
+        return cls(
+            results=content["results"],
+            settings=content["settings"],
+            provenance=content["provenance"],
+            frames=frames,
+            objects=content.get("objects") or {},
+            title=str(content.get("title", cls.title)),
+        )
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:200]) from error
+    if not isinstance(content, dict):
+        found = type(content).__name__
+        raise FileFormatError(path, where="the file", expected="a JSON object", found=found)
+    return content

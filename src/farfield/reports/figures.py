@@ -1,0 +1,255 @@
+"""Bird's-eye pictures: points, annotated and predicted boxes on a grid of metres, forward to the right."""
+
+from collections.abc import Collection, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.frame import Cloud, Frame
+from farfield.geometry.boxes import Boxes
+from farfield.reports.objects import found_by, of_classes
+from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame", "zooms"]
+
+Window = tuple[float, float, float, float]
+WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
+RANGES_M = (70.0, 150.0, 250.0)
+ZOOMS_M: tuple[tuple[str, Window], ...] = (
+    ("near: 0 to 70 m", (0.0, 70.0, -35.0, 35.0)),
+    ("mid: 70 to 150 m", (70.0, 150.0, -40.0, 40.0)),
+    ("far: 150 to 250 m", (150.0, 250.0, -50.0, 50.0)),
+)
+
+
+def draw_birdseye(
+    axes: "Axes",
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window = WINDOW_M,
+    rings_m: Sequence[float] = RANGES_M,
+    point_size: float = 0.5,
+    line_width: float = 1.1,
+) -> None:
+    """Draw one cloud from above: x (forward) to the right, y (left) upwards.
+
+    Args:
+        axes: Where to draw.
+        cloud: The points.
+        annotated: Annotated boxes, or None where there are none.
+        predicted: Predicted boxes.
+        labels: Classes that the detector was asked for; annotated boxes of other classes are drawn in grey.
+        window_m: x from, x to, y from, y to.
+        rings_m: Ranges to mark by arcs.
+        point_size: Marker area of a point, in square points.
+        line_width: Line width of boxes, in points.
+    """
+    x_from, x_to, y_from, y_to = window_m
+    _draw_grid(axes, window_m)
+    _draw_rings(axes, window_m, rings_m)
+    x, y = cloud.points_m[:, 0], cloud.points_m[:, 1]
+    inside = (x >= x_from) & (x <= x_to) & (y >= y_from) & (y <= y_to)
+    axes.scatter(x[inside], y[inside], s=point_size, c=POINT, linewidths=0, alpha=0.75, rasterized=True, zorder=2)
+    if annotated is not None:
+        asked = of_classes(annotated, labels)
+        draw_boxes(axes, annotated[~asked], MUTED, line_width=0.7 * line_width, order=3)
+        draw_boxes(axes, annotated[asked], ANNOTATED, line_width=1.9 * line_width, order=4)
+    if predicted is not None:
+        draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
+    if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
+        axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
+    axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
+
+
+def _draw_grid(axes: "Axes", window_m: Window) -> None:
+    x_from, x_to, y_from, y_to = window_m
+    step_m = 20.0 if x_to - x_from <= 120 else 50.0
+    axes.set_xticks(np.arange(np.ceil(x_from / step_m), np.floor(x_to / step_m) + 1) * step_m)
+    axes.set_yticks(np.arange(np.ceil(y_from / step_m), np.floor(y_to / step_m) + 1) * step_m)
+    axes.set_xticks(np.arange(np.ceil(x_from / 10), np.floor(x_to / 10) + 1) * 10.0, minor=True)
+    axes.set_yticks(np.arange(np.ceil(y_from / 10), np.floor(y_to / 10) + 1) * 10.0, minor=True)
+    axes.grid(visible=True, which="minor", alpha=0.55)
+    axes.tick_params(which="minor", length=0)
+    axes.grid(visible=True)
+    axes.set_xlabel("x forward (m)")
+    axes.set_ylabel("y left (m)")
+
+
+def _draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float]) -> None:
+    angle_rad = np.linspace(-np.pi, np.pi, 721)
+    x_from, x_to, y_from, y_to = window_m
+    for ring_m in rings_m:
+        axes.plot(ring_m * np.cos(angle_rad), ring_m * np.sin(angle_rad), color=INK, lw=0.8, ls=(0, (1, 3)), zorder=1.5)
+        label_y = y_to - 0.035 * (y_to - y_from)
+        label_x = np.sqrt(max(ring_m**2 - label_y**2, 0.0))
+        if x_from < label_x < x_to:
+            axes.annotate(
+                f"{ring_m:g} m",
+                (label_x, label_y),
+                xytext=(-4, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                fontsize=7.5,
+                color=INK,
+                bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8},
+                zorder=6,
+            )
+
+
+def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int) -> None:
+    """Draw box outlines from above, with a tick from the centre to the front that shows the heading."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    if not len(boxes):
+        return
+    corners = boxes.bev_corners_m()
+    edge = PolyCollection(list(corners), facecolor="none", edgecolor=colour, linewidth=line_width, zorder=order)
+    front = (corners[:, 0] + corners[:, 3]) / 2
+    heading = LineCollection(
+        list(np.stack([boxes.centre_m[:, :2], front], axis=1)), colors=colour, linewidths=line_width, zorder=order
+    )
+    for artist in (edge, heading):
+        axes.add_collection(artist, autolim=False)
+
+
+def draw_legend(figure: "Figure", *, others: bool = False, annotated: bool = True, predicted: bool = True) -> None:
+    """Put one legend under a figure's panels."""
+    from matplotlib.lines import Line2D
+
+    entries = [Line2D([], [], color=POINT, marker=".", ls="none", ms=5, label="LiDAR point")]
+    if annotated:
+        entries += [Line2D([], [], color=ANNOTATED, lw=2.2, label="annotated")]
+    if predicted:
+        entries += [Line2D([], [], color=PREDICTED, lw=1.3, label="predicted")]
+    if others:
+        entries += [Line2D([], [], color=MUTED, lw=1.0, label="annotated, class not asked for")]
+    entries += [Line2D([], [], color=INK, lw=0.9, ls=(0, (1, 3)), label="range")]
+    entries += [Line2D([], [], color=INK, marker=">", ls="none", ms=6, label="sensor")]
+    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), handlelength=1.6)
+
+
+def overview(
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window = WINDOW_M,
+    title: str = "",
+) -> "Figure":
+    """The whole window in one picture, 250 m long; arguments as in :func:`draw_birdseye`."""
+    with house_style():
+        x_from, x_to, y_from, y_to = window_m
+        figure = new_figure(11.0, 0.85 + 10.2 * (y_to - y_from) / (x_to - x_from))
+        axes = figure.add_subplot()
+        draw_birdseye(
+            axes, cloud, annotated=annotated, predicted=predicted, labels=labels, window_m=window_m, line_width=0.9
+        )
+        if title:
+            axes.set_title(title)
+        draw_legend(
+            figure,
+            others=annotated is not None and not of_classes(annotated, labels).all(),
+            annotated=annotated is not None,
+            predicted=predicted is not None,
+        )
+    return figure
+
+
+def zooms(
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    windows_m: Sequence[tuple[str, Window]] = ZOOMS_M,
+) -> "Figure":
+    """Near, mid and far side by side, each with its own scale; arguments as in :func:`draw_birdseye`."""
+    with house_style():
+        figure = new_figure(11.0, 4.0)
+        for place, (name, window_m) in enumerate(windows_m, 1):
+            axes = figure.add_subplot(1, len(windows_m), place)
+            draw_birdseye(
+                axes,
+                cloud,
+                annotated=annotated,
+                predicted=predicted,
+                labels=labels,
+                window_m=window_m,
+                point_size=1.2 + 0.02 * window_m[0],
+                line_width=1.1,
+            )
+            axes.set_title(name)
+            axes.set_ylabel("y left (m)" if place == 1 else "")
+    return figure
+
+
+def birdseye(
+    frame: Frame,
+    predictions: Boxes | None = None,
+    *,
+    cloud: str | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window | Literal["fit"] = WINDOW_M,
+) -> "Figure":
+    """Draw a frame from above with its annotated boxes and a detector's predictions.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        cloud: Which cloud; None takes the first, ``"merged"`` all.
+        labels: Classes that the detector was asked for; others are drawn in grey.
+        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+    """
+    points = frame.cloud(cloud)
+    window = _window_of(points.points_m) if window_m == "fit" else window_m
+    title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
+    if predictions is not None and frame.boxes is not None:
+        annotated = frame.boxes[of_classes(frame.boxes, labels)]
+        annotated = annotated[_inside(annotated, window)]
+        found = int((found_by(predictions, annotated) >= 0).sum())
+        title += f": {found} of {len(annotated)} annotated objects found within 2 m"
+    return overview(points, annotated=frame.boxes, predicted=predictions, labels=labels, window_m=window, title=title)
+
+
+def _window_of(points_m: Float[np.ndarray, "n 3"]) -> Window:
+    if not len(points_m):
+        return WINDOW_M
+    low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
+    low, high = np.floor(low / 10) * 10, np.ceil(high / 10) * 10
+    return float(low[0]), float(max(high[0], low[0] + 10)), float(low[1]), float(max(high[1], low[1] + 10))
+
+
+def _inside(boxes: Boxes, window_m: Window) -> np.ndarray:
+    x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1]
+    return (x >= window_m[0]) & (x <= window_m[1]) & (y >= window_m[2]) & (y <= window_m[3])
+
+
+def show_frame(frame: Frame, predictions: Boxes | None = None, *, cloud: str | None = None) -> "Figure":
+    """Draw a frame from above and, where matplotlib has a window or a notebook, show it.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        cloud: Which cloud; None takes the first, ``"merged"`` all.
+
+    Returns:
+        The figure; ``figure.savefig("frame.png", dpi=150)`` writes it.
+    """
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    figure = birdseye(frame, predictions, cloud=cloud)
+    pyplot: Any = import_module("matplotlib.pyplot")  # its types hide the one function that adopts a figure
+    if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        pyplot.new_figure_manager_given_figure(max(pyplot.get_fignums(), default=0) + 1, figure).show()
+    return figure

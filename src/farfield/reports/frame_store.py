@@ -1,0 +1,129 @@
+"""One shown frame on disk: a JSON file of names, a cloud cache of numbers, JPEGs of images."""
+
+import json
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+from farfield.files.clouds import read_cache, write_cache
+from farfield.files.images import read_image, write_image
+from farfield.frame import Cloud, Frame, Lazy
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.cameras import Camera
+
+_LIMIT_BYTES = 1 << 26
+_BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count")
+Predictions = Boxes | Mapping[str, Boxes] | None
+
+
+def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, *, title: str = "") -> None:
+    """Write a frame and its predictions as ``NAME.json``, ``NAME.ffcloud`` and a JPEG for each image.
+
+    Args:
+        folder: An existing folder.
+        name: Stem of the files.
+        frame: The frame; its clouds and images are read.
+        predictions: Predicted boxes, or by cloud name.
+        title: A few words about it.
+    """
+    by_cloud = dict(predictions) if isinstance(predictions, Mapping) else {"": predictions}
+    sets = {f"predicted/{cloud}": boxes for cloud, boxes in by_cloud.items() if boxes is not None}
+    if frame.boxes is not None:
+        sets["annotated"] = frame.boxes
+    arrays: dict[str, np.ndarray] = {}
+    for cloud_name, cloud in frame.clouds.items():
+        arrays[f"cloud/{cloud_name}/points_m"] = cloud.points_m
+        arrays[f"cloud/{cloud_name}/intensity"] = cloud.intensity
+    for set_name, boxes in sets.items():
+        present = {part: getattr(boxes, part) for part in _BOX_ARRAYS}
+        arrays |= {f"boxes/{set_name}/{part}": array for part, array in present.items() if array is not None}
+    for camera, image in frame.images.items():
+        write_image(folder / f"{name}_{_plain(camera)}.jpg", image, quality=85)
+    write_cache(folder / f"{name}.ffcloud", arrays)
+    content = {
+        "title": title,
+        "sequence": frame.sequence,
+        "frame_id": frame.frame_id,
+        "time_ns": frame.time_ns,
+        "reference": frame.reference,
+        "conditions": dict(frame.conditions),
+        "clouds": list(frame.clouds),
+        "images": list(frame.images),
+        "labels": {set_name: np.asarray(boxes.label).tolist() for set_name, boxes in sets.items()},
+        "cameras": {camera: _camera_json(calibration) for camera, calibration in frame.cameras.items()},
+    }
+    write_text(folder / f"{name}.json", json.dumps(content, indent=1) + "\n")
+
+
+def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
+    """Read what :func:`save_frame` wrote.
+
+    Returns:
+        The frame, the predictions and the title.
+
+    Raises:
+        FileFormatError: If a file is damaged or the files contradict each other.
+    """
+    path = folder / f"{name}.json"
+    try:
+        content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        arrays = read_cache(folder / f"{name}.ffcloud")
+        sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
+        clouds = {
+            part: Cloud(arrays[f"cloud/{part}/points_m"], arrays[f"cloud/{part}/intensity"])
+            for part in content["clouds"]
+        }
+        images = {camera: folder / f"{name}_{_plain(camera)}.jpg" for camera in content["images"]}
+        annotated = sets.pop("annotated", None)
+        frame = Frame(
+            sequence=str(content["sequence"]),
+            frame_id=str(content["frame_id"]),
+            time_ns=content["time_ns"],
+            reference=str(content["reference"]),
+            conditions=content["conditions"],
+            clouds=clouds,
+            images=Lazy({camera: partial(read_image, image) for camera, image in images.items()}),
+            cameras={camera: _camera(values) for camera, values in content["cameras"].items()},
+            annotation=None if annotated is None else lambda: annotated,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        found = f"{type(error).__name__}: {error}"[:200]
+        raise FileFormatError(
+            path, where="the frame", expected="a frame as `save_frame` writes it", found=found
+        ) from error
+    predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
+    return frame, predicted.get("") if set(predicted) <= {""} else predicted, str(content.get("title", ""))
+
+
+def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Boxes:
+    parts: dict[str, Any] = {part: arrays.get(f"boxes/{name}/{part}") for part in _BOX_ARRAYS}
+    return Boxes(label=[str(label) for label in labels], **parts)
+
+
+def _plain(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name)[:64] or "camera"
+
+
+def _camera_json(camera: Camera) -> dict[str, Any]:
+    return {
+        "matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "camera_T_lidar": camera.camera_T_lidar.tolist(),
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+    }
+
+
+def _camera(values: Mapping[str, Any]) -> Camera:
+    return Camera(
+        matrix=np.array(values["matrix"], dtype=np.float64).reshape(3, 3),
+        distortion=np.array(values["distortion"], dtype=np.float64).reshape(5),
+        camera_T_lidar=np.array(values["camera_T_lidar"], dtype=np.float64).reshape(4, 4),
+        width_px=int(values["width_px"]),
+        height_px=int(values["height_px"]),
+    )

@@ -1,0 +1,173 @@
+"""Plots of scores and of sensors: precision-recall curves, points per box, the two scan patterns side by side."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.frame import Cloud
+from farfield.reports.figures import draw_birdseye
+from farfield.reports.results import curve_names, curves
+from farfield.reports.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, THRESHOLDS, house_style, new_figure
+from farfield.reports.words import pattern_title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
+    from matplotlib.figure import Figure
+
+_RANGE_BINS_M = np.arange(0.0, 260.0, 10.0)
+
+
+def precision_recall(results: Mapping[str, Mapping[str, Any]], *, epsilons: Sequence[float] = (0.0, 0.006)) -> "Figure":
+    """Overall precision over recall: a row of panels for each result, a panel for each epsilon, a line a threshold.
+
+    Args:
+        results: Result JSON by name.
+        epsilons: Which epsilons to show; those that a result lacks stay empty.
+    """
+    with house_style():
+        figure = new_figure(5.1 * len(epsilons), 0.5 + 2.6 * len(results))
+        grid = figure.subplots(len(results), len(epsilons), squeeze=False, sharex=True, sharey=True)
+        for row, (name, result) in enumerate(results.items()):
+            for column, epsilon in enumerate(epsilons):
+                axes = grid[row, column]
+                _draw_curves(axes, result, epsilon)
+                kind = "DDS" if epsilon == 0 else "wDDS"
+                axes.set_title(f"{pattern_title(name)}, {kind} (epsilon {epsilon:g})")
+                axes.set_ylabel("precision" if column == 0 else "")
+                axes.set_xlabel("recall" if row == len(results) - 1 else "")
+        handles, names = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=max(len(names), 1), handlelength=1.6)
+    return figure
+
+
+def _draw_curves(axes: "Axes", result: Mapping[str, Any], epsilon: float) -> None:
+    axes.grid(visible=True)
+    axes.set(xlim=(0, 1), ylim=(0, 1.02))
+    axes.set_xticks(np.linspace(0, 1, 6))
+    found = curves(result, part="overall", epsilon=epsilon)
+    if not any(found.values()):
+        axes.text(0.5, 0.5, "nothing annotated", ha="center", va="center", color=MUTED, transform=axes.transAxes)
+    for place, threshold in enumerate(curve_names(found)):
+        curve = found[threshold]
+        if curve is None:
+            continue
+        recall, precision = (np.asarray(curve[part], dtype=np.float64) for part in ("recall", "precision"))
+        reached = np.flatnonzero(precision > 0)
+        end = int(reached[-1]) + 1 if len(reached) else 0
+        colour = THRESHOLDS[min(place, len(THRESHOLDS) - 1)]
+        axes.plot(recall[:end], precision[:end], color=colour, lw=1.8, label=f"within {float(threshold):g} m")
+        if 0 < end < len(recall):
+            axes.plot(recall[end - 1], precision[end - 1], marker="o", ms=3.5, color=colour)
+
+
+def points_against_range(objects: Mapping[str, Mapping[str, Any]]) -> "Figure":
+    """Points inside each annotated box over its range, found or missed: why far objects are hard.
+
+    Args:
+        objects: Lists ``range_m``, ``point_count``, ``found`` by result name, see
+            :func:`farfield.reports.objects.annotated_objects`.
+    """
+    with house_style():
+        figure = new_figure(5.3 * len(objects), 3.9)
+        panels = figure.subplots(1, len(objects), squeeze=False, sharex=True, sharey=True)[0]
+        for axes, (name, rows) in zip(panels, objects.items(), strict=True):
+            range_m = np.asarray(rows["range_m"], dtype=np.float64)
+            count = np.asarray(rows["point_count"], dtype=np.float64)
+            found = np.asarray(rows["found"], dtype=bool)
+            size = float(np.clip(6000 / max(len(range_m), 1), 4, 22))
+            for mask, colour, label in ((found, ANNOTATED, "found"), (~found, PREDICTED, "missed")):
+                shown = np.maximum(count[mask], 0.5)  # empty boxes stand on the lowest line
+                axes.scatter(
+                    range_m[mask], shown, s=size, c=colour, alpha=0.55, linewidths=0, label=label, rasterized=True
+                )
+            axes.set_yscale("log")
+            axes.set_ylim(0.4, max(float(count.max(initial=10.0)), 10.0) * 1.6)
+            axes.set_yticks([0.5, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])
+            axes.minorticks_off()
+            axes.set_xlim(0, 255)
+            axes.grid(visible=True)
+            _mark_ranges(axes)
+            share = f"{found.mean():.0%} of {len(found)} found" if len(found) else "no objects"
+            axes.set_title(f"{pattern_title(name)}: {share}")
+            axes.set_xlabel("range (m)")
+        panels[0].set_ylabel("points inside the annotated box")
+        handles, names = panels[0].get_legend_handles_labels()
+        legend = figure.legend(handles, names, loc="outside lower center", ncols=2, markerscale=1.6)
+        for handle in legend.legend_handles:
+            if handle is not None:
+                handle.set_alpha(1.0)
+    return figure
+
+
+def _mark_ranges(axes: "Axes") -> None:
+    for edge_m in (70.0, 150.0):
+        axes.axvline(edge_m, color=INK, lw=0.8, ls=(0, (1, 3)), zorder=1.5)
+
+
+def scan_patterns(clouds: Mapping[str, Cloud]) -> "Figure":
+    """The scan patterns side by side: as the sensor sees them, from above, and their number of points by range.
+
+    Args:
+        clouds: One cloud a pattern, of the same moment.
+    """
+    with house_style():
+        figure = new_figure(11.0, 8.3)
+        grid = figure.add_gridspec(3, len(clouds), height_ratios=[3, 2.6, 2])
+        for column, (name, cloud) in enumerate(clouds.items()):
+            view, above = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+            dots = _draw_view(view, cloud)
+            view.set_title(f"{pattern_title(name)}: {len(cloud):,} points")
+            view.set_ylabel("elevation (degrees)" if column == 0 else "")
+            draw_birdseye(above, cloud, point_size=0.6)
+            above.set_ylabel("y left (m)" if column == 0 else "")
+            if column == len(clouds) - 1:
+                figure.colorbar(dots, ax=view, label="range (m)", shrink=0.9, pad=0.02)
+        _draw_range_counts(figure.add_subplot(grid[2, :]), clouds)
+    return figure
+
+
+def _draw_view(axes: "Axes", cloud: Cloud) -> "PathCollection":
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    x, y, z = cloud.points_m.astype(np.float64).T
+    flat = np.hypot(x, y)
+    azimuth_deg, elevation_deg = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.maximum(flat, 1e-6)))
+    far_last = np.argsort(flat)
+    dots = axes.scatter(
+        azimuth_deg[far_last],
+        elevation_deg[far_last],
+        s=0.9,
+        c=flat[far_last],
+        cmap=ListedColormap(colormaps["viridis_r"](np.linspace(0.18, 1.0, 256))),  # palest yellows vanish on white
+        vmin=0,
+        vmax=250,
+        linewidths=0,
+        rasterized=True,
+    )
+    axes.set_xlim(62, -62)  # left is positive, as one would see it
+    axes.set_ylim(-22, 14)
+    axes.grid(visible=True)
+    axes.set_xlabel("azimuth (degrees; left is positive)")
+    return dots
+
+
+def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud]) -> None:
+    for place, (name, cloud) in enumerate(clouds.items()):
+        flat = np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1])
+        count, _ = np.histogram(flat, bins=_RANGE_BINS_M)
+        colour = PATTERNS[place % len(PATTERNS)]
+        axes.stairs(
+            np.maximum(count, 0.5), _RANGE_BINS_M, baseline=None, color=colour, lw=1.8, label=pattern_title(name)
+        )
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=1)
+    axes.set_xlim(0, 250)
+    axes.grid(visible=True)
+    _mark_ranges(axes)
+    axes.set_title("Points returned from each 10 m of range")
+    axes.set_xlabel("range (m)")
+    axes.set_ylabel("points")
+    axes.legend(loc="upper right")

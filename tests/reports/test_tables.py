@@ -1,0 +1,74 @@
+import numpy as np
+
+from farfield.geometry.boxes import Boxes
+from farfield.reports import words
+from farfield.reports.evaluation import Evaluation
+from farfield.reports.objects import annotated_objects, found_by, sure
+from farfield.reports.tables import markdown, range_name, rows, score_names
+
+RESULT = {
+    "label": "vehicle",
+    "dds": {"0": {"dds": 0.5, "map": 0.4, "aiou": 0.6}, "0.006": {"dds": 0.625, "map": 0.5, "aiou": 0.75}},
+    "ranges": {"70-150": {"dds": {"0": {"dds": 0.25}}}, "0-70": None},
+    "counts": {"frames": 3, "annotated": 1200, "predictions": 7, "ranges": {"70-150": {"annotated": 4}}},
+    "intervals": {"resampled": "frames", "overall": {"dds": {"0": {"dds": [0.25, 0.75]}}}},
+}
+
+
+def _boxes(x_m: list[float], **extra: np.ndarray) -> Boxes:
+    n = len(x_m)
+    centre = np.column_stack([x_m, np.zeros(n), np.zeros(n)])
+    return Boxes(centre_m=centre, size_m=np.ones((n, 3)), yaw_rad=np.zeros(n), label="vehicle", **extra)
+
+
+def test_markdown_table_by_hand() -> None:
+    expected = (
+        "| range | data | annotated | DDS | wDDS 0.006 |\n"
+        "|---|---|---:|---:|---:|\n"
+        "| 0 to 70 m | mine | – | – | – |\n"
+        "| 70 to 150 m | mine | 4 | 0.250 | – |\n"
+        "| all ranges | mine | 1200 | 0.500 | 0.625 |\n"
+    )
+    assert markdown({"mine": RESULT}) == expected
+
+
+def test_rows_carry_intervals_and_order() -> None:
+    table = rows({"a": RESULT, "b": RESULT}, score_names({"a": RESULT}))
+    assert [(row.part, row.result) for row in table[:3]] == [("0-70", "a"), ("0-70", "b"), ("70-150", "a")]
+    assert table[-1].cells["dds/0/dds"].interval_text == "0.25 to 0.75"
+    assert table[-1].cells["dds/0/dds"].percent == 50.0
+    assert table[0].cells["dds/0/dds"].text == "–"
+    assert range_name("overall") == "all ranges"
+
+
+def test_headline_and_scope_by_hand() -> None:
+    results = {"gaussian": RESULT, "uniform": RESULT}
+    assert words.headline(results) == (
+        "Overall vehicle detection score (DDS, 1 is perfect): 0.50 on the Gaussian pattern and "
+        "0.50 on the Uniform pattern."
+    )
+    assert words.scope(results) == (
+        "Scored: 3 frames with 1,200 annotated objects, the same in Gaussian pattern and Uniform pattern."
+    )
+    assert words.headline({}).startswith("Nothing is annotated")
+    assert words.scope({}) == ""
+    assert "real recordings" in words.origin({"simulated": False})[1]
+
+
+def test_found_by_takes_each_object_once_best_first() -> None:
+    annotated = _boxes([10.0, 20.0])
+    predicted = _boxes([10.5, 10.1, 21.9, 40.0], score=np.array([0.9, 0.5, 0.4, 0.3]))
+    assert found_by(predicted, annotated).tolist() == [0, 2]
+    assert found_by(predicted, annotated, distance_m=1.0).tolist() == [0, -1]
+    assert found_by(Boxes.empty(scored=True), annotated).tolist() == [-1, -1]
+    assert len(sure(predicted, 0.4)) == 3
+
+
+def test_annotated_objects_keep_known_counts_only(evaluation: Evaluation) -> None:
+    annotated = _boxes([10.0, 20.0, 30.0], point_count=np.array([7, -1, 0]))
+    key = ("s", "0")
+    found = annotated_objects({key: _boxes([10.0], score=np.array([0.9]))}, {key: annotated})
+    assert found["range_m"] == [10.0, 30.0]
+    assert found["point_count"] == [7, 0]
+    assert found["found"] == [True, False]
+    assert annotated_objects({}, {key: annotated.replace(point_count=None)})["found"] == []
