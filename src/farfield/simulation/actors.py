@@ -100,7 +100,7 @@ def draw_truck(rng: np.random.Generator, *, long_haul: bool) -> str:
 
 
 def draw_size_m(kind: str, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
-    """Draw a body's length, width, height: log-normal, correlated (l-w 0.6, l-h 0.3), within two standard deviations."""
+    """Draw a body's length, width, height: log-normal, correlated (l-w 0.6, l-h 0.3), within two deviations."""
     _, mean, sigma = _SIZES[kind]
     factor = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.3, 0.0, np.sqrt(1 - 0.09)]])
     drawn = np.clip(factor @ np.clip(rng.standard_normal(3), -2, 2), -2, 2)

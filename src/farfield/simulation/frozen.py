@@ -87,9 +87,9 @@ def records_json(name: str, records: Mapping[tuple[int, int], FrameRecord]) -> s
         json.dumps([sequence, index, record.digest, *record.points, record.boxes])
         for (sequence, index), record in sorted(records.items())
     ]
-    body = ",\n  ".join(rows)
     columns = '["sequence", "index", "digest", "gaussian_points", "uniform_points", "boxes"]'
-    return f'{{"name": "{name}", "sha256": "{split_digest(records)}",\n "columns": {columns},\n "frames": [\n  {body}\n]}}\n'
+    head = f'{{"name": "{name}", "sha256": "{split_digest(records)}",\n "columns": {columns},\n "frames": [\n  '
+    return head + ",\n  ".join(rows) + "\n]}\n"
 
 
 def compare(record: FrameRecord, expected: FrameRecord) -> str:

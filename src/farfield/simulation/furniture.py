@@ -74,7 +74,9 @@ def gantry(half_span_m: float, panels: list[tuple[float, float]]) -> Mesh:
 def bridge(half_span_m: float, width_m: float) -> Mesh:
     """An overpass: deck, parapets and two rows of pillars."""
     deck = box([width_m, 2 * half_span_m + 40, 1.2], [0, 0, 6.6], int(Material.CONCRETE))
-    sides = [box([0.3, 2 * half_span_m + 40, 1.0], [x, 0, 7.6], int(Material.CONCRETE)) for x in (-width_m / 2, width_m / 2)]
+    sides = [
+        box([0.3, 2 * half_span_m + 40, 1.0], [x, 0, 7.6], int(Material.CONCRETE)) for x in (-width_m / 2, width_m / 2)
+    ]
     spots = [(x, y) for x in (-width_m / 3, width_m / 3) for y in (-half_span_m, half_span_m)]
     pillars = [tube([x, y, -1], [x, y, 6.2], 0.5, int(Material.CONCRETE), sides=8) for x, y in spots]
     return Mesh.merge([deck, *sides, *pillars])
@@ -82,7 +84,9 @@ def bridge(half_span_m: float, width_m: float) -> Mesh:
 
 def tree(height_m: float, rng: np.random.Generator) -> Mesh:
     """A trunk and a crown of loose random facets on three to five blobs, so that rays pass between the leaves."""
-    trunk = tube([0, 0, -0.5], [0, 0, 0.5 * height_m], (0.05 * height_m**0.7, 0.03 * height_m**0.7), int(Material.BARK), sides=6)
+    trunk = tube(
+        [0, 0, -0.5], [0, 0, 0.5 * height_m], (0.05 * height_m**0.7, 0.03 * height_m**0.7), int(Material.BARK), sides=6
+    )
     blobs = int(rng.integers(3, 6))
     spread = 0.16 * height_m
     middle = np.stack([*(rng.uniform(-spread, spread, (2, blobs))), rng.uniform(0.5, 0.8, blobs) * height_m], axis=1)
@@ -98,11 +102,17 @@ def tree(height_m: float, rng: np.random.Generator) -> Mesh:
 
 def bush(rng: np.random.Generator) -> Mesh:
     """A low shrub."""
-    return ellipsoid([0, 0, 0.4], [rng.uniform(0.5, 1.4), rng.uniform(0.5, 1.2), rng.uniform(0.4, 1.1)], int(Material.FOLIAGE), sides=7, rows=3)
+    return ellipsoid(
+        [0, 0, 0.4],
+        [rng.uniform(0.5, 1.4), rng.uniform(0.5, 1.2), rng.uniform(0.4, 1.1)],
+        int(Material.FOLIAGE),
+        sides=7,
+        rows=3,
+    )
 
 
 def building(length_m: float, depth_m: float, height_m: float, rng: np.random.Generator) -> Mesh:
-    """A block with rows of windows on the sides that face the street; x along the street, front at y = 0, body at y > 0."""
+    """A block with rows of windows towards the street; x along the street, front at y = 0, body at y > 0."""
     skin = int(rng.choice([Material.BRICK, Material.CONCRETE]))
     body = box([length_m, depth_m, height_m + 1], [0, depth_m / 2, (height_m - 1) / 2], skin)
     columns, rows = max(1, int(length_m / rng.uniform(2.2, 3.5))), max(1, int(height_m / 3.1))

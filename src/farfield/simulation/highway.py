@@ -14,8 +14,14 @@ from farfield.simulation.population import Lane, Population
 from farfield.simulation.road import RoadLine, ribbon
 from farfield.simulation.traffic import STEP_S
 
-_ASPHALT, _GRASS, _SOIL, _PAINT = (int(m) for m in (Material.ASPHALT, Material.GRASS, Material.SOIL, Material.LANE_PAINT))
-_STATES = {"free": (0.45, (45.0, 90.0), (25.0, 33.0)), "busy": (0.38, (22.0, 42.0), (17.0, 28.0)), "jam": (0.17, (7.0, 16.0), (2.0, 9.0))}
+_ASPHALT, _GRASS, _SOIL, _PAINT = (
+    int(m) for m in (Material.ASPHALT, Material.GRASS, Material.SOIL, Material.LANE_PAINT)
+)
+_STATES = {
+    "free": (0.45, (45.0, 90.0), (25.0, 33.0)),
+    "busy": (0.38, (22.0, 42.0), (17.0, 28.0)),
+    "jam": (0.17, (7.0, 16.0), (2.0, 9.0)),
+}
 
 
 def _choose(truck_share: float, rng: np.random.Generator) -> str:
@@ -46,25 +52,24 @@ class Highway:
         inner = [self.shoulder_m, self.edge_m, self.inner_m, self.median_m]
         d = np.concatenate([-right, [-v for v in inner], inner[::-1], right[::-1]])
         bumps = rng.standard_normal((len(s_m), 4)) * [0.3, 0.15, 0.06, 0.03]
+        bumps[[0, -1]] = 0.0  # neighbouring pieces meet without a gap
         fall = np.array([18.0, 14.0, 12.0, 7.0])
-        low, high = self.bank[0] * fall + bumps, (self.bank[1] * fall + bumps[:, ::-1])[:, ::-1]
-        flat = np.zeros((len(s_m), 8))
-        bumps[[0, -1]] = 0.0  # neighbours meet without a gap
-        z = np.concatenate([low * 1.0, flat, high], axis=1)
-        z[[0, -1], :4], z[[0, -1], 12:] = self.bank[0] * fall, (self.bank[1] * fall)[::-1]
+        right_z, left_z = self.bank[0] * fall + bumps, self.bank[1] * fall[::-1] + bumps
+        z = np.concatenate([right_z, np.zeros((len(s_m), 8)), left_z], axis=1)
         kind = [_GRASS, _GRASS, _SOIL, _GRASS, _ASPHALT, _ASPHALT, _ASPHALT, _ASPHALT if self.barrier else _GRASS]
         return ribbon(road, s_m, d, z, np.array(kind + kind[-2::-1]))
 
     def marks(self, road: RoadLine, s_m: Float[np.ndarray, " k"]) -> list[Mesh]:
         """Solid edge lines and dashed lane lines, a centimetre above the asphalt."""
-        parts, dash = [], np.arange(s_m[0], s_m[-1] - 3.0, 12.0)
+        edge, stripe, raise_m = np.array([-0.08, 0.08]), np.array([-0.07, 0.07]), np.full(2, 0.01)
+        parts: list[Mesh] = []
         for side in (1, -1):
-            for offset in (self.inner_m, self.edge_m):
-                parts.append(ribbon(road, s_m, side * offset + np.array([-0.08, 0.08]), np.full(2, 0.01), _PAINT))
+            edges = (self.inner_m, self.edge_m)
+            parts += [ribbon(road, s_m, side * offset + edge, raise_m, _PAINT) for offset in edges]
             for lane in range(1, self.lanes):
-                offset = side * (self.inner_m + lane * self.lane_m)
-                strip = [ribbon(road, s + np.array([0.0, 3.0]), offset + np.array([-0.07, 0.07]), np.full(2, 0.01), _PAINT) for s in dash]
-                parts += strip
+                line = side * (self.inner_m + lane * self.lane_m) + stripe
+                dashes = np.arange(s_m[0], s_m[-1] - 3.0, 12.0)
+                parts += [ribbon(road, s + np.array([0.0, 3.0]), line, raise_m, _PAINT) for s in dashes]
         return parts
 
     def surface(self, road: RoadLine, s_m: Float[np.ndarray, " k"], rng: np.random.Generator) -> Mesh:
@@ -74,7 +79,11 @@ class Highway:
             parts.append(furniture.jersey_barrier(road, s_m, 0.0, self.barrier_height_m))
         else:
             parts += [furniture.guard_rail(road, s_m, side * (self.median_m - 0.4)) for side in (1, -1)]
-        parts += [furniture.guard_rail(road, s_m, side * (self.shoulder_m + 0.3)) for side, rail in zip((-1, 1), self.rail, strict=True) if rail]
+        parts += [
+            furniture.guard_rail(road, s_m, side * (self.shoulder_m + 0.3))
+            for side, rail in zip((-1, 1), self.rail, strict=True)
+            if rail
+        ]
         return Mesh.merge([part.painted(rng) for part in parts])
 
 
@@ -85,11 +94,15 @@ def _place_trees(layout: Layout, highway: Highway, first_m: float, last_m: float
         for s in rng.uniform(first_m, last_m, rng.poisson(density * (last_m - first_m))):
             off = rng.uniform(9.0, 45.0)
             model, turn = models[int(rng.integers(len(models)))], rng.uniform(0, 2 * np.pi)
-            build = partial(_stand, model, layout.road, float(s), side * (highway.shoulder_m + off), turn, float(bank * 9.0))
+            build = partial(
+                _stand, model, layout.road, float(s), side * (highway.shoulder_m + off), turn, float(bank * 9.0)
+            )
             layout.placements.append(Placement(float(s), build))
 
 
-def _stand(model: Mesh, road: RoadLine, s_m: float, d_m: float, turn: float, raise_m: float, _: np.random.Generator) -> Mesh:
+def _stand(
+    model: Mesh, road: RoadLine, s_m: float, d_m: float, turn: float, raise_m: float, _: np.random.Generator
+) -> Mesh:
     return furniture.stand(model, road, s_m, d_m, turn_rad=turn, raise_m=raise_m)
 
 
@@ -106,7 +119,11 @@ def _place_furniture(layout: Layout, highway: Highway, first_m: float, last_m: f
             put(lamp, float(s), -(out + 1.0))
             put(lamp, float(s), out + 1.0, np.pi)
     for s in np.arange(first_m + rng.uniform(0, 60), last_m, rng.uniform(50, 150)):
-        put(furniture.sign(rng.uniform(1.8, 3.0), rng.uniform(0.6, 2.5), rng.uniform(0.6, 1.8)), float(s), -(out + rng.uniform(0.9, 2.5)))
+        put(
+            furniture.sign(rng.uniform(1.8, 3.0), rng.uniform(0.6, 2.5), rng.uniform(0.6, 1.8)),
+            float(s),
+            -(out + rng.uniform(0.9, 2.5)),
+        )
     for s in np.arange(first_m + rng.uniform(0, 500), last_m, rng.uniform(350, 900)):
         panels = [(-(highway.inner_m + (lane + 0.5) * highway.lane_m), 3.0) for lane in range(highway.lanes)]
         put(furniture.gantry(out + 1.2, panels), float(s), 0.0)
@@ -117,7 +134,9 @@ def _place_furniture(layout: Layout, highway: Highway, first_m: float, last_m: f
         for s in np.arange(first_m, last_m, 100.0):
             if walled and rng.random() < 0.85:
                 height, kind = rng.uniform(2.5, 4.5), int(rng.choice([Material.CONCRETE, Material.FOLIAGE]))
-                layout.placements.append(Placement(float(s), partial(_wall, road, float(s), side * (out + 5.0), height, kind)))
+                layout.placements.append(
+                    Placement(float(s), partial(_wall, road, float(s), side * (out + 5.0), height, kind))
+                )
             elif rng.random() < 0.35:
                 depth = rng.uniform(10, 30)
                 block = furniture.building(rng.uniform(12, 50), depth, rng.uniform(5, 14), rng)
@@ -152,7 +171,9 @@ def build_highway(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
     return layout
 
 
-def _add_traffic(population: Population, highway: Highway, *, speed: float, gap: float, duration_s: float, state: str) -> None:
+def _add_traffic(
+    population: Population, highway: Highway, *, speed: float, gap: float, duration_s: float, state: str
+) -> None:
     """Lanes both ways (slower and with more trucks to the right), and a few vehicles standing on the shoulder."""
     rng = population.rng
     oncoming = rng.uniform(*_STATES["busy" if state == "free" else "free"][2]) if rng.random() < 0.7 else speed

@@ -62,7 +62,9 @@ def visible_boxes(full: Boxes, points_m: Float[np.ndarray, "p 3"], actor: Int[np
     owner = actor[order]
     offset = points_m[order].astype(np.float64) - full.centre_m[owner]
     cos, sin = np.cos(full.yaw_rad)[owner], np.sin(full.yaw_rad)[owner]
-    local = np.stack([offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin, offset[:, 2]], 1)
+    local = np.stack(
+        [offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin, offset[:, 2]], 1
+    )
     first = np.searchsorted(owner, np.arange(len(full)))
     bound = full.size_m / 2 + MARGIN_M
     low = np.clip(np.minimum.reduceat(local, first) - MARGIN_M, -bound, bound)

@@ -9,10 +9,9 @@ from jaxtyping import Float, Int
 
 from farfield.simulation.materials import Material, draw_reflectance
 
-_BOX_FACES = np.array(
-    [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4]]
-    + [[1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
-)
+_BOX_ENDS = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])
+_BOX_SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]])
+_BOX_FACES = np.concatenate([_BOX_ENDS, _BOX_SIDES])
 _BOX_SIGNS = np.array(
     [[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]]
 )
@@ -85,12 +84,14 @@ def box(size_m: Sequence[float], centre_m: Sequence[float], material: int) -> Me
 def quads(corners_m: Float[np.ndarray, "q 4 3"], material: Int[np.ndarray, " q"] | int) -> Mesh:
     """Separate quadrilaterals, two triangles each; corners in order around each of them."""
     first = 4 * np.arange(len(corners_m))[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]], axis=1).reshape(-1, 3)
+    faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
     each = np.broadcast_to(np.asarray(material, dtype=np.int64), (len(corners_m),))
     return Mesh.of(corners_m.reshape(-1, 3), faces, np.repeat(each, 2))
 
 
-def grid(points_m: Float[np.ndarray, "k n 3"], material: Int[np.ndarray, "k1 n1"] | int, *, closed: bool = False) -> Mesh:
+def grid(
+    points_m: Float[np.ndarray, "k n 3"], material: Int[np.ndarray, "k1 n1"] | int, *, closed: bool = False
+) -> Mesh:
     """Surface through k rows of n points; ``closed`` joins each row's end to its beginning.
 
     Args:
@@ -155,7 +156,9 @@ def tube(
     return loft(rings, material, material)
 
 
-def ring_tube(centre_m: Sequence[float], radius_m: float, thickness_m: float, material: int, *, sides: int = 12) -> Mesh:
+def ring_tube(
+    centre_m: Sequence[float], radius_m: float, thickness_m: float, material: int, *, sides: int = 12
+) -> Mesh:
     """A standing ring in the x-z plane (a bicycle's tyre): a torus with four-cornered sections."""
     angle = 2 * np.pi * np.arange(sides + 1) / sides
     section = np.array([[0.0, 0.5], [0.5, 0.0], [0.0, -0.5], [-0.5, 0.0]]) * thickness_m
@@ -166,7 +169,9 @@ def ring_tube(centre_m: Sequence[float], radius_m: float, thickness_m: float, ma
     return grid(np.stack([x, y, z], axis=-1) + np.asarray(centre_m), material, closed=True)
 
 
-def ellipsoid(centre_m: Sequence[float], radii_m: Sequence[float], material: int, *, sides: int = 8, rows: int = 5) -> Mesh:
+def ellipsoid(
+    centre_m: Sequence[float], radii_m: Sequence[float], material: int, *, sides: int = 8, rows: int = 5
+) -> Mesh:
     """An ellipsoid of ``rows`` rings with ``sides`` corners each."""
     polar = np.linspace(0.0, np.pi, rows + 2)[1:-1]
     angle = 2 * np.pi * np.arange(sides) / sides

@@ -44,7 +44,13 @@ def _rider(hip: list[float], lean: float, reach: list[float], foot: float) -> li
 def build_cyclist(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh:
     """Build a rider on a bicycle: two tyres, frame, handlebar, and a person (about 600 triangles)."""
     parts = [ring_tube([x, 0, 0.34], 0.34, 0.045, _TYRE) for x in (0.52, -0.52)]
-    hub_rear, hub_front, pedal, seat, head = [-0.52, 0, 0.34], [0.52, 0, 0.34], [-0.08, 0, 0.3], [-0.2, 0, 0.92], [0.35, 0, 0.9]
+    hub_rear, hub_front, pedal, seat, head = (
+        [-0.52, 0, 0.34],
+        [0.52, 0, 0.34],
+        [-0.08, 0, 0.3],
+        [-0.2, 0, 0.92],
+        [0.35, 0, 0.9],
+    )
     frame = [(hub_rear, pedal), (pedal, seat), (seat, head), (pedal, head), (hub_rear, seat), (hub_front, head)]
     parts += [tube(a, b, 0.022, _METAL, sides=4) for a, b in frame]
     parts.append(tube([0.38, -0.28, 1.02], [0.38, 0.28, 1.02], 0.02, _METAL, sides=4))

@@ -173,6 +173,7 @@ class Population:
         seeds = seed.spawn(len(size))
         kept = np.flatnonzero(~gone)
         actors = [
-            Actor(int(i), self._kind[i], (float(size[i, 0]), float(size[i, 1]), float(size[i, 2])), seeds[i]) for i in kept
+            Actor(int(i), self._kind[i], (float(size[i, 0]), float(size[i, 1]), float(size[i, 2])), seeds[i])
+            for i in kept
         ]
         return actors, Motion(position[kept], yaw[kept])

@@ -48,7 +48,9 @@ class Scene:
         sensor_height_m: Height of the sensor above the road.
     """
 
-    def __init__(self, template: str, seed: np.random.SeedSequence, *, duration_s: float, sensor_height_m: float) -> None:
+    def __init__(
+        self, template: str, seed: np.random.SeedSequence, *, duration_s: float, sensor_height_m: float
+    ) -> None:
         build = {"highway": build_highway, "urban": build_urban}[template]
         layout_seed, actor_seed, self._pose_seed = seed.spawn(3)
         self.template, self.sensor_height_m = template, sensor_height_m

@@ -9,7 +9,7 @@ from jaxtyping import Int
 
 from farfield.errors import ConfigError
 from farfield.frame import Boxes, Frame
-from farfield.geometry.poses import invert, transform_points
+from farfield.geometry.poses import invert
 from farfield.simulation import labels
 from farfield.simulation.lidar import PATTERNS, Scan
 from farfield.simulation.presets import Preset, find_preset
@@ -23,6 +23,12 @@ def frame_time_ns(preset: Preset, seed: int, sequence: int, index: int) -> int:
     """The time that names a frame: sequences lie 1000 s apart, seeds a million seconds."""
     start = _EPOCH_NS + (seed % 1000) * 10**15 + sequence * 10**12
     return start + round(index * preset.stride_s * 1e9)
+
+
+def frame_times_ns(preset: Preset, seed: int, sequence: int, index: int) -> dict[str, int]:
+    """The time of each pattern's sweep."""
+    stem = frame_time_ns(preset, seed, sequence, index)
+    return {"gaussian": stem, "uniform": stem + round(preset.uniform_offset_ms * 1e6)}
 
 
 def road_of(preset: Preset, sequence: int) -> str:
@@ -77,7 +83,9 @@ def _renumber(actor: Int[np.ndarray, " n"], source: State, target: State) -> Int
     return table[actor]
 
 
-def simulate_frame(preset: str | Preset, *, seed: int | None = None, sequence: int, index: int, **changes: Any) -> Frame:
+def simulate_frame(
+    preset: str | Preset, *, seed: int | None = None, sequence: int, index: int, **changes: Any
+) -> Frame:
     """Simulate one frame with both patterns.
 
     Args:
@@ -119,7 +127,7 @@ def simulate_frame(preset: str | Preset, *, seed: int | None = None, sequence: i
         sequence=f"segment_{sequence:02d}",
         frame_id=str(stem),
         time_ns=stem,
-        times_ns={"gaussian": stem, "uniform": stem + round(chosen.uniform_offset_ms * 1e6)},
+        times_ns=frame_times_ns(chosen, seed, sequence, index),
         clouds={name: result.cloud for name, result in sweeps.items()},
         annotation=lambda: visible,
         world_T_lidar=state.world_T_lidar,

@@ -65,7 +65,9 @@ def follow(
     order = np.argsort(-progress_m, kind="stable")
     for step in range(1, steps):
         closing = np.where(led, speed - speed[ahead], 0.0)
-        wish = standstill_m + np.maximum(speed * (time_gap_s + closing / (2 * np.sqrt(accelerate_m_s2 * brake_m_s2))), 0)
+        wish = standstill_m + np.maximum(
+            speed * (time_gap_s + closing / (2 * np.sqrt(accelerate_m_s2 * brake_m_s2))), 0
+        )
         change = accelerate_m_s2 * (1 - (speed / desired_m_s) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
         speed = np.maximum(speed + STEP_S * np.clip(change, -8.0, accelerate_m_s2), 0.0)
         position = path[:, step - 1] + STEP_S * speed

@@ -16,7 +16,9 @@ def _section(width_m: float, low_m: float, high_m: float, *, shrink: float = 0.0
     return np.array(left + [(-y, z) for y, z in reversed(left)])
 
 
-def _cab(front_m: float, length_m: float, width_m: float, low_m: float, high_m: float, rng: np.random.Generator) -> Mesh:
+def _cab(
+    front_m: float, length_m: float, width_m: float, low_m: float, high_m: float, rng: np.random.Generator
+) -> Mesh:
     """A cab-over or bonneted cab whose front is at ``front_m``, with screen and side windows."""
     rake = rng.uniform(0.05, 0.35)
     bonnet = rng.uniform(0.8, 1.3) if rng.random() < 0.35 and length_m > 2.6 else 0.0
@@ -51,7 +53,9 @@ def _rear_marks(x_m: float, width_m: float, z_m: float) -> Mesh:
     return quads(np.stack(marks), np.array([int(Material.LAMP)] * 2 + [int(Material.PLATE)]))
 
 
-def _cargo(style: str, rear_m: float, front_m: float, width_m: float, high_m: float, rng: np.random.Generator) -> list[Mesh]:
+def _cargo(
+    style: str, rear_m: float, front_m: float, width_m: float, high_m: float, rng: np.random.Generator
+) -> list[Mesh]:
     """What a truck carries between two positions along its length."""
     length, middle = front_m - rear_m, (front_m + rear_m) / 2
     floor = rng.uniform(1.0, 1.25)
@@ -70,7 +74,10 @@ def _cargo(style: str, rear_m: float, front_m: float, width_m: float, high_m: fl
     if style == "tipper":
         slope = rng.uniform(0.1, 0.4)
         rings = [(rear_m, -slope * 0.5), (rear_m + slope, 0.0), (front_m, 0.1)]
-        ring = [np.concatenate([np.full((8, 1), x), _section(width_m, floor - 0.1, high_m - 0.25 + dz)], 1) for x, dz in rings]
+        ring = [
+            np.concatenate([np.full((8, 1), x), _section(width_m, floor - 0.1, high_m - 0.25 + dz)], 1)
+            for x, dz in rings
+        ]
         return [loft(np.stack(ring), int(Material.CAR_PAINT), int(Material.CAR_PAINT))]
     return [box([length, width_m, high_m - floor], [middle, 0, (high_m + floor) / 2], int(Material.CARGO))]
 
@@ -124,8 +131,13 @@ def build_bus(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh
     skin[2:-1:2, [1, 5]] = Material.GLASS if rng.random() < 0.7 else Material.CAR_PAINT
     body = loft(rings, skin, int(Material.CAR_PAINT))
     square = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) / 2
-    screen = quads(([length / 2 + 0.004, 0, 0.66 * height] + square * [0, 0.85 * width, 0.36 * height])[None], int(Material.GLASS))
-    seats = [box([0.5, 0.8 * width, 0.45], [x, 0, 1.25], int(Material.CLOTH)) for x in np.arange(1 - length / 2, length / 2 - 2, 2.0)]
+    screen = quads(
+        ([length / 2 + 0.004, 0, 0.66 * height] + square * [0, 0.85 * width, 0.36 * height])[None], int(Material.GLASS)
+    )
+    seats = [
+        box([0.5, 0.8 * width, 0.45], [x, 0, 1.25], int(Material.CLOTH))
+        for x in np.arange(1 - length / 2, length / 2 - 2, 2.0)
+    ]
     axles = [length / 2 - rng.uniform(2.2, 2.8), -length / 2 + rng.uniform(2.6, 3.4)]
     parts = [body, screen, *seats, *_axles(axles, width, 0.48), _rear_marks(-length / 2 - 0.004, width, 0.9)]
     return Mesh.merge(parts).fitted(size_m).painted(rng)

@@ -14,7 +14,9 @@ from farfield.simulation.population import Lane, Population
 from farfield.simulation.road import RoadLine, ribbon
 from farfield.simulation.traffic import STEP_S
 
-_ASPHALT, _CONCRETE, _GRASS, _PAINT = (int(m) for m in (Material.ASPHALT, Material.CONCRETE, Material.GRASS, Material.LANE_PAINT))
+_ASPHALT, _CONCRETE, _GRASS, _PAINT = (
+    int(m) for m in (Material.ASPHALT, Material.CONCRETE, Material.GRASS, Material.LANE_PAINT)
+)
 
 
 def _choose(truck_share: float, rng: np.random.Generator) -> str:
@@ -61,27 +63,33 @@ class Street:
         d = np.array([-120.0, -(right + self.walk_m[0]), -right - 0.02, -right, -self.edge_m, self.edge_m])
         d = np.concatenate([d, [left, left + 0.02, left + self.walk_m[1], 120.0]])
         raised = np.array([1, 1, 1, 0, 0, 0, 0, 1, 1, 1.0])
-        kind = np.array([_CONCRETE, _CONCRETE, _CONCRETE, _ASPHALT, _ASPHALT, _ASPHALT, _CONCRETE, _CONCRETE, _CONCRETE])
+        kind = np.array(
+            [_CONCRETE, _CONCRETE, _CONCRETE, _ASPHALT, _ASPHALT, _ASPHALT, _CONCRETE, _CONCRETE, _CONCRETE]
+        )
         cells = np.broadcast_to(kind, (len(s_m) - 1, len(kind))).copy()
         cells[(gap[:-1] <= self.side_half_m + 0.1) & (gap[1:] <= self.side_half_m + 0.1)] = _ASPHALT
         return ribbon(road, s_m, d, step * raised, cells)
 
     def surface(self, road: RoadLine, s_m: Float[np.ndarray, " k"], rng: np.random.Generator) -> Mesh:
         """Ground, lane lines and zebra crossings."""
-        parts = [self.ground(road, s_m)]
-        for offset in sorted({self.median_m, -self.median_m}):
-            parts.append(ribbon(road, s_m, offset + np.array([-0.07, 0.07]), np.full(2, 0.01), _PAINT))
+        line, raise_m = np.array([-0.07, 0.07]), np.full(2, 0.01)
+        offsets = sorted({self.median_m, -self.median_m})
+        parts = [self.ground(road, s_m), *(ribbon(road, s_m, at + line, raise_m, _PAINT) for at in offsets)]
         for junction in self.junctions_m[(self.junctions_m >= s_m[0]) & (self.junctions_m < s_m[-1])]:
             first = junction - self.side_half_m - 4.5
             stripes = np.arange(-self.edge_m + 0.4, self.edge_m - 0.4, 1.0)
             corner = np.array([[0, 0], [3, 0], [3, 0.5], [0, 0.5]])
-            places = np.stack([first + np.tile(corner[:, 0], (len(stripes), 1)), stripes[:, None] + corner[:, 1]], axis=-1)
-            raised = road.point_m(places[..., 0], places[..., 1]) + [0, 0, 0.01]
+            places = np.stack(
+                [first + np.tile(corner[:, 0], (len(stripes), 1)), stripes[:, None] + corner[:, 1]], axis=-1
+            )
+            raised = road.point_m(places[..., 0], places[..., 1]) + np.array([0, 0, 0.01])
             parts.append(quads(raised, _PAINT))
         return Mesh.merge([part.painted(rng) for part in parts])
 
 
-def _stand(model: Mesh, road: RoadLine, s_m: float, d_m: float, turn: float, raise_m: float, _: np.random.Generator) -> Mesh:
+def _stand(
+    model: Mesh, road: RoadLine, s_m: float, d_m: float, turn: float, raise_m: float, _: np.random.Generator
+) -> Mesh:
     return furniture.stand(model, road, s_m, d_m, turn_rad=turn, raise_m=raise_m)
 
 
@@ -104,10 +112,17 @@ def _place_fixed(layout: Layout, street: Street, first_m: float, last_m: float, 
             middle = s + length / 2
             if street.clear(middle, length / 2 + 1.5):
                 if rng.random() > open_share:
-                    block = furniture.building(length - rng.choice([0.0, 3.0]), rng.uniform(8, 16), rng.uniform(5, 20), rng)
+                    block = furniture.building(
+                        length - rng.choice([0.0, 3.0]), rng.uniform(8, 16), rng.uniform(5, 20), rng
+                    )
                     put(block, middle, side * (kerb + walk + setback + rng.uniform(0, 1)), outward)
                 elif rng.random() < 0.5:
-                    put(trees[int(rng.integers(6))], middle, side * (kerb + walk + rng.uniform(2, 14)), rng.uniform(0, 6))
+                    put(
+                        trees[int(rng.integers(6))],
+                        middle,
+                        side * (kerb + walk + rng.uniform(2, 14)),
+                        rng.uniform(0, 6),
+                    )
             s += length
         for post in np.arange(first_m + rng.uniform(0, 20), last_m, rng.uniform(22, 40)):
             if street.clear(float(post), 1.0):
@@ -135,8 +150,12 @@ def _add_parked(population: Population, street: Street, first_m: float, last_m: 
                 if street.clear(float(s), 6.0) and rng.random() < share:
                     straight = 0.0 if side < 0 or rng.random() < 0.1 else np.pi
                     d = side * (street.kerb_m[index] - street.parking_m[index] / 2)
-                    kind = draw_truck(rng, long_haul=False) if rng.random() < 0.03 and not street.angled[index] else None
-                    population.add_parked(float(s) + rng.normal(0, 0.2), d, turn_rad=turn if street.angled[index] else straight, kind=kind)
+                    kind = (
+                        draw_truck(rng, long_haul=False) if rng.random() < 0.03 and not street.angled[index] else None
+                    )
+                    population.add_parked(
+                        float(s) + rng.normal(0, 0.2), d, turn_rad=turn if street.angled[index] else straight, kind=kind
+                    )
 
 
 def _add_crossers(population: Population, street: Street, duration_s: float) -> None:
@@ -174,7 +193,9 @@ def _add_people(population: Population, street: Street, last_m: float, duration_
         for s in rng.uniform(-20, last_m, rng.poisson(busy * last_m)):
             kind = str(rng.choice(["pedestrian", "wheelchair", "animal"], p=[0.9, 0.05, 0.05]))
             speed = 0.0 if rng.random() < 0.2 else rng.uniform(0.6, 1.8)
-            population.add_along(kind, float(s), side * (kerb + rng.uniform(0.9, walk - 0.3)), int(rng.choice([-1, 1])), speed)
+            population.add_along(
+                kind, float(s), side * (kerb + rng.uniform(0.9, walk - 0.3)), int(rng.choice([-1, 1])), speed
+            )
         for s in rng.uniform(-20, last_m, rng.poisson(0.02 * last_m)):
             d = street.edge_m + street.cycle_m / 2 if street.cycle_m else street.edge_m - 0.5
             population.add_along("cyclist", float(s), side * d, -side, rng.uniform(3.0, 6.5))
@@ -184,7 +205,9 @@ def _add_people(population: Population, street: Street, last_m: float, duration_
             s = np.array(junction - street.side_half_m - rng.uniform(1.6, 4.4))
             start = road.point_m(s, side * (float(street.kerb_m[1 if side > 0 else 0]) + 0.8))
             yaw = float(road.heading_rad(s)) - side * np.pi / 2
-            population.add_straight("pedestrian", start, yaw, rng.uniform(0.9, 1.7), delay_s=rng.uniform(-5, duration_s))
+            population.add_straight(
+                "pedestrian", start, yaw, rng.uniform(0.9, 1.7), delay_s=rng.uniform(-5, duration_s)
+            )
 
 
 def build_urban(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
