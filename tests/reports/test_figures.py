@@ -7,7 +7,17 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.reports.camera import box_lines, camera_picture
 from farfield.reports.evaluation import Evaluation
-from farfield.reports.figures import ZOOMS_M, birdseye, overview, show_frame, zooms
+from farfield.reports.figures import (
+    SHORT_WINDOW_M,
+    WINDOW_M,
+    ZOOMS_M,
+    birdseye,
+    filled_zooms,
+    fitting_window,
+    overview,
+    show_frame,
+    zooms,
+)
 from farfield.reports.plots import points_against_range, precision_recall, scan_patterns
 from farfield.reports.style import figure_bytes
 
@@ -39,6 +49,14 @@ def test_points_outside_the_window_are_left_out() -> None:
 def test_zooms_show_near_mid_far() -> None:
     figure = zooms(CLOUD, annotated=CAR)
     assert [axes.get_xlim() for axes in figure.axes] == [(w[0], w[1]) for _, w in ZOOMS_M]
+
+
+def test_pictures_leave_empty_range_out() -> None:
+    near = Cloud(CLOUD.points_m[:1], CLOUD.intensity[:1])
+    assert fitting_window(near, CAR, None) == SHORT_WINDOW_M
+    assert fitting_window(CLOUD, CAR) == WINDOW_M
+    assert fitting_window(near, CAR.replace(centre_m=np.array([[130.0, 0.0, 0.0]]))) == WINDOW_M
+    assert [name for name, _ in filled_zooms(CLOUD, CAR)] == ["near: 0 to 70 m"]
 
 
 def test_other_classes_are_grey() -> None:

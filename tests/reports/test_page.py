@@ -117,9 +117,25 @@ def test_report_command_takes_the_json_of_score(evaluation: Evaluation, tmp_path
     assert "Precision and recall" in (tmp_path / "scores.html").read_text()
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"results": 3}', '{"results": {}, "settings": {}}'])
+NO_CURVE = '{"overall": {"0": {"2.0": {"recall": [0, 1], "precision": [1]}}}}'
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"results": 3}',
+        '{"results": {}, "settings": {}}',
+        '{"protocol": "dds", "settings": {}, "dds": {"0": {"dds": "high"}}}',
+        '{"protocol": "dds", "settings": {}, "curves": ' + NO_CURVE + "}",
+    ],
+)
 def test_report_command_refuses_other_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.json").write_text(content)
     assert main(["report", str(tmp_path / "x.json")]) == 1
-    assert "x.json" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "x.json" in error or "result, " in error
+    assert not (tmp_path / "x.html").exists()
     assert main(["report", str(tmp_path / "absent")]) == 1

@@ -50,7 +50,7 @@ def test_headline_and_scope_by_hand() -> None:
     assert words.scope(results) == (
         "Scored: 3 frames with 1,200 annotated objects, the same in Gaussian pattern and Uniform pattern."
     )
-    assert words.headline({}).startswith("Nothing is annotated")
+    assert words.headline({}).startswith("Pictures only")
     assert words.scope({}) == ""
     assert "real recordings" in words.origin({"simulated": False})[1]
 

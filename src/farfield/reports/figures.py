@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
@@ -21,6 +21,7 @@ __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame"
 Window = tuple[float, float, float, float]
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
+SHORT_WINDOW_M: Window = (0.0, 120.0, -30.0, 30.0)
 ZOOMS_M: tuple[tuple[str, Window], ...] = (
     ("near: 0 to 70 m", (0.0, 70.0, -35.0, 35.0)),
     ("mid: 70 to 150 m", (70.0, 150.0, -40.0, 40.0)),
@@ -56,9 +57,10 @@ def draw_birdseye(
     x_from, x_to, y_from, y_to = window_m
     _draw_grid(axes, window_m)
     _draw_rings(axes, window_m, rings_m)
-    x, y = cloud.points_m[:, 0], cloud.points_m[:, 1]
-    inside = (x >= x_from) & (x <= x_to) & (y >= y_from) & (y <= y_to)
-    axes.scatter(x[inside], y[inside], s=point_size, c=POINT, linewidths=0, alpha=0.75, rasterized=True, zorder=2)
+    shown_m = cloud.points_m[in_window(cloud.points_m, window_m)]
+    axes.scatter(
+        shown_m[:, 0], shown_m[:, 1], s=point_size, c=POINT, linewidths=0, alpha=0.75, rasterized=True, zorder=2
+    )
     if annotated is not None:
         asked = of_classes(annotated, labels)
         draw_boxes(axes, annotated[~asked], MUTED, line_width=0.7 * line_width, order=3)
@@ -216,10 +218,27 @@ def birdseye(
     title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
     if predictions is not None and frame.boxes is not None:
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
-        annotated = annotated[_inside(annotated, window)]
+        annotated = annotated[in_window(annotated.centre_m, window)]
         found = int((found_by(predictions, annotated) >= 0).sum())
         title += f": {found} of {len(annotated)} annotated objects found within 2 m"
     return overview(points, annotated=frame.boxes, predicted=predictions, labels=labels, window_m=window, title=title)
+
+
+def fitting_window(cloud: Cloud, *boxes: Boxes | None) -> Window:
+    """The window of 250 m, or one of 120 m where neither points nor boxes reach beyond."""
+    farthest = [float(np.percentile(cloud.points_m[:, 0], 99.8))] if len(cloud) else []
+    farthest += [float(part.centre_m[:, 0].max()) for part in boxes if part is not None and len(part)]
+    return WINDOW_M if max(farthest, default=250.0) > SHORT_WINDOW_M[1] else SHORT_WINDOW_M
+
+
+def filled_zooms(cloud: Cloud, *boxes: Boxes | None) -> list[tuple[str, Window]]:
+    """Those of the zooms that hold boxes or at least twenty points."""
+    centres = [part.centre_m for part in boxes if part is not None]
+    return [
+        (name, window_m)
+        for name, window_m in ZOOMS_M
+        if in_window(cloud.points_m, window_m).sum() >= 20 or any(in_window(c, window_m).any() for c in centres)
+    ]
 
 
 def _window_of(points_m: Float[np.ndarray, "n 3"]) -> Window:
@@ -230,8 +249,9 @@ def _window_of(points_m: Float[np.ndarray, "n 3"]) -> Window:
     return float(low[0]), float(max(high[0], low[0] + 10)), float(low[1]), float(max(high[1], low[1] + 10))
 
 
-def _inside(boxes: Boxes, window_m: Window) -> np.ndarray:
-    x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1]
+def in_window(points_m: Float[np.ndarray, "n 3"], window_m: Window) -> Bool[np.ndarray, " n"]:
+    """Which points lie in a window, seen from above, shape (n,)."""
+    x, y = points_m[:, 0], points_m[:, 1]
     return (x >= window_m[0]) & (x <= window_m[1]) & (y >= window_m[2]) & (y <= window_m[3])
 
 

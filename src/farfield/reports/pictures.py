@@ -3,13 +3,11 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.reports.camera import camera_picture
 from farfield.reports.evaluation import FrameView
-from farfield.reports.figures import WINDOW_M, Window, overview, zooms
+from farfield.reports.figures import Window, filled_zooms, fitting_window, in_window, overview, zooms
 from farfield.reports.objects import found_by, of_classes, sure
 from farfield.reports.plots import scan_patterns
 from farfield.reports.style import figure_uri
@@ -34,7 +32,7 @@ class Picture:
 
 
 def frame_pictures(
-    view: FrameView, *, labels: Collection[str] | None, score_min: float, window_m: Window = WINDOW_M
+    view: FrameView, *, labels: Collection[str] | None, score_min: float, window_m: Window | None = None
 ) -> list[Picture]:
     """Draw a frame: the whole window and the zooms of every cloud that was run, and the camera's image.
 
@@ -42,21 +40,22 @@ def frame_pictures(
         view: The frame and its predictions.
         labels: Classes that count.
         score_min: Predictions below it are left out.
-        window_m: x from, x to, y from, y to.
+        window_m: x from, x to, y from, y to; None takes 250 m, or 120 m where nothing lies beyond.
     """
     frame, pictures = view.frame, []
     annotated = frame.boxes
     for name, predictions in view.by_cloud.items():
         predicted = None if predictions is None else sure(predictions, score_min)
         cloud = frame.cloud(name)
-        caption = _caption(len(cloud), annotated, predicted, labels, score_min, window_m)
-        alt = f"Bird's-eye view of the {name} point cloud, 250 m by 100 m, with annotated and predicted boxes"
-        whole = overview(cloud, annotated=annotated, predicted=predicted, labels=labels, window_m=window_m)
-        near_mid_far = zooms(cloud, annotated=annotated, predicted=predicted, labels=labels)
+        window = window_m or fitting_window(cloud, annotated, predicted)
+        caption = _caption(len(cloud), annotated, predicted, labels, score_min, window)
+        alt = f"Bird's-eye view of the {name} point cloud to {window[1]:g} m, with annotated and predicted boxes"
+        whole = overview(cloud, annotated=annotated, predicted=predicted, labels=labels, window_m=window)
         pictures.append(Picture(figure_uri(whole), alt, caption, heading=pattern_title(name)))
-        pictures.append(
-            Picture(figure_uri(near_mid_far), f"The same {name} view enlarged at near, mid and far range", "")
-        )
+        parts = filled_zooms(cloud, annotated, predicted)
+        if len(parts) > 1:
+            enlarged = zooms(cloud, annotated=annotated, predicted=predicted, labels=labels, windows_m=parts)
+            pictures.append(Picture(figure_uri(enlarged), f"The same {name} view enlarged by range"))
     return pictures + _camera_pictures(view, score_min)
 
 
@@ -73,19 +72,14 @@ def _caption(
         return start
     if annotated is None:
         return f"{start} {len(predicted)} predictions of score {score_min:g} or more; this frame is not annotated."
-    wanted = _inside(annotated[of_classes(annotated, labels)], window_m)
-    seen = _inside(predicted, window_m)
+    wanted = annotated[of_classes(annotated, labels) & in_window(annotated.centre_m, window_m)]
+    seen = predicted[in_window(predicted.centre_m, window_m)]
     found = int((found_by(seen, wanted) >= 0).sum())
     wrong = len(seen) - found
     return (
         f"{start} {found} of {len(wanted)} annotated objects found within 2 m, "
         f"{wrong} prediction{'' if wrong == 1 else 's'} without one (score {score_min:g} or more)."
     )
-
-
-def _inside(boxes: Boxes, window_m: Window) -> Boxes:
-    x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1]
-    return boxes[np.asarray((x >= window_m[0]) & (x <= window_m[1]) & (y >= window_m[2]) & (y <= window_m[3]))]
 
 
 def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
@@ -98,7 +92,9 @@ def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
         caption = (
             f"{name}: boxes projected with its calibration." if camera else f"{name}: no calibration, so no boxes."
         )
-        pictures.append(Picture(figure_uri(figure), f"Image of the camera {name!r}", caption, heading="Camera"))
+        pictures.append(
+            Picture(figure_uri(figure, "jpg", dpi=140), f"Image of the camera {name!r}", caption, heading="Camera")
+        )
     return pictures
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from farfield.errors import ConfigError
+
 Result = Mapping[str, Any]
 
 
@@ -35,7 +37,13 @@ def figure(result: Result, name: str, *, part: str = "overall") -> float | None:
     """
     home = result if part == "overall" else _at(result, "ranges", part)
     value = _at(home, *name.split("/"))
-    return None if value is None else float(value)
+    return None if value is None else _number(value, f"{part} {name}")
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"result, {where}: expected a number or null, got {value!r}. Score the predictions again.")
+    return float(value)
 
 
 def ap_names(results: Mapping[str, Result]) -> list[str]:
@@ -60,7 +68,9 @@ def _by_number(name: str) -> tuple[float, str]:
 def interval(result: Result, name: str, *, part: str = "overall") -> tuple[float, float] | None:
     """The bootstrap interval of a figure, or None."""
     value = _at(result, "intervals", part, *name.split("/"))
-    return (float(value[0]), float(value[1])) if isinstance(value, list | tuple) and len(value) == 2 else None
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        return None
+    return _number(value[0], f"interval of {name}"), _number(value[1], f"interval of {name}")
 
 
 def counts(result: Result, *, part: str = "overall") -> dict[str, int]:
@@ -71,7 +81,16 @@ def counts(result: Result, *, part: str = "overall") -> dict[str, int]:
 
 def curves(result: Result, *, part: str = "overall", epsilon: float = 0.0) -> dict[str, Mapping[str, Any] | None]:
     """Sampled curves by threshold (``recall``, ``precision``, ``confidence``); None where nothing is annotated."""
-    return dict(_at(result, "curves", part, f"{epsilon:g}") or {})
+    found = dict(_at(result, "curves", part, f"{epsilon:g}") or {})
+    for threshold, curve in found.items():
+        recall, precision = _at(curve, "recall"), _at(curve, "precision")
+        good = isinstance(recall, list) and isinstance(precision, list) and len(recall) == len(precision)
+        if curve is not None and not good:
+            raise ConfigError(
+                f"result, curve of {part} at {threshold} m: expected lists 'recall' and 'precision' of equal length. "
+                "Score the predictions again."
+            )
+    return found
 
 
 def curve_names(names: Iterable[str]) -> list[str]:

@@ -15,6 +15,8 @@ POINT = "#8a97a5"
 PATTERNS = ("#0b6e99", "#c2255c", "#2b8a3e", "#e67700")  # one colour a result: Gaussian, uniform, ...
 THRESHOLDS = ("#9fb6c9", "#5f8fb3", "#0b6e99", "#063a52")  # 0.5, 1, 2, 4 m: light to dark
 
+Kind = Literal["svg", "png", "jpg"]
+
 _RC: Any = {
     "font.family": ["DejaVu Sans", "sans-serif"],
     "font.size": 8.5,
@@ -62,16 +64,16 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     return figure
 
 
-def figure_bytes(figure: "Figure", kind: Literal["svg", "png"] = "svg", *, dpi: int = 170) -> bytes:
+def figure_bytes(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> bytes:
     """Draw a figure into bytes; equal figures give equal bytes.
 
     Args:
         figure: The figure.
-        kind: ``"svg"`` (points inside stay raster where the figure marks them so) or ``"png"``.
+        kind: ``"svg"`` (points inside stay raster where the figure marks them so), ``"png"``, ``"jpg"`` for photographs.
         dpi: Pixels an inch of raster parts.
     """
     buffer = io.BytesIO()
-    metadata = {"Date": None, "Creator": "Farfield"} if kind == "svg" else {"Software": "Farfield"}
+    metadata = {"svg": {"Date": None, "Creator": "Farfield"}, "png": {"Software": "Farfield"}, "jpg": None}[kind]
     with house_style():
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
@@ -82,6 +84,7 @@ def data_uri(content: bytes, mime: str) -> str:
     return f"data:{mime};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def figure_uri(figure: "Figure", kind: Literal["svg", "png"] = "svg", *, dpi: int = 170) -> str:
+def figure_uri(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> str:
     """Return a figure as a ``data:`` address."""
-    return data_uri(figure_bytes(figure, kind, dpi=dpi), "image/svg+xml" if kind == "svg" else "image/png")
+    mime = {"svg": "image/svg+xml", "png": "image/png", "jpg": "image/jpeg"}[kind]
+    return data_uri(figure_bytes(figure, kind, dpi=dpi), mime)

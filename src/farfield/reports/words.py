@@ -51,6 +51,8 @@ _PATTERNS = {
 
 def headline(results: Results) -> str:
     """What was reached, in one or two sentences; plain text."""
+    if not results:
+        return "Pictures only: nothing was scored."
     score = next(iter([*score_names(results), *ap_names(results)]), "")
     scored = {name: figure(result, score) for name, result in results.items()}
     known = {name: value for name, value in scored.items() if value is not None}
