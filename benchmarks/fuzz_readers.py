@@ -1,0 +1,277 @@
+"""Feed damaged files to every reader: each must give a clear error or a valid result, quickly and in little memory.
+
+    python benchmarks/fuzz_readers.py [--files 20000] [--only pcd] [--output benchmarks/results/fuzz_readers.txt]
+
+Good files are truncated, bit-flipped, spliced with others, filled with bytes that parsers dislike, and the digits in
+their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit status 1
+where anything but a FarfieldError came out, a file took more than 2 s, or memory ran out.
+"""
+
+import argparse
+import json
+import multiprocessing
+import re
+import resource
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.datasets.cirrus.labels import boxes_from_labels
+from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
+from farfield.datasets.cirrus.mapping import Labels
+from farfield.errors import FarfieldError
+from farfield.files import boxes_csv, clouds, images, kitti, pcd, xyz
+from farfield.files.atomic import write_text
+
+LIMIT_S, LIMIT_BYTES = 2.0, 1 << 30
+NASTY = (*b'nan -inf 1e999 -1 0x1 1_0 , { "'.split(), b"\0", b"\xff\xff\xff\xff", b"\r", b"\n\n", b" ")
+LARGE_SHARE = 0.02  # of the files come from seeds of real size
+MUTATIONS = ("truncated", "bit-flipped", "spliced", "inflated digits", "nasty bytes", "repeated")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader, good files for it, and what a valid result is."""
+
+    suffix: str
+    read: Callable[[Path], Any]
+    seeds: tuple[bytes, ...]
+    valid: Callable[[Any], bool] = lambda found: len(found) >= 0
+    large: tuple[bytes, ...] = ()
+
+
+@dataclass
+class Tally:
+    """What came out of one reader."""
+
+    errors: int = 0
+    results: int = 0
+    slowest_s: float = 0.0
+    growth_bytes: int = 0
+    faults: tuple[str, ...] = ()
+
+
+def mutate(rng: np.random.Generator, seeds: Sequence[bytes], kind: str) -> bytes:
+    """Damage one of the seeds in one way."""
+    data = bytearray(seeds[rng.integers(len(seeds))])
+    at, length = int(rng.integers(len(data) + 1)), int(2 ** rng.uniform(0, 9))
+    if kind == "truncated":
+        return bytes(data[:at])
+    if kind == "bit-flipped":
+        reach = len(data) if rng.random() < 0.5 else min(len(data), 400)  # half of them within the header
+        for position in rng.integers(8 * reach, size=int(2 ** rng.uniform(0, 6))):
+            data[position // 8] ^= 1 << position % 8
+    elif kind == "spliced":
+        other = seeds[rng.integers(len(seeds))]
+        start = int(rng.integers(len(other) + 1))
+        data[at : at + length * int(rng.integers(2))] = other[start : start + length]
+    elif kind == "inflated digits":
+        runs = list(re.finditer(rb"\d+", bytes(data[:2000]))) or list(re.finditer(rb"[\x01-\xff]", bytes(data[:64])))
+        for run in rng.permutation(len(runs))[: int(rng.integers(1, 4))]:
+            grown = rng.choice([b"0", b"-1", b"9" * int(rng.integers(1, 25)), b"4294967295", b"1e9", b"99999999"])
+            data[slice(*runs[run].span())] = bytes(grown) if runs[run].group().isdigit() else b"\xff"
+    elif kind == "nasty bytes":
+        for position in rng.integers(len(data) + 1, size=int(rng.integers(1, 5))):
+            nasty = NASTY[rng.integers(len(NASTY))]
+            data[position : position + len(nasty) * int(rng.integers(2))] = nasty
+    else:
+        data[at:at] = data[at : at + length] * int(rng.integers(1, 50))
+    return bytes(data)
+
+
+def damaged_files(rng: np.random.Generator, target: Target, count: int) -> Iterator[tuple[str, bytes]]:
+    """``count`` files: the seeds as they are, then every mutation in turn, one in four of them damaged twice."""
+    whole = (target.seeds + target.large)[:count]
+    yield from (("none", seed) for seed in whole)
+    for index in range(count - len(whole)):
+        kind = MUTATIONS[index % len(MUTATIONS)]
+        data = mutate(rng, target.large if target.large and rng.random() < LARGE_SHARE else target.seeds, kind)
+        if data and rng.random() < 0.25:
+            data = mutate(rng, [data], MUTATIONS[rng.integers(len(MUTATIONS))])
+        yield kind, data
+
+
+def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
+    """Read ``count`` damaged files in this process."""
+    tally, path, faults = Tally(), folder / f"damaged{target.suffix}", Counter[str]()
+    before = peak_bytes()
+    for index, (kind, data) in enumerate(damaged_files(np.random.default_rng(seed), target, count)):
+        path.write_bytes(data)
+        start = time.perf_counter()
+        try:
+            good = target.valid(target.read(path))
+            tally.results += 1
+            fault = None if good else "a result that is not valid"
+        except FarfieldError:
+            tally.errors += 1
+            fault = "a good file was refused" if kind == "none" else None
+        except Exception as error:
+            fault = f"{type(error).__name__}: {error}"[:160]
+        elapsed = time.perf_counter() - start
+        tally.slowest_s = max(tally.slowest_s, elapsed)
+        fault = fault or (f"took {elapsed:.1f} s" if elapsed > LIMIT_S else None)
+        if fault:
+            faults[fault] += 1
+            if faults[fault] == 1:
+                (folder / f"fault_{index}{target.suffix}").write_bytes(data)
+    tally.growth_bytes = peak_bytes() - before
+    tally.faults = tuple(f"{number} x {fault}" for fault, number in faults.most_common(5))
+    return tally
+
+
+def peak_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def finite_rows(rows: np.ndarray) -> bool:
+    return rows.ndim == 2 and len(rows) > 0 and bool(np.isfinite(rows).all())
+
+
+def equal_lengths(fields: dict[str, np.ndarray]) -> bool:
+    return len({len(array) for array in fields.values()}) <= 1
+
+
+def rgb(image: np.ndarray) -> bool:
+    return image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """Every reader of the files room and the Cirrus annotations, with seeds made by our own writers."""
+    rng = np.random.default_rng(5)
+    rows = np.round(rng.normal(size=(60, 8)) * [80, 20, 2, 0.3, 1, 9, 9, 9], 4)
+    many = np.tile(rows, (300, 1)) + np.arange(18_000)[:, None] / 100
+    label = "Car 0.00 0 -1.57 599.41 156.40 629.75 189.25 2.85 2.63 12.34 0.47 1.49 69.44 -1.56"
+    track = "1 Pedestrian 0 0 -0.2 1106.1 166.6 1204.5 323.9 1.8 0.7 1.2 6.4 1.4 9.1 0.4"
+    calib = "P2: " + " ".join(["7.2e+02"] * 12) + "\nR0_rect: " + " ".join(["1.0"] * 9) + "\n"
+    detection = "0,2,296.7,161.8,452.3,292.9,12.2,1.51,1.69,4.09,-5.85,1.77,13.02,-1.6,-1.2"
+    table = "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score\n" + "a,000001,vehicle,1.5,2,3,4,2,1.5,-0.3,0.9\n" * 8
+    return {
+        "xyz": Target(".xyz", xyz.read_xyz, xyz_seeds(folder, rows), finite_rows, xyz_seeds(folder, many)),
+        "pcd": Target(".pcd", pcd.read_pcd, pcd_seeds(folder, rows), equal_lengths, pcd_seeds(folder, many)),
+        "velodyne bin": Target(".bin", clouds.read_bin, (rows[:, :4].astype("<f4").tobytes(),), finite_rows),
+        "ffcloud": Target(".ffcloud", clouds.read_cache, cache_seeds(folder, rows)),
+        "images": Target(".jpg", images.read_image, image_seeds(folder, rng), rgb),
+        "kitti calib": Target(".txt", kitti.read_calib, (calib.encode(),)),
+        "kitti label": Target(".txt", kitti.read_labels, ((f"{label}\n" * 6).encode(),)),
+        "kitti tracking": Target(".txt", kitti.read_tracking, ((f"3 {track}\n" * 6).encode(),)),
+        "kitti detections": Target(".txt", kitti.read_detections, ((f"{detection}\n" * 6).encode(),)),
+        "boxes csv": Target(".csv", boxes_csv.read_boxes_csv, (table.encode(),)),
+        "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
+    }
+
+
+def read_cirrus(path: Path) -> Any:
+    settings = Labels()
+    return boxes_from_labels(read_cirrus_labels(path, settings), settings)
+
+
+def xyz_seeds(folder: Path, rows: np.ndarray) -> tuple[bytes, ...]:
+    for columns in (5, 8):
+        xyz.write_xyz(folder / f"{columns}.xyz", rows[:, :columns])
+    return tuple((folder / f"{columns}.xyz").read_bytes() for columns in (5, 8))
+
+
+def pcd_seeds(folder: Path, rows: np.ndarray) -> tuple[bytes, ...]:
+    fields = dict(zip("xyz", np.float32(rows[:, :3]).T, strict=True))
+    index = np.arange(len(rows))
+    fields |= {"ring": np.uint16(index // 8), "stamp": index + 2**60, "normal": rows[:, 3:6]}
+    for encoding in ("ascii", "binary", "binary_compressed"):
+        pcd.write_pcd(folder / f"{encoding}.pcd", fields, encoding=encoding)
+    return tuple((folder / f"{name}.pcd").read_bytes() for name in ("ascii", "binary", "binary_compressed"))
+
+
+def cache_seeds(folder: Path, rows: np.ndarray) -> tuple[bytes, ...]:
+    clouds.write_cache(folder / "a.ffcloud", {"points_m": np.float32(rows[:, :3]), "mask": rows[:, 3] > 0})
+    return ((folder / "a.ffcloud").read_bytes(),)
+
+
+def image_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
+    picture = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), 8, axis=0), 8, axis=1)
+    for name in ("a.png", "a.jpg"):
+        images.write_image(folder / name, picture)
+    return (folder / "a.png").read_bytes(), (folder / "a.jpg").read_bytes()
+
+
+def cirrus_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
+    labels = [
+        {
+            "label_class": "vehicle",
+            "position": rng.normal(size=3).round(3).tolist(),
+            "quaternion": [0.0, 0.0, 0.6, 0.8],
+            "size": [4.5, 1.9, 1.6],
+            "track_id": index,
+        }
+        for index in range(6)
+    ]
+    return (json.dumps({"label_type": "3d", "labels": labels}).encode(),)
+
+
+def worker(name: str, count: int, folder: str, sender: Any) -> None:
+    """Fuzz one reader with an address space that may grow by 1 GB from here."""
+    place = Path(folder)
+    target = targets(place)[name]
+    target.read(write_seed(place, target))  # imports and tables that come with the first use
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, used + LIMIT_BYTES))
+    sender.send(fuzz(target, count, place))
+
+
+def write_seed(folder: Path, target: Target) -> Path:
+    path = folder / f"seed{target.suffix}"
+    path.write_bytes(target.seeds[0])
+    return path
+
+
+def fuzz_in_process(name: str, count: int, keep: Path) -> Tally:
+    receiver, sender = multiprocessing.Pipe(duplex=False)
+    with tempfile.TemporaryDirectory() as folder:
+        process = multiprocessing.get_context("spawn").Process(target=worker, args=(name, count, folder, sender))
+        process.start()
+        sender.close()
+        try:
+            tally = receiver.recv()
+        except EOFError:
+            tally = Tally(faults=("the process died",))
+        process.join()
+        for fault in Path(folder).glob("fault_*"):
+            keep.mkdir(parents=True, exist_ok=True)
+            (keep / f"{name.replace(' ', '_')}_{fault.name}").write_bytes(fault.read_bytes())
+    return tally
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--files", type=int, default=20_000)
+    parser.add_argument("--only", help="one reader's name")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "fuzz_readers.txt")
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "farfield-fuzz")
+    arguments = parser.parse_args()
+    from _report import header
+
+    with tempfile.TemporaryDirectory() as folder:
+        names = [name for name in targets(Path(folder)) if arguments.only in (None, name)]
+    lines = [header(), "", f"{'reader':18}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults"]
+    failed = False
+    for name in names:
+        tally = fuzz_in_process(name, arguments.files, arguments.keep)
+        failed |= bool(tally.faults)
+        counts = f"{name:18}{arguments.files:8}{tally.errors:8}{tally.results:8}"
+        figures = f"{tally.slowest_s * 1e3:9.1f} ms{tally.growth_bytes / 2**20:7.1f} MB"
+        lines.append(f"{counts}{figures}  {'; '.join(tally.faults) or 'none'}")
+        print(lines[-1], flush=True)
+    lines += ["", f"mutations: {', '.join(MUTATIONS)}", "memory: growth of the peak while fuzzing; limit 1 GB", ""]
+    arguments.output.parent.mkdir(exist_ok=True)
+    write_text(arguments.output, "\n".join(lines))
+    return int(failed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

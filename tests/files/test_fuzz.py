@@ -1,0 +1,63 @@
+"""Damaged files give a clear error or a valid result. The benchmark of the same name does it 20,000 times a reader."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_readers.py"
+READERS = (
+    *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "kitti calib", "kitti label", "kitti tracking"),
+    *("kitti detections", "boxes csv", "cirrus json"),
+)
+
+
+@pytest.fixture(scope="module")
+def fuzzer() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("fuzz_readers", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["fuzz_readers"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def targets(fuzzer: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    made: dict[str, Any] = fuzzer.targets(tmp_path_factory.mktemp("seeds"))
+    return made
+
+
+def test_no_reader_is_forgotten(targets: dict[str, Any]) -> None:
+    assert tuple(targets) == READERS
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_damaged_files_never_surprise(fuzzer: ModuleType, targets: dict[str, Any], tmp_path: Path, reader: str) -> None:
+    tally = fuzzer.fuzz(targets[reader], 300, tmp_path, seed=1)
+    assert tally.faults == ()
+    assert tally.errors > 100  # the damage was real
+    assert tally.results > 0  # and the good files were read
+    assert tally.growth_bytes < 1 << 30
+
+
+def test_the_fuzzer_notices_what_it_is_there_for(fuzzer: ModuleType, tmp_path: Path) -> None:
+    def careless(path: Path) -> np.ndarray:
+        return np.array([[float(path.read_text().split(",")[0])]])
+
+    target = fuzzer.Target(".xyz", careless, (b"1.5,2\n",), fuzzer.finite_rows)
+    tally = fuzzer.fuzz(target, 300, tmp_path)
+    assert any("ValueError" in fault for fault in tally.faults)
+    assert list(tmp_path.glob("fault_*.xyz"))
+
+
+@pytest.mark.slow
+def test_twenty_thousand_damaged_files_a_reader(tmp_path: Path) -> None:
+    command = [sys.executable, str(SCRIPT), "--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stdout
