@@ -1,0 +1,137 @@
+"""The functions most people need. Each imports what it uses when it is called."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from farfield.errors import DatasetError
+
+if TYPE_CHECKING:
+    from farfield.datasets.base import Dataset
+    from farfield.detectors.runtime import Detector
+    from farfield.experiment import Experiment
+    from farfield.frame import Cloud, Frame
+    from farfield.geometry.boxes import Boxes
+    from farfield.training.loop import Training
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+def open_dataset(path: Path | str, **options: Any) -> "Dataset":
+    """Open a data set, its format recognised; see :func:`farfield.datasets.open_dataset`."""
+    from farfield.datasets import open_dataset as open_any
+
+    return open_any(path, **options)
+
+
+def load_detector(name: Path | str, **options: Any) -> "Detector":
+    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, or a weights file.
+
+    Args:
+        name: Which one.
+        **options: ``device``, ``precision`` ("auto", "fp32", "bf16"), ``cloud`` (which of a frame's clouds to read).
+
+    Raises:
+        FarfieldError: If there is nothing of this name.
+        MissingExtraError: If torch is not installed.
+    """
+    from farfield.detectors import detector_classes
+
+    detector_classes("pointpillars")  # names the missing extra where torch is absent
+    from farfield.detectors.runtime import Detector
+
+    return Detector.load(name, **options)
+
+
+def predict(
+    detector: "Callable[[Frame | Cloud], Boxes]", data: "Sequence[Frame] | Dataset", *, progress: Progress = iter
+) -> "dict[tuple[str, str], Boxes]":
+    """Detect objects in every frame; boxes by (sequence, frame)."""
+    found = {}
+    for index in progress(range(len(data))):
+        frame = data[index]
+        found[frame.key] = detector(frame)
+    return found
+
+
+def evaluate(
+    detector: "Callable[[Frame | Cloud], Boxes] | Mapping[tuple[str, str], Boxes]",
+    data: "Sequence[Frame] | Dataset",
+    *,
+    metric: str = "dds",
+    range_bins_m: Sequence[float] = (0.0, 70.0, 150.0, 250.0),
+    progress: Progress = iter,
+    **settings: Any,
+) -> Any:
+    """Score a detector, or predictions made before, on annotated frames.
+
+    Args:
+        detector: A detector, or its boxes by (sequence, frame).
+        data: Annotated frames.
+        metric: ``"dds"``, ``"nuscenes"`` or ``"kitti"``.
+        range_bins_m: Edges of the range bins, metres.
+        progress: Wraps the frame numbers, to show progress.
+        **settings: Further settings of the protocol.
+
+    Returns:
+        The protocol's result; ``print`` shows its table, ``to_json()`` gives everything.
+
+    Raises:
+        DatasetError: If no frame is annotated.
+    """
+    from farfield.metrics import score
+
+    predictions = detector if isinstance(detector, Mapping) else predict(detector, data, progress=progress)
+    annotations = {frame.key: frame.boxes for frame in (data[i] for i in range(len(data))) if frame.boxes is not None}
+    if not annotations:
+        raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
+    kept = {key: boxes for key, boxes in predictions.items() if key in annotations}
+    return score(kept, annotations, protocol=metric, range_bins_m=tuple(range_bins_m), **settings)
+
+
+def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
+    """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure."""
+    from farfield.reports.figures import show_frame
+
+    return show_frame(frame, predictions)
+
+
+def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progress = iter) -> "Training":
+    """Open an experiment's data, build its detector, and set up the run in ``folder``.
+
+    Raises:
+        DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
+    """
+    import torch
+
+    from farfield.detectors import build_detector
+    from farfield.experiment import environment
+    from farfield.training.loop import Training
+    from farfield.training.samples import TrainingSamples
+
+    data = open_dataset(experiment.data.path, **experiment.data.options)
+    if experiment.data.split:
+        data = data.split(experiment.data.split)
+    missing = [name for name in experiment.data.clouds if name not in data[0].clouds]
+    if missing:
+        raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
+    torch.manual_seed(experiment.training.seed)
+    network = build_detector(experiment.detector)
+    samples = TrainingSamples(
+        data,
+        clouds=experiment.data.clouds,
+        classes=tuple(experiment.detector.anchors),
+        targets=network.targets,
+        augmentation=experiment.augmentation,
+        min_points=experiment.training.min_points,
+        seed=experiment.training.seed,
+        aliases=experiment.data.aliases,
+    )
+    samples.fill_bank(progress)
+    provenance = {
+        "experiment": experiment.model_dump(mode="json"),
+        "data_fingerprint": data.fingerprint(),
+        "frames": len(data),
+        "environment": environment(),
+    }
+    return Training(network, samples, experiment.training, folder, provenance)

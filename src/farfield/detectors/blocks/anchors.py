@@ -1,0 +1,138 @@
+"""Anchors on a bird's-eye grid: where they stand, how boxes are expressed in them, and which one answers for a box.
+
+One anchor stands for one class and one of two headings (0 and 90 degrees), as in VoxelNet and its successors. All of
+it is numpy and per frame, so that the loader's workers do it beside the training.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import BaseModel, ConfigDict, Field
+
+from farfield.geometry.boxes import Boxes, wrap_angle_rad
+
+HEADINGS_RAD = np.array([0.0, np.pi / 2])
+
+
+class AnchorConfig(BaseModel):
+    """The anchor of one class."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    size_m: tuple[float, float, float] = Field(description="length, width, height")
+    z_m: float = Field(description="height of the centre in the sensor's frame")
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What a frame asks of the network; indices count anchors of that frame.
+
+    Args:
+        positive: Anchors that answer for a box, shape (p,).
+        code: Encoded box of each positive anchor, shape (p, 7).
+        backwards: 1 where the box looks against its anchor's heading, shape (p,).
+        ignored: Anchors that are neither right nor wrong, shape (i,).
+    """
+
+    positive: Int[np.ndarray, " p"]
+    code: Float[np.ndarray, "p 7"]
+    backwards: Int[np.ndarray, " p"]
+    ignored: Int[np.ndarray, " i"]
+
+
+class AnchorGrid:
+    """Anchors of several classes at every cell of a grid; flat index ((ix * ny + iy) * classes + class) * 2 + heading.
+
+    Args:
+        classes: Class names with their anchors.
+        nx: Cells along x.
+        ny: Cells along y.
+        cell_m: Edge length of a cell.
+        y_min_m: Right edge of the grid.
+    """
+
+    def __init__(self, classes: dict[str, AnchorConfig], *, nx: int, ny: int, cell_m: float, y_min_m: float) -> None:
+        self.names = tuple(classes)
+        self.sizes_m = np.array([anchor.size_m for anchor in classes.values()], dtype=np.float64)
+        self.z_m = np.array([anchor.z_m for anchor in classes.values()], dtype=np.float64)
+        self.nx, self.ny, self.cell_m, self.y_min_m = nx, ny, cell_m, y_min_m
+        self.per_cell = 2 * len(self.names)
+
+    def __len__(self) -> int:
+        return self.nx * self.ny * self.per_cell
+
+    def rows(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 7"]:
+        """The anchors with these flat indices as x, y, z, l, w, h, yaw, shape (k, 7)."""
+        cell, slot = np.divmod(index, self.per_cell)
+        kind, heading = np.divmod(slot, 2)
+        ix, iy = np.divmod(cell, self.ny)
+        x, y = (ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m
+        return np.column_stack([x, y, self.z_m[kind], self.sizes_m[kind], HEADINGS_RAD[heading]])
+
+    def labels(self, index: Int[np.ndarray, " k"]) -> np.ndarray:
+        """Class names of the anchors with these flat indices, shape (k,)."""
+        return np.array(self.names, dtype=np.str_)[index % self.per_cell // 2]
+
+    def assign(self, boxes: Boxes, *, positive_m: float, ignore_m: float) -> Targets:
+        """Choose the anchors that answer for each box, by the distance of their cell from the box's centre.
+
+        The nearest cell and all within ``positive_m`` answer; those within ``ignore_m`` are left alone. Overlap, the
+        published criterion, fails on boxes of visible parts (Cirrus): a car's rear of 0.3 x 1.9 m overlaps no anchor.
+        A cell claimed twice goes to the nearer box. Of an anchor's two headings the closer one answers, and the other
+        is left alone. Boxes of classes that have no anchor, or with centres off the grid, ask for nothing.
+
+        Args:
+            boxes: Annotated boxes in the sensor's frame.
+            positive_m: Radius within which a cell answers for the box.
+            ignore_m: Radius within which a cell is not blamed.
+        """
+        kind = np.array([self.names.index(name) if name in self.names else -1 for name in boxes.label], dtype=np.int64)
+        column = np.floor(boxes.centre_m[:, 0] / self.cell_m).astype(np.int64)
+        row = np.floor((boxes.centre_m[:, 1] - self.y_min_m) / self.cell_m).astype(np.int64)
+        here = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
+        reach = int(np.ceil(ignore_m / self.cell_m))
+        step_x, step_y = (s.ravel() for s in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
+        ix, iy = column[here, None] + step_x, row[here, None] + step_y
+        centre_x, centre_y = (ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m
+        gap = np.hypot(centre_x - boxes.centre_m[here, 0, None], centre_y - boxes.centre_m[here, 1, None])
+        gap[(ix < 0) | (ix >= self.nx) | (iy < 0) | (iy >= self.ny)] = np.inf
+        turned = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[here])) > np.pi / 2  # nearer to 90 than to 0 degrees, mod 180
+        base = ((ix * self.ny + iy) * len(self.names) + kind[here, None]) * 2
+        answers = (gap <= positive_m) | ((gap == gap.min(axis=1, initial=np.inf, keepdims=True)) & np.isfinite(gap))
+        box_of, where = np.nonzero(answers)
+        positive = base[box_of, where] + turned[box_of]
+        order = np.argsort(gap[box_of, where], kind="stable")
+        positive, first = np.unique(positive[order], return_index=True)
+        winner = here[box_of[order][first]]
+        spare_box, spare_where = np.nonzero(gap <= ignore_m)
+        spare = base[spare_box, spare_where]
+        ignored = np.setdiff1d(np.concatenate([spare, spare + 1, positive ^ 1]), positive)
+        code, backwards = encode(boxes[winner], self.rows(positive))
+        return Targets(positive, code, backwards, ignored)
+
+
+def encode(boxes: Boxes, anchors: Float[np.ndarray, "k 7"]) -> tuple[Float[np.ndarray, "k 7"], Int[np.ndarray, " k"]]:
+    """Express boxes in anchors (VoxelNet, equation 1; SECOND, section 3.2).
+
+    Returns:
+        Codes, shape (k, 7): centre offsets over the anchor's diagonal (its height for z), logarithms of the size
+        ratios, and the heading residual modulo pi in [-pi/2, pi/2); and 1 for boxes that look backwards, shape (k,).
+    """
+    diagonal = np.hypot(anchors[:, 3], anchors[:, 4])
+    offset = (boxes.centre_m - anchors[:, :3]) / np.column_stack([diagonal, diagonal, anchors[:, 5]])
+    turn = wrap_angle_rad(boxes.yaw_rad - anchors[:, 6])
+    backwards = np.abs(turn) > np.pi / 2
+    residual = np.where(backwards, wrap_angle_rad(turn + np.pi), turn)
+    return np.column_stack([offset, np.log(boxes.size_m / anchors[:, 3:6]), residual]), backwards.astype(np.int64)
+
+
+def decode(
+    code: Float[np.ndarray, "k 7"], backwards: Int[np.ndarray, " k"], anchors: Float[np.ndarray, "k 7"]
+) -> Float[np.ndarray, "k 7"]:
+    """Invert :func:`encode`: rows x, y, z, l, w, h, yaw, shape (k, 7). Sizes are kept within 1/50 to 20 anchors."""
+    diagonal = np.hypot(anchors[:, 3], anchors[:, 4])
+    centre = code[:, :3] * np.column_stack([diagonal, diagonal, anchors[:, 5]]) + anchors[:, :3]
+    size = np.exp(np.clip(code[:, 3:6], np.log(0.02), np.log(20.0))) * anchors[:, 3:6]
+    residual = (code[:, 6] + np.pi / 2) % np.pi - np.pi / 2
+    return np.column_stack([centre, size, wrap_angle_rad(anchors[:, 6] + residual + np.pi * backwards)])

@@ -1,0 +1,41 @@
+"""The losses of SECOND and PointPillars (section 3.4 and equations 1 to 3 there), on sparse targets."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def focal_loss(logits: Tensor, positive: Tensor, ignored: Tensor, *, alpha: float = 0.25, gamma: float = 2.0) -> Tensor:
+    """Focal loss summed over all anchors (Lin et al. 2017, equation 5).
+
+    Args:
+        logits: One logit an anchor, any shape.
+        positive: Flat indices of the anchors that are right, shape (p,).
+        ignored: Flat indices of the anchors that do not count, shape (i,).
+        alpha: Weight of the positives; the negatives weigh 1 - alpha.
+        gamma: Exponent that mutes what is already right.
+
+    Returns:
+        A scalar, not normalised.
+    """
+    flat = logits.reshape(-1).float()
+
+    def as_negative(x: Tensor) -> Tensor:
+        return (1 - alpha) * torch.sigmoid(x) ** gamma * functional.softplus(x)
+
+    right = flat[positive]
+    as_positive = alpha * torch.sigmoid(-right) ** gamma * functional.softplus(-right)
+    spared = flat[torch.cat([positive, ignored])]
+    return as_negative(flat).sum() - as_negative(spared).sum() + as_positive.sum()
+
+
+def box_loss(predicted: Tensor, target: Tensor, *, beta: float = 1 / 9) -> Tensor:
+    """Smooth L1 over box codes, the heading through the sine of its error; summed, shapes (p, 7)."""
+    heading = torch.sin(predicted[:, 6:] - target[:, 6:])
+    error = torch.cat([predicted[:, :6] - target[:, :6], heading], 1)
+    return functional.smooth_l1_loss(error, torch.zeros_like(error), beta=beta, reduction="sum")
+
+
+def direction_loss(logits: Tensor, backwards: Tensor) -> Tensor:
+    """Cross-entropy between along and against the anchor's heading; summed, shapes (p, 2) and (p,)."""
+    return functional.cross_entropy(logits, backwards, reduction="sum")

@@ -1,0 +1,103 @@
+"""Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them."""
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from farfield.detectors import build_detector, detector_classes
+from farfield.errors import FarfieldError, FileFormatError
+from farfield.files.atomic import write_bytes
+
+_MAX_METADATA_BYTES = 4_000_000
+
+
+def save_weights(path: Path, state: dict[str, Tensor], *, config: Any, provenance: dict[str, Any]) -> None:
+    """Write weights with their detector's configuration and the provenance of the training.
+
+    Args:
+        path: Target, ``.safetensors``.
+        state: The network's state dict.
+        config: The detector's configuration object.
+        provenance: Seed, versions, commit, data fingerprint, metric convention, resolved experiment.
+    """
+    metadata = {"format": "farfield-detector-1", "config": config.model_dump_json(), "provenance": json.dumps(provenance)}
+    tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
+    write_bytes(path, save(tensors, metadata=metadata))
+
+
+def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
+    """Rebuild a trained network.
+
+    Returns:
+        The network in evaluation mode on the CPU, and the provenance of its training.
+
+    Raises:
+        FileFormatError: If the file is not one of ours, or does not fit the network that it describes.
+    """
+    if not path.is_file():
+        raise FarfieldError(f"{path}: expected a weights file, found nothing. Train one with: farfield train")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    except SafetensorError as error:
+        raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
+    if metadata.get("format") != "farfield-detector-1" or len(metadata["config"]) > _MAX_METADATA_BYTES:
+        raise FileFormatError(
+            path,
+            where="metadata",
+            expected="format farfield-detector-1",
+            found=repr(metadata.get("format")),
+            mend="Weights of other codebases need an import first.",
+        )
+    described = json.loads(metadata["config"])
+    config = detector_classes(described["name"])[1].model_validate(described)
+    network = build_detector(config)
+    missing, unexpected = network.load_state_dict(tensors, strict=False)
+    if missing or unexpected:
+        raise FileFormatError(
+            path,
+            where="tensors",
+            expected=f"the state of {described['name']}",
+            found=f"missing {list(missing)[:3]}, unexpected {list(unexpected)[:3]}",
+        )
+    return network.eval(), json.loads(metadata["provenance"])
+
+
+def bundled_weights() -> dict[str, Path]:
+    """The weights that ship with the package, by name."""
+    folder = Path(str(files("farfield.detectors") / "weights_data"))
+    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+def resolve_weights(name: str | Path) -> Path:
+    """Turn a bundled name, a run's folder or a file into the path of a weights file.
+
+    Raises:
+        FarfieldError: If it is none of these.
+    """
+    bundled = bundled_weights()
+    if str(name) in bundled:
+        return bundled[str(name)]
+    path = Path(name)
+    if path.is_dir() and (path / "weights.safetensors").is_file():
+        return path / "weights.safetensors"
+    if path.is_file():
+        return path
+    raise FarfieldError(
+        f"Expected a bundled detector ({', '.join(bundled) or 'none in this build'}), a run's folder with "
+        f"weights.safetensors, or a weights file; got {str(name)!r}."
+    )
+
+
+def default_precision(device: torch.device) -> str:
+    """``"bf16"`` where the processor multiplies it natively, else ``"fp32"``."""
+    if device.type == "cuda":
+        return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
+    return "bf16" if torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported() else "fp32"

@@ -1,0 +1,118 @@
+"""One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from farfield.detectors.pointpillars import PointPillarsConfig
+from farfield.errors import ConfigError
+from farfield.training.config import AugmentationConfig, TrainingConfig
+
+
+class SimulationConfig(BaseModel):
+    """A simulated data set that is made where ``data.path`` does not exist yet."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    preset: str
+    sequences: int = Field(ge=1)
+    frames: int = Field(ge=1)
+    seed: int = 0
+
+
+class DataConfig(BaseModel):
+    """What to train on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    path: Path
+    split: str | None = Field(None, description="train, val, test, or nothing for all frames")
+    clouds: tuple[str, ...] = Field(("gaussian", "uniform"), min_length=1)
+    aliases: dict[str, str] = Field(default_factory=dict, description="classes renamed before training")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the data set's reader")
+    simulate: SimulationConfig | None = None
+
+
+class Experiment(BaseModel):
+    """Everything that decides the outcome of a training."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    data: DataConfig
+    detector: PointPillarsConfig = PointPillarsConfig()
+    augmentation: AugmentationConfig = AugmentationConfig()
+    training: TrainingConfig = TrainingConfig()
+
+
+def load_experiment(path: Path, overrides: list[str] | None = None) -> Experiment:
+    """Read an experiment and apply overrides such as ``training.steps=500``.
+
+    Raises:
+        ConfigError: If the file cannot be read, or a key or value is not one of those possible.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: expected an experiment's YAML file, found nothing.") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: expected YAML, found {error}.") from error
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}.")
+    for override in overrides or []:
+        _override(tree, override)
+    try:
+        return Experiment.model_validate(tree)
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        raise ConfigError(f"{path}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    path, separator, value = override.partition("=")
+    if not separator or not path:
+        raise ConfigError(f"Expected an override of the form key.key=value, got {override!r}.")
+    *parents, last = path.split(".")
+    for key in parents:
+        tree = tree.setdefault(key, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"Expected {key!r} in {override!r} to be a group of settings; it is a value.")
+    tree[last] = yaml.safe_load(value)
+
+
+def dump_experiment(experiment: Experiment) -> str:
+    """The resolved experiment as YAML: every setting, defaults included."""
+    return yaml.safe_dump(experiment.model_dump(mode="json"), sort_keys=False)
+
+
+def environment() -> dict[str, Any]:
+    """Versions, processor and, in a git checkout, the commit of the code that runs."""
+    packages = {}
+    for name in ("farfield", "numpy", "scipy", "torch"):
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            packages[name] = "absent"
+    return {"versions": packages, "python": platform.python_version(), "machine": platform.machine(), "commit": git_commit()}
+
+
+def git_commit() -> str | None:
+    """Commit of the source tree this package runs from, "-dirty" appended if it was changed; None outside one."""
+    here = Path(__file__).resolve().parent
+    try:
+        described = subprocess.run(  # noqa: S603 - fixed arguments
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],  # noqa: S607
+            cwd=here,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return described.stdout.strip() or None if described.returncode == 0 else None

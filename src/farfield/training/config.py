@@ -1,0 +1,42 @@
+"""Typed settings of a training; unknown keys are errors."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class AugmentationConfig(_Settings):
+    """Random changes to a training frame. Zero switches each off."""
+
+    flip_probability: float = Field(0.5, ge=0, le=1, description="mirror left and right")
+    rotation_rad: float = Field(0.1, ge=0, description="turn about the sensor by up to this; more leaves a long window")
+    scale: float = Field(0.05, ge=0, lt=1, description="scale the scene by up to this share")
+    pasted: dict[str, int] = Field(default_factory=dict, description="objects of each class pasted from other frames")
+    pasted_min_points: int = Field(5, ge=1, description="pasted objects have at least this many points")
+    bank_size: int = Field(4000, ge=1, description="objects of each class kept for pasting")
+
+
+class TrainingConfig(_Settings):
+    """The loop."""
+
+    steps: int = Field(2000, ge=1)
+    batch_size: int = Field(4, ge=1, description="frames a step, over all processes")
+    learning_rate: float = Field(3e-3, gt=0, description="peak of the one-cycle schedule")
+    weight_decay: float = Field(0.01, ge=0)
+    warmup: float = Field(0.3, gt=0, lt=1, description="share of the steps in which the rate rises")
+    gradient_clip: float = Field(10.0, gt=0)
+    average_decay: float = Field(0.998, ge=0, lt=1, description="decay of the averaged weights that are kept at the end")
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    accelerator: str = Field("auto", description="as Lightning Fabric names them: auto, cpu, gpu")
+    devices: int | Literal["auto"] = 1
+    threads: int = Field(0, ge=0, description="torch threads; 0 leaves torch's choice")
+    workers: int = Field(1, ge=0, description="processes that prepare frames")
+    checkpoint_every_s: float = Field(60.0, gt=0)
+    log_every_steps: int = Field(20, ge=1)
+    min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are not asked for")
+    tensorboard: bool = False
+    seed: int = 0

@@ -1,0 +1,32 @@
+"""A small detector and a small scene: cars as L-shaped walls of points on a flat road."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from farfield.frame import Boxes, Cloud, Frame
+
+
+def wall_car(rng: np.random.Generator, x: float, y: float, yaw: float) -> np.ndarray:
+    """Points on the rear and one side of a car."""
+    along, up = rng.uniform(-2.2, 2.2, 60), rng.uniform(-0.7, 0.7, 120)
+    across = rng.uniform(-0.9, 0.9, 60)
+    local = np.concatenate([np.column_stack([along, np.full(60, 0.9)]), np.column_stack([np.full(60, -2.2), across])])
+    turned = local @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    return np.column_stack([turned[:, 0] + x, turned[:, 1] + y, up - 1.2])
+
+
+@pytest.fixture
+def scene(rng: np.random.Generator) -> Frame:
+    """Five cars within 60 m, at headings all round."""
+    places = [(10.0, 3.0, 0.1), (22.0, -8.0, 3.0), (35.0, 6.0, 1.5), (48.0, -3.0, -1.6), (57.0, 12.0, -2.4)]
+    ground = np.column_stack([rng.uniform(2, 63, 3000), rng.uniform(-19, 19, 3000), rng.normal(-2, 0.02, 3000)])
+    points = np.concatenate([ground, *[wall_car(rng, *place) for place in places]]).astype(np.float32)
+    boxes = Boxes(
+        centre_m=np.array([[x, y, -1.2] for x, y, _ in places]),
+        size_m=np.tile([4.4, 1.8, 1.4], (5, 1)),
+        yaw_rad=np.array([yaw for *_, yaw in places]),
+        label="vehicle",
+    )
+    return Frame.of(Cloud(points, np.full(len(points), 0.3, np.float32)), boxes)
