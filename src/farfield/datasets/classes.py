@@ -37,6 +37,11 @@ KITTI_FROM_CIRRUS = {
     "large_vehicle": "Truck",
     "pedestrian": "Pedestrian",
     "bicycle": "Cyclist",
+    "motorcycle": "Motorcycle",
+    "trailer": "Trailer",
+    "animal": "Animal",
+    "wheeled_pedestrian": "Wheeled_pedestrian",
+    "unknown": "Misc",
 }
 
 CIRRUS_FROM_ARGOVERSE2 = {

@@ -39,7 +39,7 @@ def is_fresh(cached: Path, source: Path) -> bool:
 
 def read_rows(
     source: Path, root: Path, *, columns: int | None = None, delimiter: str = "auto"
-) -> Shaped[np.ndarray, "n c"] | list[Shaped[np.ndarray, " n"]]:
+) -> list[Shaped[np.ndarray, " n"]]:
     """Columns of an ASCII cloud, from its cache if that is fresh.
 
     Args:
@@ -99,7 +99,7 @@ def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | Non
     if path.suffix == ".bin":
         rows = read_bin(path, columns=bin_columns)
     elif path.suffix == ".xyz":
-        rows = read_xyz(path)
+        rows = np.column_stack(read_rows(path, path.parent))
     elif path.suffix == ".npy":
         rows = _read_npy(path)
     else:

@@ -1,0 +1,221 @@
+"""Argoverse 2's sensor logs (Wilson et al., NeurIPS Datasets 2021), in feather files; needs the extra ``argoverse2``.
+
+``<log>/sensors/lidar/<time_ns>.feather``, ``annotations.feather``, ``calibration/*.feather``, ``city_SE3_egovehicle``.
+Coordinates are the ego vehicle's: origin at the rear axle, some 0.3 m above the ground.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.classes import CIRRUS_FROM_ARGOVERSE2
+from farfield.errors import DatasetError, FileFormatError, MissingExtraError
+from farfield.files.atomic import read_bytes
+from farfield.files.images import read_image
+from farfield.frame import Boxes, Camera, Cloud, Frame, Lazy
+from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
+
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_TRANSLATION = ("tx_m", "ty_m", "tz_m")
+_SIZE = ("length_m", "width_m", "height_m")
+_IMAGE_WITHIN_NS = 100_000_000
+
+Table = dict[str, np.ndarray]
+
+
+def read_feather(path: Path, names: Sequence[str]) -> Table:
+    """Read columns of a feather file.
+
+    Raises:
+        MissingExtraError: If pyarrow is not installed.
+        FileFormatError: If the file is damaged or lacks a column.
+    """
+    try:
+        import pyarrow
+        import pyarrow.feather
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "argoverse2", "Reading Argoverse 2") from error
+    try:
+        table = pyarrow.feather.read_table(pyarrow.BufferReader(read_bytes(path)), memory_map=False)
+        missing = [name for name in names if name not in table.column_names]
+        if missing:
+            found = f"columns {', '.join(table.column_names)[:200]}"
+            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", found=found)
+        return {name: table.column(name).to_numpy() for name in names}
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise FileFormatError(path, where="the file", expected="a feather table", found=str(error)[:200]) from error
+
+
+class _Log:
+    """One drive: its sweeps, annotations, cameras and poses, each read once."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.sweeps = sorted((p for p in root.glob("sensors/lidar/*.feather") if p.stem.isdigit()), key=_time)
+
+    @cached_property
+    def annotations(self) -> Table | None:
+        path = self.root / "annotations.feather"
+        names = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_TRANSLATION, "num_interior_pts")
+        return read_feather(path, names) if path.is_file() else None
+
+    @cached_property
+    def track_ids(self) -> dict[str, int]:
+        assert self.annotations is not None
+        return {name: number for number, name in enumerate(np.unique(self.annotations["track_uuid"].astype(str)))}
+
+    @cached_property
+    def poses(self) -> Table | None:
+        path = self.root / "city_SE3_egovehicle.feather"
+        return read_feather(path, ("timestamp_ns", *_QUATERNION, *_TRANSLATION)) if path.is_file() else None
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        folder = self.root / "calibration"
+        if not (folder / "intrinsics.feather").is_file():
+            return {}
+        size = ("height_px", "width_px")
+        lens = read_feather(folder / "intrinsics.feather", ("sensor_name", *_LENS, *size))
+        mount = read_feather(folder / "egovehicle_SE3_sensor.feather", ("sensor_name", *_QUATERNION, *_TRANSLATION))
+        row_of = {str(name): row for row, name in enumerate(mount["sensor_name"])}
+        return {
+            str(name): _camera(lens, row, _pose_at(mount, row_of[str(name)]))
+            for row, name in enumerate(lens["sensor_name"])
+            if str(name) in row_of
+        }
+
+    @cached_property
+    def images(self) -> dict[str, list[Path]]:
+        folders = sorted(path for path in self.root.glob("sensors/cameras/*") if path.is_dir())
+        return {f.name: sorted((p for p in f.glob("*.jpg") if p.stem.isdigit()), key=_time) for f in folders}
+
+
+_LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3")
+
+
+def _time(path: Path) -> int:
+    return int(path.stem)
+
+
+def _pose_at(table: Table, row: int) -> Float[np.ndarray, "4 4"]:
+    quaternion = np.array([table[name][row] for name in _QUATERNION], dtype=np.float64)
+    return pose(rotation_from_quaternion(quaternion), np.array([table[name][row] for name in _TRANSLATION]))
+
+
+def _camera(lens: Table, row: int, ego_T_camera: Float[np.ndarray, "4 4"]) -> Camera:
+    fx, fy, cx, cy, k1, k2, k3 = (float(lens[name][row]) for name in _LENS)
+    return Camera(
+        matrix=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        distortion=np.array([k1, k2, 0.0, 0.0, k3]),
+        camera_T_lidar=invert(ego_T_camera),
+        width_px=int(lens["width_px"][row]),
+        height_px=int(lens["height_px"][row]),
+    )
+
+
+class Argoverse2(Dataset):
+    """Argoverse 2 sweeps: cloud ``"lidar"`` in ego coordinates, cameras by name, boxes with official point counts.
+
+    ``boxes.point_count`` is ``num_interior_pts``. ``frame.metadata`` holds ``files``, ``box_protocol`` ("full") and
+    ``raw_label`` (the categories).
+
+    Args:
+        root: One log, a folder of logs, or one with ``train``, ``val``, ``test``.
+        classes: ``"cirrus"`` translates categories (others become ``unknown``), ``"argoverse2"`` keeps them.
+
+    Raises:
+        DatasetError: If there is no sweep.
+    """
+
+    name = "argoverse2"
+
+    def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
+        self.root, self.classes = Path(root), classes
+        found = {path.parents[2] for prefix in ("", "*/", "*/*/") for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        self.logs = [_Log(path) for path in sorted(found)]
+        self._index = [(log, sweep) for log in self.logs for sweep in log.sweeps]
+        if not self._index:
+            raise DatasetError(f"{self.root}: expected Argoverse 2 sweeps in <log>/{_SWEEPS}, found none")
+        self.sequences = tuple(log.root.resolve().name for log, _ in self._index)
+        self.frame_ids = tuple(sweep.stem for _, sweep in self._index)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``; the annotations are shared by their log."""
+        log, sweep = self._index[index]
+        path = log.root / "annotations.feather"
+        return [sweep, *([path] if path.is_file() else [])]
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        log, sweep = self._index[index]
+        time_ns = _time(sweep)
+        rows = None if log.annotations is None else np.flatnonzero(log.annotations["timestamp_ns"] == time_ns)
+        images = {name: _nearest(paths, time_ns) for name, paths in log.images.items()}
+        present = {name: path for name, path in images.items() if path is not None}
+        files = [str(path) for path in self.files(index)]
+        metadata: dict[str, Any] = {"files": lambda: files, "box_protocol": lambda: "full"}
+        if log.annotations is not None and rows is not None:
+            categories = tuple(log.annotations["category"][rows].tolist())
+            metadata["raw_label"] = lambda: categories
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=sweep.stem,
+            time_ns=time_ns,
+            clouds=Lazy({"lidar": partial(_read_sweep, sweep)}),
+            images=Lazy({name: partial(read_image, path) for name, path in present.items()}),
+            cameras=log.cameras,
+            annotation=None if rows is None else partial(self._boxes, log, rows),
+            world_T_lidar=_pose_near(log, time_ns),
+            times_ns={"lidar": time_ns} | {name: _time(path) for name, path in present.items()},
+            reference="ego",
+            metadata=Lazy(metadata),
+        )
+
+    def _boxes(self, log: _Log, rows: np.ndarray) -> Boxes:
+        assert log.annotations is not None
+        table = {name: values[rows] for name, values in log.annotations.items()}
+        names = [str(name) for name in table["category"]]
+        if self.classes == "cirrus":
+            names = [CIRRUS_FROM_ARGOVERSE2.get(name, "unknown") for name in names]
+        quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
+        return Boxes(
+            centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
+            size_m=np.column_stack([table[name] for name in _SIZE]),
+            yaw_rad=yaw_from_quaternion(quaternion) if len(rows) else np.zeros(0),
+            label=names,
+            track_id=np.array([log.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64),
+            point_count=table["num_interior_pts"].astype(np.int64),
+        )
+
+
+_SWEEPS = "sensors/lidar/*.feather"
+
+
+def _read_sweep(path: Path) -> Cloud:
+    table = read_feather(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
+    points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float32)
+    if not np.isfinite(points).all():
+        row = int(np.argwhere(~np.isfinite(points))[0][0])
+        found = str(points[row].tolist())
+        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", found=found)
+    strength = table["intensity"].astype(np.float32) / np.float32(255)
+    return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
+
+
+def _nearest(paths: Sequence[Path], time_ns: int) -> Path | None:
+    best = min(paths, key=lambda path: abs(_time(path) - time_ns), default=None)
+    return best if best is not None and abs(_time(best) - time_ns) <= _IMAGE_WITHIN_NS else None
+
+
+def _pose_near(log: _Log, time_ns: int) -> Float[np.ndarray, "4 4"] | None:
+    """City pose of the ego vehicle at the sweep's time, or None where none lies within 0.1 s."""
+    if log.poses is None or len(log.poses["timestamp_ns"]) == 0:
+        return None
+    gap_ns = np.abs(log.poses["timestamp_ns"] - time_ns)
+    row = int(gap_ns.argmin())
+    return _pose_at(log.poses, row) if gap_ns[row] <= _IMAGE_WITHIN_NS else None
