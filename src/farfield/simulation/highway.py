@@ -54,7 +54,7 @@ class Highway:
         bumps = rng.standard_normal((len(s_m), 4)) * [0.3, 0.15, 0.06, 0.03]
         bumps[[0, -1]] = 0.0  # neighbouring pieces meet without a gap
         fall = np.array([18.0, 14.0, 12.0, 7.0])
-        right_z, left_z = self.bank[0] * fall + bumps, self.bank[1] * fall[::-1] + bumps
+        right_z, left_z = self.bank[0] * fall + bumps, self.bank[1] * fall[::-1] + bumps[:, ::-1]
         z = np.concatenate([right_z, np.zeros((len(s_m), 8)), left_z], axis=1)
         kind = [_GRASS, _GRASS, _SOIL, _GRASS, _ASPHALT, _ASPHALT, _ASPHALT, _ASPHALT if self.barrier else _GRASS]
         return ribbon(road, s_m, d, z, np.array(kind + kind[-2::-1]))
@@ -161,7 +161,13 @@ def build_highway(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
     _, gaps, speeds = _STATES[state]
     speed, gap = rng.uniform(*speeds), rng.uniform(*gaps)
     travel = 1.2 * speed * duration_s
-    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1100, undulation_m=0.18)
+    road = RoadLine.draw(
+        rng,
+        behind_m=40.0 * duration_s + 500.0,
+        ahead_m=120.0 * duration_s + 1500.0,
+        curvature_per_m=1 / 1100,
+        undulation_m=0.18,
+    )
     steps = round(duration_s / STEP_S) + 2
     population = Population(road, steps=steps, rng=np.random.default_rng(traffic_seed))
     _add_traffic(population, highway, speed=speed, gap=gap, duration_s=duration_s, state=state)

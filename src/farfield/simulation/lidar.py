@@ -8,6 +8,7 @@ so that R_ref = 245 m at rho_ref = 0.1 gives P_det = 0.9 for a 10 % target at 20
 f(theta) is cos(theta) plus a rough surface's grazing backscatter and a glossy one's mirror lobe.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -37,7 +38,7 @@ class LidarModel:
         range_noise_m: Range noise of strong returns.
         weak_noise_m: Further range noise at the threshold, falling with the square root of the signal.
         dropout: Share of returns lost at random.
-        texture: Spread (of the logarithm) of the reflectance from shot to shot on one surface.
+        texture: Spread (of the logarithm) of the intensity from shot to shot on one surface.
         glass_return: Share of the shots at glass that come back from it; the others pass through.
     """
 
@@ -101,7 +102,7 @@ class Scan:
 
     @classmethod
     def draw(
-        cls, pattern: str, model: LidarModel, rng: np.random.Generator, *, origin_m: tuple[float, float, float]
+        cls, pattern: str, model: LidarModel, rng: np.random.Generator, *, origin_m: Sequence[float | int]
     ) -> "Scan":
         """Lay out one sweep: lines of the pattern, evenly spaced columns with a random phase, jitter on each shot."""
         elevation = np.radians(line_elevations_deg(pattern, model)).astype(np.float32)
@@ -114,7 +115,9 @@ class Scan:
         cos_el = np.cos(el)
         directions = np.stack([cos_el * np.cos(az), cos_el * np.sin(az), np.sin(el)], axis=-1)
         middle = np.radians(-model.azimuth_deg + step * (column + 0.5))
-        return cls(elevation.astype(np.float64), middle.astype(np.float64), directions, np.asarray(origin_m))
+        return cls(
+            elevation.astype(np.float64), middle.astype(np.float64), directions, np.asarray(origin_m, dtype=np.float64)
+        )
 
     @property
     def margin_rad(self) -> float:
@@ -166,7 +169,7 @@ def measure(
     material: Int[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Returns:
-    """Turn hits into returns: texture, detection, dropout, range noise, and an intensity in steps of 1/255.
+    """Turn hits into returns: detection, dropout, range noise, and a textured intensity in steps of 1/255.
 
     Args:
         model: The sensor.
@@ -180,9 +183,9 @@ def measure(
     lucky, texture = rng.random(n, dtype=np.float32), rng.standard_normal(n, dtype=np.float32)
     noise = rng.standard_normal(n, dtype=np.float32)
     hit = np.flatnonzero((range_m < model.max_range_m) & (range_m > model.min_range_m))
-    textured = reflectance[hit] * np.exp(model.texture * texture[hit].astype(np.float64))
     distance = range_m[hit].astype(np.float64)
-    strength, seen = signal(model, distance, cosine[hit].astype(np.float64), textured, material[hit])
+    strength, seen = signal(model, distance, cosine[hit].astype(np.float64), reflectance[hit], material[hit])
+    seen = seen * np.exp(model.texture * texture[hit].astype(np.float64))
     chance = detection_probability(model, strength) * (1 - model.dropout)
     back: Bool[np.ndarray, " n"] = lucky[hit] < chance
     spread = np.sqrt(model.range_noise_m**2 + model.weak_noise_m**2 / np.maximum(strength[back], 1e-3))

@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 
 from farfield.simulation.materials import Material, draw_reflectance
 
+Triple = Sequence[float | int]  # x, y, z
+
 _BOX_ENDS = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])
 _BOX_SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]])
 _BOX_FACES = np.concatenate([_BOX_ENDS, _BOX_SIDES])
@@ -76,7 +78,7 @@ class Mesh:
         return Mesh(vertices, self.faces, self.material, self.reflectance)
 
 
-def box(size_m: Sequence[float], centre_m: Sequence[float], material: int) -> Mesh:
+def box(size_m: Triple, centre_m: Triple, material: int) -> Mesh:
     """A box with its faces along the axes (12 triangles)."""
     return Mesh.of(_BOX_SIGNS * np.asarray(size_m) / 2 + np.asarray(centre_m), _BOX_FACES, material)
 
@@ -122,8 +124,8 @@ def loft(rings_m: Float[np.ndarray, "k n 3"], material: Int[np.ndarray, "k1 n"] 
 
 
 def tube(
-    start_m: Sequence[float],
-    end_m: Sequence[float],
+    start_m: Triple,
+    end_m: Triple,
     radius_m: float | tuple[float, float],
     material: int,
     *,
@@ -156,9 +158,7 @@ def tube(
     return loft(rings, material, material)
 
 
-def ring_tube(
-    centre_m: Sequence[float], radius_m: float, thickness_m: float, material: int, *, sides: int = 12
-) -> Mesh:
+def ring_tube(centre_m: Triple, radius_m: float, thickness_m: float, material: int, *, sides: int = 12) -> Mesh:
     """A standing ring in the x-z plane (a bicycle's tyre): a torus with four-cornered sections."""
     angle = 2 * np.pi * np.arange(sides + 1) / sides
     section = np.array([[0.0, 0.5], [0.5, 0.0], [0.0, -0.5], [-0.5, 0.0]]) * thickness_m
@@ -169,9 +169,7 @@ def ring_tube(
     return grid(np.stack([x, y, z], axis=-1) + np.asarray(centre_m), material, closed=True)
 
 
-def ellipsoid(
-    centre_m: Sequence[float], radii_m: Sequence[float], material: int, *, sides: int = 8, rows: int = 5
-) -> Mesh:
+def ellipsoid(centre_m: Triple, radii_m: Triple, material: int, *, sides: int = 8, rows: int = 5) -> Mesh:
     """An ellipsoid of ``rows`` rings with ``sides`` corners each."""
     polar = np.linspace(0.0, np.pi, rows + 2)[1:-1]
     angle = 2 * np.pi * np.arange(sides) / sides

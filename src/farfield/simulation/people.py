@@ -4,12 +4,12 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box, ellipsoid, ring_tube, tube
+from farfield.simulation.mesh import Mesh, Triple, box, ellipsoid, ring_tube, tube
 
 _CLOTH, _SKIN, _METAL, _TYRE = (int(m) for m in (Material.CLOTH, Material.SKIN, Material.METAL, Material.TYRE))
 
 
-def _limb(start: list[float], end: list[float], radius: float, material: int = _CLOTH) -> Mesh:
+def _limb(start: Triple, end: Triple, radius: float, material: int = _CLOTH) -> Mesh:
     return tube(start, end, radius, material, sides=6, round_ends=True)
 
 
@@ -29,7 +29,7 @@ def build_pedestrian(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) 
     return Mesh.merge(parts).fitted(size_m).painted(rng)
 
 
-def _rider(hip: list[float], lean: float, reach: list[float], foot: float) -> list[Mesh]:
+def _rider(hip: Triple, lean: float, reach: Triple, foot: float) -> list[Mesh]:
     shoulder = [hip[0] + lean, 0.0, hip[2] + 0.55]
     head = [shoulder[0] + 0.08, 0.0, shoulder[2] + 0.22]
     parts = [_limb(hip, shoulder, 0.16), ellipsoid(head, [0.11, 0.09, 0.14], _SKIN, sides=8, rows=3)]

@@ -29,11 +29,11 @@ class Preset:
     road: str = "mixed"
     sequences: int = 12
     frames: int = 20
-    stride_s: float = 0.5
-    duration_s: float = 60.0
+    stride_s: float | int = 0.5
+    duration_s: float | int = 60.0
     seed: int = 0
-    uniform_offset_ms: float = 0.0
-    uniform_origin_m: tuple[float, float, float] = (0.0, -0.5, 0.0)
+    uniform_offset_ms: float | int = 0.0
+    uniform_origin_m: tuple[float | int, float | int, float | int] = (0.0, -0.5, 0.0)
     sensor_height_m: tuple[float, float] = (1.9, 2.1)
     lidar: LidarModel = field(default_factory=LidarModel)
 

@@ -39,7 +39,7 @@ class RoadLine:
             curvature_per_m: Amplitude of each of the two waves of curvature.
             undulation_m: Amplitude of each of the two waves of height.
         """
-        s = np.arange(-behind_m, ahead_m + _STEP_M, _STEP_M)
+        s = np.arange(-np.ceil(behind_m), ahead_m + _STEP_M, _STEP_M)
         curvature, z = np.zeros_like(s), np.zeros_like(s)
         for shortest, longest in ((350.0, 800.0), (900.0, 2500.0)):
             wave = curvature_per_m * rng.uniform(-1, 1)
@@ -56,7 +56,7 @@ class RoadLine:
 
     def _column(self, s_m: Float[np.ndarray, "*shape"], column: int) -> Float[np.ndarray, "*shape"]:
         position = (s_m - self.first_s_m) / _STEP_M
-        return np.interp(position, np.arange(len(self.table)), self.table[:, column])
+        return np.asarray(np.interp(position, np.arange(len(self.table)), self.table[:, column]))
 
     def heading_rad(self, s_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """Direction of growing s."""

@@ -224,7 +224,13 @@ def build_urban(seed: np.random.SeedSequence, *, duration_s: float) -> Layout:
         speed = rng.uniform(2, 7)
     travel = 1.25 * speed * duration_s
     street = Street(rng, -80.0, travel + 420.0)
-    road = RoadLine.draw(rng, behind_m=400.0, ahead_m=travel + 900.0, curvature_per_m=1 / 1400, undulation_m=0.16)
+    road = RoadLine.draw(
+        rng,
+        behind_m=40.0 * duration_s + 500.0,
+        ahead_m=60.0 * duration_s + 1500.0,
+        curvature_per_m=1 / 1400,
+        undulation_m=0.16,
+    )
     steps = round(duration_s / STEP_S) + 2
     population = Population(road, steps=steps, rng=np.random.default_rng(traffic_seed))
     lanes = []
