@@ -69,7 +69,7 @@ def figure_bytes(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> byt
 
     Args:
         figure: The figure.
-        kind: ``"svg"`` (points inside stay raster where the figure marks them so), ``"png"``, ``"jpg"`` for photographs.
+        kind: ``"svg"`` (points inside stay raster where the figure marks them so), ``"png"`` or ``"jpg"``.
         dpi: Pixels an inch of raster parts.
     """
     buffer = io.BytesIO()

@@ -1,0 +1,31 @@
+"""Draw the pictures of the README: ``python docs/make_images.py`` (with --plain, without a detector)."""
+
+import sys
+from pathlib import Path
+
+import farfield as ff
+from farfield.reports.figures import WINDOW_M, overview
+from farfield.reports.objects import VEHICLES, sure
+from farfield.reports.plots import scan_patterns
+from farfield.reports.style import figure_bytes
+from farfield.simulation import simulate_sequence
+
+IMAGES = Path(__file__).parent / "images"
+DETECTOR = "pointpillars-cirrus-sim"
+SEED, SEQUENCE, FRAMES = 5, 0, 4
+
+
+def main() -> None:
+    """Simulate a moment, detect, draw."""
+    frame = list(simulate_sequence("cirrus-sim", seed=SEED, sequence=SEQUENCE, frames=FRAMES))[-1]
+    cloud = frame.cloud("gaussian")
+    predicted = None if "--plain" in sys.argv else sure(ff.load_detector(DETECTOR)(frame), 0.3)
+    figure = overview(cloud, annotated=frame.boxes, predicted=predicted, labels=VEHICLES, window_m=WINDOW_M)
+    (IMAGES / "birdseye.png").write_bytes(figure_bytes(figure, "png", dpi=110))
+    (IMAGES / "patterns.png").write_bytes(figure_bytes(scan_patterns(dict(frame.clouds)), "png", dpi=100))
+    for path in sorted(IMAGES.glob("*.png")):
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
