@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from street import GROUND_M, street
 
 from farfield.datasets import open_dataset
 from farfield.datasets.doctor import Report, examine
@@ -148,8 +149,6 @@ def test_boxes_off_the_points_fail(street_root):
 
 
 def test_changes_keep_the_volume_and_ground_points_do_not_vote(rng):
-    from tests.datasets.conftest import GROUND_M, street
-
     cloud, boxes = street(rng)
     for reading in READINGS:
         np.testing.assert_allclose(reading.change(boxes).volume_m3, boxes.volume_m3)

@@ -1,0 +1,71 @@
+import sys
+
+import numpy as np
+import pytest
+
+from farfield.datasets import open_dataset
+from farfield.datasets.argoverse2 import Argoverse2, read_feather
+from farfield.errors import FileFormatError, MissingExtraError
+from farfield.geometry.points import count_points_in_boxes
+
+pytest.importorskip("pyarrow")
+
+LOG = "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
+
+
+@pytest.fixture(params=["", "val", f"val/{LOG}"])
+def root(request, shared_real):
+    return shared_real / "argoverse2" / request.param
+
+
+def test_points_in_boxes_equal_the_official_counts(shared_real):
+    checked = 0
+    for frame in open_dataset(shared_real / "argoverse2"):
+        counts = count_points_in_boxes(frame.cloud().points_m, frame.boxes)
+        np.testing.assert_array_equal(counts, frame.boxes.point_count)
+        checked += len(counts)
+    assert checked == 162
+
+
+def test_every_root_opens_the_same_frames(root):
+    data = open_dataset(root)
+    assert data.name == "argoverse2"
+    assert data.keys == ((LOG, "315966265259836000"), (LOG, "315966265360032000"))
+
+
+def test_frames_carry_classes_poses_tracks_and_cameras(shared_real):
+    data = Argoverse2(shared_real / "argoverse2", classes="argoverse2")
+    frame = data[0]
+    assert "REGULAR_VEHICLE" in set(frame.boxes.label.tolist())
+    assert set(open_dataset(data.root)[0].boxes.label.tolist()) >= {"vehicle", "pedestrian", "bicycle", "unknown"}
+    assert frame.metadata["raw_label"] == tuple(frame.boxes.label.tolist())
+    shared = set(frame.boxes.track_id.tolist()) & set(data[1].boxes.track_id.tolist())
+    assert len(shared) > 0.8 * len(frame.boxes)
+    # Standing objects keep their place in the city when the ego vehicle moves: poses and boxes agree.
+    places = [f.boxes.transform(f.world_T_lidar) for f in data]
+    by_id = [dict(zip(p.track_id.tolist(), p.centre_m, strict=True)) for p in places]
+    moved = [np.linalg.norm(by_id[0][track] - by_id[1][track]) for track in shared]
+    assert np.median(moved) < 0.1
+    camera = frame.cameras["ring_front_center"]
+    assert (camera.width_px, camera.height_px) == (1550, 2048)
+    pixels, depth, visible = camera.project(np.array([[30.0, 0.0, 1.0]]))
+    assert visible[0]
+    assert depth[0] == pytest.approx(30.0 - 1.635, abs=0.1)
+    assert abs(pixels[0, 0] - 1550 / 2) < 50
+
+
+def test_a_damaged_file_and_a_missing_column_are_named(tmp_path, shared_real):
+    path = tmp_path / "damaged.feather"
+    whole = (shared_real / "argoverse2/val" / LOG / "city_SE3_egovehicle.feather").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileFormatError, match=r"damaged\.feather"):
+        read_feather(path, ["qw"])
+    path.write_bytes(whole)
+    with pytest.raises(FileFormatError, match="expected columns speed"):
+        read_feather(path, ["speed"])
+
+
+def test_the_missing_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match=r"farfield\[argoverse2\]"):
+        read_feather(tmp_path / "any.feather", [])

@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+from street import street_frame
+
+from farfield.datasets import open_dataset
+from farfield.datasets.cirrus import CirrusWriter
+from farfield.datasets.cloud_files import cache_path
+from farfield.datasets.convert import convert
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.boxes_csv import read_boxes_csv
+
+
+def test_cirrus_to_kitti_and_back_keeps_everything_that_kitti_holds(street_root, tmp_path):
+    source = open_dataset(street_root)
+    outcome = convert(source, tmp_path / "kitti", to="kitti")
+    assert (outcome.written, outcome.skipped) == (3, 0)
+    made = open_dataset(tmp_path / "kitti")
+    assert made.name == "kitti"
+    for got, want in zip(made, source, strict=True):
+        np.testing.assert_array_equal(got.cloud().points_m, want.cloud().points_m)
+        np.testing.assert_array_equal(got.cloud().intensity, want.cloud().intensity)
+        np.testing.assert_allclose(got.boxes.centre_m, want.boxes.centre_m, atol=1e-9)
+        np.testing.assert_allclose(got.boxes.size_m, want.boxes.size_m)
+        np.testing.assert_allclose(got.boxes.yaw_rad, want.boxes.yaw_rad, atol=1e-9)
+        assert got.boxes.label.tolist() == want.boxes.label.tolist()
+    lines = (tmp_path / "kitti/frames.csv").read_text().splitlines()
+    assert lines[1] == f"000000,segment_00,{source.frame_ids[0]}"
+    convert(made, tmp_path / "back", to="cirrus")
+    for got, want in zip(open_dataset(tmp_path / "back"), source, strict=True):
+        np.testing.assert_array_equal(got.cloud().points_m, want.cloud().points_m)
+        np.testing.assert_allclose(got.boxes.centre_m, want.boxes.centre_m, atol=1e-6)
+
+
+def test_conversion_resumes_and_mends_what_is_damaged(street_root, tmp_path):
+    source = open_dataset(street_root)
+    convert(source.select([0, 1]), tmp_path / "kitti", to="kitti")
+    outcome = convert(source, tmp_path / "kitti", to="kitti")
+    assert (outcome.written, outcome.skipped) == (1, 2)
+    damaged = tmp_path / "kitti/training/velodyne/000001.bin"
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:-4] + b"\0\0\0\0")
+    (tmp_path / "kitti/training/label_2/000002.txt").unlink()
+    outcome = convert(source, tmp_path / "kitti", to="kitti")
+    assert (outcome.written, outcome.skipped) == (2, 1)
+    assert damaged.read_bytes() == whole
+    assert convert(source, tmp_path / "kitti", to="kitti", overwrite=True).written == 3
+
+
+def test_a_changed_source_is_converted_again(street_root, tmp_path):
+    convert(open_dataset(street_root), tmp_path / "out", to="boxes-csv")
+    label = next(street_root.glob("dataset1_annotation/*.json"))
+    label.write_text(label.read_text().replace('"large_vehicle"', '"trailer"'))
+    assert convert(open_dataset(street_root), tmp_path / "out", to="boxes-csv").written == 1
+    assert "trailer" in read_boxes_csv(tmp_path / "out/segment_00.csv").label
+
+
+def test_a_journal_cut_off_by_a_crash_is_no_obstacle_a_damaged_one_is_named(street_root, tmp_path):
+    source = open_dataset(street_root)
+    convert(source, tmp_path / "kitti", to="kitti")
+    journal = tmp_path / "kitti/.farfield_convert.jsonl"
+    text = journal.read_text()
+    journal.write_text(text[:-20])
+    outcome = convert(source, tmp_path / "kitti", to="kitti")
+    assert (outcome.written, outcome.skipped) == (1, 2)
+    journal.write_text("nonsense\n")
+    with pytest.raises(FileFormatError, match="line 1"):
+        convert(source, tmp_path / "kitti", to="kitti")
+
+
+def test_boxes_csv_holds_every_box(street_root, tmp_path):
+    source = open_dataset(street_root)
+    convert(source, tmp_path / "deep/labels.csv", to="boxes-csv")
+    rows = read_boxes_csv(tmp_path / "deep/labels.csv")
+    want = [frame.boxes for frame in source]
+    np.testing.assert_array_equal(rows.centre_m, np.concatenate([boxes.centre_m for boxes in want]))
+    np.testing.assert_array_equal(rows.yaw_rad, np.concatenate([boxes.yaw_rad for boxes in want]))
+    assert set(zip(rows.sequence.tolist(), rows.frame.tolist(), strict=True)) == set(source.keys)
+    assert rows.score is None
+
+
+def test_full_boxes_can_be_asked_for(street_root, tmp_path):
+    with pytest.raises(DatasetError, match="full_boxes"):
+        convert(open_dataset(street_root), tmp_path / "x.csv", to="boxes-csv", boxes="full_boxes")
+
+
+def test_cache_is_written_once_and_read(street_root):
+    source = open_dataset(street_root)
+    before = source[0].cloud()
+    assert convert(source, to="cache").written == 3
+    assert convert(source, to="cache").skipped == 3
+    sweep = source.entries[0].gaussian
+    assert cache_path(sweep, street_root).is_file()
+    after = open_dataset(street_root)[0].cloud()
+    np.testing.assert_array_equal(before.points_m, after.points_m)
+    np.testing.assert_array_equal(before.intensity, after.intensity)
+    assert len(open_dataset(street_root.parent)) == 3  # the cache folder is no data set of its own
+
+
+def test_split_is_carried_over_as_image_sets(tmp_path, rng):
+    writer = CirrusWriter(tmp_path)
+    for number in range(4):
+        writer.write(street_frame(rng, 100 * number))
+    source = open_dataset(tmp_path)
+    assert len(set(source.sequences)) == 4
+    convert(source, tmp_path / "kitti", to="kitti")
+    made = open_dataset(tmp_path / "kitti")
+    assert made.split("val").frame_ids == tuple(f"{source.keys.index(key):06d}" for key in source.split("val").keys)
+
+
+def test_wrong_targets_are_errors(street_root, tmp_path):
+    source = open_dataset(street_root)
+    with pytest.raises(ConfigError, match="expected a target folder"):
+        convert(source, to="kitti")
+    with pytest.raises(ConfigError, match="leave the target out"):
+        convert(source, tmp_path / "elsewhere", to="cache")
+
+
+def test_real_kitti_becomes_cirrus(shared_real, tmp_path):
+    source = open_dataset(shared_real / "kitti")
+    convert(source.select([1]), tmp_path, to="cirrus")
+    got, want = open_dataset(tmp_path)[0], source[1]
+    np.testing.assert_allclose(got.cloud().points_m, want.cloud().points_m, atol=6e-5)
+    np.testing.assert_allclose(got.boxes.centre_m, want.boxes.centre_m, atol=1e-6)
+    assert got.boxes.label.tolist() == want.boxes.label.tolist()
+    np.testing.assert_allclose(got.cameras["camera"].camera_T_lidar, want.cameras["camera"].camera_T_lidar)
