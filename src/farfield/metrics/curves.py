@@ -104,15 +104,21 @@ def weighted_curve(ranking: Ranking, group_weight: Float[np.ndarray, " g"] | Non
     share = np.divide(
         RECALL - matched_before / annotated, weight[upper] / annotated, out=np.zeros(101), where=weight[upper] > 0
     )
-
-    def fill(low: Float[np.ndarray, "101"], high: Float[np.ndarray, "101"], last: float) -> Float[np.ndarray, "101"]:
-        return np.where(inside, low + (high - low) * share, np.where(recall[-1] == RECALL, last, 0.0))
+    beyond = (recall[-1] == RECALL).astype(np.float64)  # at the last recall itself the last value holds, then none
 
     return Curve(
         annotated=annotated,
         precision_at_match=at_match,
-        precision=fill(precision_before, at_match[upper], float(matched[-1] / seen[-1])),
-        confidence=fill(confidence_before, ranking.confidence[hits[upper]], float(ranking.confidence[-1])),
+        precision=np.where(
+            inside,
+            precision_before + (at_match[upper] - precision_before) * share,
+            beyond * (matched[-1] / seen[-1]),
+        ),
+        confidence=np.where(
+            inside,
+            confidence_before + (ranking.confidence[hits[upper]] - confidence_before) * share,
+            beyond * ranking.confidence[-1],
+        ),
         **parts,
     )
 

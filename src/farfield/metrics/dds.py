@@ -114,7 +114,10 @@ def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
             parts[name] = binned(scene, matches, settings, low_m, high_m)
         else:
             inside = scene.cut_range(low_m, high_m)
-            parts[name] = whole(inside, match_scene(inside, settings), settings)
+            if inside is scene:  # the bin holds everything
+                parts[name] = parts["overall"]
+            else:
+                parts[name] = whole(inside, match_scene(inside, settings), settings)
     return parts
 
 

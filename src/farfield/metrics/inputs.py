@@ -192,8 +192,16 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
     with path.open("rb") as handle:
         commas = b"," in handle.readline(4096)
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
-    for (frame,), index in _groups(tracks.frame):
-        side.add(path, (stem, frame), *_split(side, path, tracks.objects[index]))
+    dontcare = tracks.objects.type == "DontCare"
+    boxes, details = _split(side, path, tracks.objects)
+    real = dict(_groups(tracks.frame[~dontcare]))
+    regions = dict(_groups(tracks.frame[dontcare]))
+    none = np.zeros(0, dtype=np.int64)
+    for frame in dict.fromkeys(tracks.frame.tolist()):
+        key = (str(frame),)
+        facts = {name: values[real.get(key, none)] for name, values in details.items() if name != "dontcare_px"}
+        facts["dontcare_px"] = details["dontcare_px"][regions.get(key, none)]
+        side.add(path, (stem, *key), boxes[real.get(key, none)], facts)
 
 
 def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -136,7 +136,7 @@ def flatten(parts: Sequence[Boxes], *, scored: bool) -> Boxes:
     Raises:
         ConfigError: If scores are asked for and some box has none.
     """
-    parts = [part for part in parts if len(part)]
+    parts = [part for part in parts if len(part.yaw_rad)]
     if not parts:
         return Boxes.empty(scored=scored)
     joined: dict[str, Any] = {
@@ -147,7 +147,7 @@ def flatten(parts: Sequence[Boxes], *, scored: bool) -> Boxes:
         if any(part.score is None for part in parts):
             raise ConfigError("predictions: expected a score for every box, got boxes without scores")
         joined["score"] = np.concatenate([part.score for part in parts if part.score is not None])
-    else:
+    elif any(part.point_count is not None for part in parts):
         counts = [np.full(len(part), -1) if part.point_count is None else part.point_count for part in parts]
         joined["point_count"] = np.concatenate(counts)
     return Boxes(**joined)
@@ -169,6 +169,8 @@ def group_frames(keys: Sequence[Key]) -> tuple[Int[np.ndarray, " frames"], str]:
     return (group, "sequences") if len(number) > 1 else (np.arange(len(keys)), "frames")
 
 
+@runtime_checkable
+@runtime_checkable
 class Region(Protocol):
     """What the settings of every protocol say of the region, see :class:`CentreSettings`."""
 
@@ -225,8 +227,8 @@ def _best_of_frame(boxes: Boxes, frame: Int[np.ndarray, " n"], limit: int) -> Bo
 
 
 def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
-    if least == 0 or boxes.point_count is None:
+    if least == 0 or len(boxes) == 0:
         return np.ones(len(boxes), dtype=bool)
-    if len(boxes) and (boxes.point_count < 0).all():
+    if boxes.point_count is None or (boxes.point_count < 0).all():
         raise ConfigError(f"min_points={least}: expected annotated boxes with point counts, got none that has one")
     return (boxes.point_count < 0) | (boxes.point_count >= least)

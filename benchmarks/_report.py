@@ -1,0 +1,52 @@
+"""What every benchmark prints first: command, machine, date, commit."""
+
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+
+def header() -> str:
+    """Command, machine, date, versions and commit, one a line; ``dirty`` where the tree differs from the commit."""
+    root = Path(__file__).resolve().parent.parent
+    command = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    lines = {
+        "command": f"python benchmarks/{shlex.join(command)}",
+        "machine": f"{_processor()}, {os.cpu_count()} cores, {_memory_gib():.0f} GiB, {platform.system()}",
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "python": f"{platform.python_version()}, {_versions('numpy', 'scipy', 'torch')}",
+        "commit": _git(root, "rev-parse", "--short", "HEAD")
+        + (" (dirty)" if _git(root, "status", "--porcelain", "--untracked-files=no") else ""),
+    }
+    return "\n".join(f"{name:<8} {value}" for name, value in lines.items())
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _memory_gib() -> float:
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+
+
+def _versions(*packages: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = []
+    for package in packages:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True, check=False)
+    return done.stdout.strip() if done.returncode == 0 else "unknown"
