@@ -1,0 +1,68 @@
+"""The frozen validation split: its record, and frames against it."""
+
+import numpy as np
+import pytest
+
+from farfield.errors import ConfigError
+from farfield.frame import Cloud, Frame
+from farfield.simulation import find_preset, simulate_frame
+from farfield.simulation.frozen import compare, frame_record, frozen_records, split_digest
+
+NAME = "cirrus-sim-val-v1"
+SHA256 = "ccbb6866684aed7b54eb70f54750d9862d7b7824b61d94d434e67c6b43915556"
+
+
+def test_the_record_has_not_changed() -> None:
+    records = frozen_records(NAME)
+    assert len(records) == 400
+    assert split_digest(records) == SHA256
+    assert sum(record.boxes for record in records.values()) > 4000
+
+
+def test_both_roads_are_in_the_split() -> None:
+    roads = [simulate_frame(NAME, sequence=sequence, index=0).conditions["road"] for sequence in (0, 1)]
+    assert roads == ["highway", "urban"]
+
+
+@pytest.mark.parametrize(("sequence", "index"), [(0, 0), (1, 0), (2, 7), (19, 19)])
+def test_frames_match_the_record(sequence: int, index: int) -> None:
+    got = frame_record(simulate_frame(NAME, sequence=sequence, index=index))
+    assert compare(got, frozen_records(NAME)[sequence, index]) in ("identical", "equivalent")
+
+
+@pytest.mark.slow
+def test_all_frames_match_the_record() -> None:
+    preset = find_preset(NAME)
+    for (sequence, index), expected in frozen_records(NAME).items():
+        assert compare(frame_record(simulate_frame(preset, sequence=sequence, index=index)), expected) != "different"
+
+
+def _moved(frame: Frame, by_m: float) -> Frame:
+    clouds = {
+        name: Cloud(cloud.points_m + np.float32(by_m), cloud.intensity, cloud.extra)
+        for name, cloud in frame.clouds.items()
+    }
+    return Frame(
+        sequence=frame.sequence,
+        frame_id=frame.frame_id,
+        clouds=clouds,
+        annotation=frame.annotation,
+        metadata=frame.metadata,
+    )
+
+
+def test_a_changed_frame_is_noticed() -> None:
+    frame = simulate_frame("mini", sequence=0, index=0)
+    record = frame_record(frame)
+    assert compare(frame_record(_moved(frame, 0.0)), record) == "identical"
+    assert compare(frame_record(_moved(frame, 0.01)), record) == "equivalent"
+    fewer = {name: cloud[: len(cloud) // 2] for name, cloud in frame.clouds.items()}
+    cut = Frame(
+        sequence="", frame_id=frame.frame_id, clouds=fewer, annotation=frame.annotation, metadata=frame.metadata
+    )
+    assert compare(frame_record(cut), record) == "different"
+
+
+def test_unknown_split_is_refused() -> None:
+    with pytest.raises(ConfigError, match="expected one of cirrus-sim-val-v1"):
+        frozen_records("cirrus-sim-val-v2")
