@@ -47,16 +47,17 @@ class ObjectBank:
         An object keeps its place, so its density and visible side stay right for its range. It is left out where it
         would touch a box of the frame; points of the frame inside its box are removed.
         """
+        keep, added = np.ones(len(points), dtype=np.bool_), []
         for name, count in wanted.items():
             pool = self.objects.get(name, [])
             for index in rng.permutation(len(pool))[:count]:
                 new_points, new_box = pool[index]
                 if len(boxes) and pairwise_iou(new_box, boxes, kind="bev").any():
                     continue
-                inside = points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]
-                points = np.concatenate([np.delete(points, inside, axis=0), new_points])
+                keep[points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]] = False
+                added.append(new_points)
                 boxes = Boxes.concatenate([boxes, new_box])
-        return points, boxes
+        return np.concatenate([points[keep], *added]), boxes
 
 
 def augment(
