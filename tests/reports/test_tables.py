@@ -45,10 +45,10 @@ def test_headline_and_scope_by_hand() -> None:
     results = {"gaussian": RESULT, "uniform": RESULT}
     assert words.headline(results) == (
         "Overall vehicle detection score (DDS, 1 is perfect): 0.50 on the Gaussian pattern and "
-        "0.50 on the Uniform pattern."
+        "0.50 on the uniform pattern."
     )
     assert words.scope(results) == (
-        "Scored: 3 frames with 1,200 annotated objects, the same in Gaussian pattern and Uniform pattern."
+        "Scored: 3 frames with 1,200 annotated objects, the same in the Gaussian pattern and the uniform pattern."
     )
     assert words.headline({}).startswith("Pictures only")
     assert words.scope({}) == ""

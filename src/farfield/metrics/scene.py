@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, runtime_checkable, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -169,7 +169,6 @@ def group_frames(keys: Sequence[Key]) -> tuple[Int[np.ndarray, " frames"], str]:
     return (group, "sequences") if len(number) > 1 else (np.arange(len(keys)), "frames")
 
 
-@runtime_checkable
 @runtime_checkable
 class Region(Protocol):
     """What the settings of every protocol say of the region, see :class:`CentreSettings`."""

@@ -76,7 +76,7 @@ def scope(results: Results) -> str:
         if number:
             frames = number.get("frames_given", number.get("frames", 0))
             text = f"{frames:,} frames with {number.get('annotated', 0):,} annotated objects"
-            groups.setdefault(text, []).append(pattern_title(name))
+            groups.setdefault(text, []).append(_short(name))
     if len(groups) == 1 and len(results) > 1:
         return f"Scored: {next(iter(groups))}, the same in {_joined(next(iter(groups.values())))}."
     return f"Scored: {_joined([f'{text} in {_joined(names)}' for text, names in groups.items()])}." if groups else ""
@@ -111,7 +111,8 @@ def pattern_note(name: str) -> str:
 
 
 def _short(name: str) -> str:
-    return f"the {pattern_title(name)}" if name.lower() in _PATTERNS else name
+    title = pattern_title(name)
+    return name if title == name else f"the {title.replace('Uniform', 'uniform')}"
 
 
 def pattern_title(name: str) -> str:
