@@ -243,6 +243,9 @@ def _conclude(verdicts: list[str], out: Path, *, frozen: bool) -> int:
     print(f"wrote {len(verdicts)} frames into {out}")
     if not frozen:
         return 0
+    if not verdicts:
+        print("checksums: nothing was written, nothing checked; frames are compared when they are simulated")
+        return 0
     counts = {name: verdicts.count(name) for name in ("identical", "equivalent", "different")}
     print("checksums: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     if counts["equivalent"]:
