@@ -43,7 +43,6 @@ def test_damaged_files_never_surprise(fuzzer: ModuleType, targets: dict[str, Any
     assert tally.faults == ()
     assert tally.errors > 100  # the damage was real
     assert tally.results > 0  # and the good files were read
-    assert tally.growth_bytes < 1 << 30
 
 
 def test_the_fuzzer_notices_what_it_is_there_for(fuzzer: ModuleType, tmp_path: Path) -> None:
