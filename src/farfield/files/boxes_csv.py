@@ -21,6 +21,7 @@ from farfield.files.atomic import read_bytes, write_text
 
 MAX_CSV_BYTES = 1 << 28
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
+_LEAST_M, _FARTHEST_M = 1e-4, 1e9  # beyond them volumes and distances lose their meaning in float64
 _NEEDED = ("frame", "label", *_NUMBERS)
 _OPTIONAL = ("sequence", "score", "track_id", "point_count")
 COLUMNS = ("sequence", *_NEEDED, "score", "track_id", "point_count")
@@ -149,8 +150,10 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise _wrong(path, line, f"a finite number as {name}", repr(text[:40]))
-    if name in "lwh" and value <= 0:
-        raise _wrong(path, line, f"a positive size as {name}", text[:40])
+    if name in "lwh" and value < _LEAST_M:
+        raise _wrong(path, line, f"a positive size as {name}, {_LEAST_M:g} m or more", text[:40])
+    if name in _NUMBERS and abs(value) > _FARTHEST_M:
+        raise _wrong(path, line, f"a number within {_FARTHEST_M:g} as {name}", text[:40])
     if name not in _NUMBERS and name != "score" and (value != round(value) or abs(value) > 2**53):
         raise _wrong(path, line, f"a whole number as {name}", text[:40])
     return value

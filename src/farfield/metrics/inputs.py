@@ -207,11 +207,12 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
 def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
     """Boxes with their 2D facts; DontCare regions stand beside them."""
     dontcare = objects.type == "DontCare"
-    boxless = np.flatnonzero(~dontcare & ~objects.has_box)
-    if len(boxless):
-        row = boxless[0]
-        found = " ".join(f"{value:g}" for value in objects.size_m[row])
-        raise FileFormatError(path, where=f"line {objects.line[row]}", expected="positive h w l", found=found)
+    extent_m = np.column_stack([objects.size_m, np.abs(objects.bottom_m)])
+    sound = (objects.size_m >= 1e-4).all(axis=1) & (extent_m <= 1e9).all(axis=1)
+    for row in np.flatnonzero(~dontcare & ~sound)[:1]:
+        found = " ".join(f"{value:g}" for value in [*objects.size_m[row], *objects.bottom_m[row]])
+        expected = "positive h w l, and x y z within 1e9 metres"
+        raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, found=found)
     real = objects[~dontcare]
     details = {
         "truncation": real.truncation,

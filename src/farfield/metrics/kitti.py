@@ -44,7 +44,7 @@ class KittiResult(Result):
     def __str__(self) -> str:
         parts = [*self.ranges, "overall"]
         rows = [
-            [name.removeprefix("ap/").replace("/", " "), *(self.cell(part, name, scale=100) for part in parts)]
+            [name.removeprefix("ap/").replace("/", " "), *(self.cell(part, name, scale=100.0) for part in parts)]
             for name in self.figures
         ]
         for name in ("annotated", "predictions"):
