@@ -15,6 +15,7 @@ from jaxtyping import Float
 from farfield.geometry.boxes import Boxes
 
 _CHUNK = 4096  # pairs at a time: the temporaries stay in the processor's second-level cache
+_BEV = [0, 1, 3, 4, 6]  # the columns x, y, length, width, yaw of a row with all seven
 _EDGE_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64)
 
 
@@ -74,10 +75,6 @@ def _clamped_integral(
     return (right - left) * mean
 
 
-def _bev_rows(boxes: Boxes) -> Float[np.ndarray, "n 5"]:
-    return np.column_stack([boxes.centre_m[:, :2], boxes.size_m[:, :2], boxes.yaw_rad])
-
-
 def paired_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, " n"]:
     """Intersection over union of the i-th box of ``a`` with the i-th box of ``b``.
 
@@ -97,21 +94,33 @@ def paired_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, " n
     if kind not in ("bev", "3d"):
         raise ValueError(f"paired_iou: expected kind to be one of 'bev', '3d', got {kind!r}")
     iou = np.zeros(len(a))
-    reach = (np.hypot(*a.size_m[:, :2].T) + np.hypot(*b.size_m[:, :2].T)) / 2
-    gap = np.hypot(*(a.centre_m[:, :2] - b.centre_m[:, :2]).T)
-    top = np.minimum(a.centre_m[:, 2] + a.size_m[:, 2] / 2, b.centre_m[:, 2] + b.size_m[:, 2] / 2)
-    bottom = np.maximum(a.centre_m[:, 2] - a.size_m[:, 2] / 2, b.centre_m[:, 2] - b.size_m[:, 2] / 2)
-    near = np.flatnonzero((gap < reach) & ((top > bottom) | (kind == "bev")))
-    if near.size == 0:
+    for start in range(0, len(a), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        rows_a = np.column_stack([a.centre_m[part], a.size_m[part], a.yaw_rad[part]])
+        rows_b = np.column_stack([b.centre_m[part], b.size_m[part], b.yaw_rad[part]])
+        iou[part] = _paired_chunk(rows_a, rows_b, flat=kind == "bev")
+    return iou
+
+
+def _paired_chunk(a: Float[np.ndarray, "n 7"], b: Float[np.ndarray, "n 7"], *, flat: bool) -> Float[np.ndarray, " n"]:
+    """IoU of boxes as x, y, z, length, width, height, yaw; pairs that cannot meet are left out of the clipping."""
+    iou = np.zeros(len(a))
+    reach = (np.hypot(a[:, 3], a[:, 4]) + np.hypot(b[:, 3], b[:, 4])) / 2
+    top = np.minimum(a[:, 2] + a[:, 5] / 2, b[:, 2] + b[:, 5] / 2)
+    bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
+    near = np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1]) < reach
+    if not flat:
+        near &= top > bottom
+    if not near.any():
         return iou
-    rows_a, rows_b = _bev_rows(a)[near], _bev_rows(b)[near]
-    shared = bev_intersection_m2(rows_a, rows_b)
-    measure_a, measure_b = rows_a[:, 2] * rows_a[:, 3], rows_b[:, 2] * rows_b[:, 3]
-    if kind == "3d":
-        height_a, height_b = a.size_m[near, 2], b.size_m[near, 2]
+    if not near.all():
+        a, b, top, bottom = a[near], b[near], top[near], bottom[near]
+    shared = bev_intersection_m2(a[:, _BEV], b[:, _BEV])
+    measure_a, measure_b = a[:, 3] * a[:, 4], b[:, 3] * b[:, 4]
+    if not flat:
         # A height difference of boxes at z of 100 m may round above the lower height itself.
-        shared = shared * np.minimum(top[near] - bottom[near], np.minimum(height_a, height_b))
-        measure_a, measure_b = measure_a * height_a, measure_b * height_b
+        shared = shared * np.minimum(top - bottom, np.minimum(a[:, 5], b[:, 5]))
+        measure_a, measure_b = measure_a * a[:, 5], measure_b * b[:, 5]
     union = measure_a + measure_b - shared
     iou[near] = np.clip(np.divide(shared, union, out=np.zeros_like(shared), where=union > 0), 0.0, 1.0)
     return iou
