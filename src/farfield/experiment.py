@@ -63,7 +63,9 @@ def load_experiment(path: Path, overrides: list[str] | None = None) -> Experimen
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: expected YAML, found {error}.") from error
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}.")
+        raise ConfigError(
+            f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}."
+        )
     for override in overrides or []:
         _override(tree, override)
     try:
@@ -98,14 +100,19 @@ def environment() -> dict[str, Any]:
             packages[name] = version(name)
         except PackageNotFoundError:
             packages[name] = "absent"
-    return {"versions": packages, "python": platform.python_version(), "machine": platform.machine(), "commit": git_commit()}
+    return {
+        "versions": packages,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "commit": git_commit(),
+    }
 
 
 def git_commit() -> str | None:
     """Commit of the source tree this package runs from, "-dirty" appended if it was changed; None outside one."""
     here = Path(__file__).resolve().parent
     try:
-        described = subprocess.run(  # noqa: S603 - fixed arguments
+        described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],  # noqa: S607
             cwd=here,
             capture_output=True,

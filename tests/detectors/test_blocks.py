@@ -34,12 +34,17 @@ def test_codes_round_trip(rows):
 
 @pytest.fixture
 def grid():
-    kinds = {"vehicle": AnchorConfig(size_m=(4.6, 1.9, 1.7), z_m=-1.0), "pedestrian": AnchorConfig(size_m=(0.8, 0.7, 1.7), z_m=-1.1)}
+    kinds = {
+        "vehicle": AnchorConfig(size_m=(4.6, 1.9, 1.7), z_m=-1.0),
+        "pedestrian": AnchorConfig(size_m=(0.8, 0.7, 1.7), z_m=-1.1),
+    }
     return AnchorGrid(kinds, nx=40, ny=20, cell_m=1.0, y_min_m=-10.0)
 
 
 def test_assignment_by_hand(grid):
-    truth = boxes([[10.5, 0.5, -1, 4, 2, 1.5, 0.1], [20.4, -3.5, -1, 0.5, 2, 1.5, np.pi / 2]], label=["vehicle", "pedestrian"])
+    truth = boxes(
+        [[10.5, 0.5, -1, 4, 2, 1.5, 0.1], [20.4, -3.5, -1, 0.5, 2, 1.5, np.pi / 2]], label=["vehicle", "pedestrian"]
+    )
     targets = grid.assign(truth, positive_m=0.6, ignore_m=1.2)
     rows = grid.rows(targets.positive)
     np.testing.assert_allclose(rows[:, :2], [[10.5, 0.5], [20.5, -3.5]])
@@ -52,13 +57,17 @@ def test_assignment_by_hand(grid):
 
 
 def test_every_box_on_the_grid_is_answered_and_none_off_it(grid, rng):
-    inside = np.column_stack([rng.uniform(0, 40, 30), rng.uniform(-10, 10, 30), np.zeros(30), np.ones((30, 3)), rng.uniform(-3, 3, 30)])
+    inside = np.column_stack(
+        [rng.uniform(0, 40, 30), rng.uniform(-10, 10, 30), np.zeros(30), np.ones((30, 3)), rng.uniform(-3, 3, 30)]
+    )
     for row in inside:
         targets = grid.assign(boxes(row, label="vehicle"), positive_m=0.1, ignore_m=0.5)
         assert len(targets.positive) == 1
         assert abs(wrap_angle_rad(2 * targets.code[:, 6])).max() <= np.pi / 2 + 1e-9
     for x, y in ((-0.1, 0), (40.1, 0), (5, 10.1), (5, -10.1)):
-        assert len(grid.assign(boxes([x, y, 0, 1, 1, 1, 0], label="vehicle"), positive_m=1.0, ignore_m=2.0).positive) == 0
+        assert (
+            len(grid.assign(boxes([x, y, 0, 1, 1, 1, 0], label="vehicle"), positive_m=1.0, ignore_m=2.0).positive) == 0
+        )
     assert len(grid.assign(boxes([5, 5, 0, 1, 1, 1, 0], label="tram"), positive_m=1.0, ignore_m=2.0).positive) == 0
     assert len(grid.assign(Boxes.empty(), positive_m=1.0, ignore_m=2.0).positive) == 0
 
@@ -95,7 +104,9 @@ def test_box_and_direction_losses_vanish_at_the_truth_and_ignore_half_turns():
 
 def test_nms_equals_the_plain_greedy_algorithm(rng):
     n = 120
-    rows = np.column_stack([rng.uniform(0, 30, (n, 2)), np.zeros(n), rng.uniform(1, 6, (n, 2)), np.ones(n), rng.uniform(-3, 3, n)])
+    rows = np.column_stack(
+        [rng.uniform(0, 30, (n, 2)), np.zeros(n), rng.uniform(1, 6, (n, 2)), np.ones(n), rng.uniform(-3, 3, n)]
+    )
     scored = boxes(rows, label="vehicle", score=rng.random(n).round(2))
     overlap = pairwise_iou(scored, scored, kind="bev")
     kept = []

@@ -14,7 +14,9 @@ from farfield.errors import FarfieldError, FileFormatError
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score
 
-SMALL = PointPillarsConfig(grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2)
+SMALL = PointPillarsConfig(
+    grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2
+)
 
 
 @pytest.fixture

@@ -34,7 +34,9 @@ def keep_freed_memory() -> bool:
         return False
     trim_threshold, top_pad, mmap_threshold = -1, -2, -3
     limit = 2**31 - 1
-    return all(mallopt(option, value) for option, value in ((mmap_threshold, 2**30), (trim_threshold, limit), (top_pad, 2**28)))
+    return all(
+        mallopt(option, value) for option, value in ((mmap_threshold, 2**30), (trim_threshold, limit), (top_pad, 2**28))
+    )
 
 
 class Detector:

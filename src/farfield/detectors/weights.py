@@ -26,7 +26,11 @@ def save_weights(path: Path, state: dict[str, Tensor], *, config: Any, provenanc
         config: The detector's configuration object.
         provenance: Seed, versions, commit, data fingerprint, metric convention, resolved experiment.
     """
-    metadata = {"format": "farfield-detector-1", "config": config.model_dump_json(), "provenance": json.dumps(provenance)}
+    metadata = {
+        "format": "farfield-detector-1",
+        "config": config.model_dump_json(),
+        "provenance": json.dumps(provenance),
+    }
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
     write_bytes(path, save(tensors, metadata=metadata))
 

@@ -84,6 +84,11 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
 
 def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
     """Write boxes with full precision; columns that are None are left out, except ``score``, which is left empty."""
+    write_text(path, format_boxes_csv(rows))
+
+
+def format_boxes_csv(rows: BoxRows) -> str:
+    """The text that :func:`write_boxes_csv` writes."""
     names = [name for name in COLUMNS if name in _NEEDED or name == "score" or getattr(rows, name) is not None]
     table: dict[str, Iterable[object]] = {name: [""] * len(rows) for name in names}
     table |= {"frame": rows.frame.tolist(), "label": rows.label.tolist(), "yaw_rad": rows.yaw_rad.tolist()}
@@ -97,7 +102,7 @@ def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows(zip(*(table[name] for name in names), strict=True))
-    write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormatError:

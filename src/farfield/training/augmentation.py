@@ -1,4 +1,4 @@
-"""Random changes to training frames: pasting objects, mirroring, turning, scaling. All numpy, all from one generator."""
+"""Random changes to training frames: pasting objects, mirroring, turning, scaling. numpy only, one generator."""
 
 from dataclasses import dataclass, field
 

@@ -27,6 +27,10 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for damaged or hostile files
         raise FileFormatError(
-            path, where="file", expected="a checkpoint of farfield train", found=str(error)[:200], mend="Remove it to begin anew."
+            path,
+            where="file",
+            expected="a checkpoint of farfield train",
+            found=str(error)[:200],
+            mend="Remove it to begin anew.",
         ) from error
     return state

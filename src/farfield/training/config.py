@@ -29,7 +29,9 @@ class TrainingConfig(_Settings):
     weight_decay: float = Field(0.01, ge=0)
     warmup: float = Field(0.3, gt=0, lt=1, description="share of the steps in which the rate rises")
     gradient_clip: float = Field(10.0, gt=0)
-    average_decay: float = Field(0.998, ge=0, lt=1, description="decay of the averaged weights that are kept at the end")
+    average_decay: float = Field(
+        0.998, ge=0, lt=1, description="decay of the averaged weights that are kept at the end"
+    )
     precision: Literal["auto", "fp32", "bf16"] = "auto"
     accelerator: str = Field("auto", description="as Lightning Fabric names them: auto, cpu, gpu")
     devices: int | Literal["auto"] = 1

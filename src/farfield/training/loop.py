@@ -84,7 +84,9 @@ class Training:
                     saved_at = time.monotonic()
         if fabric.is_global_zero:
             self._save(optimizer, average)
-            save_weights(self.weights_path, self._averaged(average), config=self.network.config, provenance=self.provenance)
+            save_weights(
+                self.weights_path, self._averaged(average), config=self.network.config, provenance=self.provenance
+            )
         fabric.barrier()
         return self.weights_path
 
@@ -117,7 +119,9 @@ class Training:
         )
         fabric.launch()
         if config.batch_size % fabric.world_size:
-            raise ConfigError(f"Expected a batch_size that {fabric.world_size} processes divide; got {config.batch_size}.")
+            raise ConfigError(
+                f"Expected a batch_size that {fabric.world_size} processes divide; got {config.batch_size}."
+            )
         self.network.to(memory_format=torch.channels_last)
         return fabric
 
@@ -180,6 +184,11 @@ class Training:
         save_checkpoint(self.checkpoint_path, state)
 
     def _log(self, losses: dict[str, float]) -> None:
-        line = {"step": self.step, "learning_rate": one_cycle(self.step - 1, self.config), **losses, "time": time.time()}
+        line = {
+            "step": self.step,
+            "learning_rate": one_cycle(self.step - 1, self.config),
+            **losses,
+            "time": time.time(),
+        }
         with (self.folder / "log.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")

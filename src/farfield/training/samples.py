@@ -108,7 +108,14 @@ class TrainingSamples(TorchDataset[Sample]):
 
 
 def batches(
-    samples: TrainingSamples, *, first_step: int, steps: int, batch_size: int, workers: int, rank: int = 0, world: int = 1
+    samples: TrainingSamples,
+    *,
+    first_step: int,
+    steps: int,
+    batch_size: int,
+    workers: int,
+    rank: int = 0,
+    world: int = 1,
 ) -> Iterator[list[Sample]]:
     """Batches from ``first_step`` on; with several processes each takes every ``world``-th sample of a batch."""
     positions = [

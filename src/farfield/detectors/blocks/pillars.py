@@ -59,8 +59,9 @@ class PillarEncoder(nn.Module):
         return points[keep], key[keep]
 
     def _decorate(self, points: Tensor, key: Tensor, member: Tensor, pillar_count: int) -> Tensor:
-        """The published nine features, coordinates scaled to the grid's extent: position, offset to the pillar's mean
-        and to its centre; intensity is optional; the number of points replaces it otherwise (log scale).
+        """Compute the features of each point: position, offset to the pillar's mean and to its centre, number of points.
+
+        The first three are those of the paper, scaled to the grid; the fourth (logarithm) stands in for intensity.
         """
         xyz = points[:, :3]
         ones = xyz.new_ones(len(xyz), 1)

@@ -1,0 +1,117 @@
+"""``farfield evaluate``."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import bar
+
+
+def run(
+    detector: Positional[str],
+    data: Positional[Path],
+    *,
+    clouds: str = "",
+    split: str = "",
+    rotate_deg: float = 0.0,
+    mapping: Path | None = None,
+    protocol: Literal["dds", "nuscenes", "kitti"] = "dds",
+    label: str | None = None,
+    range_bins_m: str = "0,70,150,250",
+    epsilon: str = "0,0.003,0.006,0.009",
+    region: Literal["window", "range", "none"] = "window",
+    precision: Literal["auto", "fp32", "bf16"] = "auto",
+    device: str | None = None,
+    shown_frames: int = 4,
+    out: Path | None = None,
+) -> int:
+    """Run a detector over a data set, score it by range for every scan pattern, and write a report page.
+
+    examples:
+      farfield evaluate pointpillars-cirrus-sim Cirrus_dataset1
+      farfield evaluate runs/pointpillars-cirrus-sim data/val --clouds gaussian,uniform --out runs/eval
+      farfield evaluate pointpillars-cirrus-sim data/kitti --range-bins-m 0,30,50,80 --region range
+
+    Args:
+        detector: A bundled detector's name, a run's folder, or a weights file.
+        data: The data set; its format is recognised.
+        clouds: Which clouds, comma-separated; by default all that the frames have. "merged" joins them.
+        split: train, val or test; all frames unless given.
+        rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
+        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
+        protocol: The metric.
+        label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle).
+        range_bins_m: Edges of the range bins.
+        epsilon: wDDS weights.
+        region: window (x 0..250, |y| <= 50 m), range, or none.
+        precision: fp32, bf16, or what suits the processor.
+        device: Where to run, such as cpu or cuda:0.
+        shown_frames: Frames in the report's pictures.
+        out: Folder of the evaluation and its report.html; runs/evaluation-DATA unless given.
+    """
+    from farfield.api import load_detector, open_dataset
+    from farfield.evaluation import evaluate_clouds
+    from farfield.metrics import PROTOCOLS
+    from farfield.reports.page import write_report
+
+    options: dict[str, Any] = {"mapping": mapping} if mapping else {}
+    opened = open_dataset(data, rotate_deg=rotate_deg, **options)
+    opened = opened.split(split) if split else opened
+    loaded = load_detector(detector, precision=precision, device=device)
+    scoring: dict[str, Any] = {"label": label, "range_bins_m": _numbers(range_bins_m), "epsilons": _numbers(epsilon)}
+    scoring["region"] = region
+    known = PROTOCOLS[protocol].__dataclass_fields__
+    evaluation = evaluate_clouds(
+        loaded,
+        opened,
+        clouds=[name for name in clouds.split(",") if name] or None,
+        shown_frames=shown_frames,
+        protocol=protocol,
+        title=f"{detector} on {opened.root.name}",
+        provenance={"simulated": is_simulated(opened.root)},
+        progress=bar,
+        **{name: value for name, value in scoring.items() if name in known},
+    )
+    folder = out or Path("runs") / f"evaluation-{opened.root.name}"
+    evaluation.save(folder)
+    for name, result in evaluation.results.items():
+        print(f"{name}: {json.dumps(summary(result))}")
+    page = write_report(
+        folder / "report.html",
+        title=evaluation.title,
+        results=evaluation.results,
+        frames=evaluation.frames,
+        settings=evaluation.settings,
+        provenance=evaluation.provenance,
+        objects=evaluation.objects,
+    )
+    print(f"evaluation: {folder / 'evaluation.json'}\nreport: {page.resolve()}")
+    return 0
+
+
+def is_simulated(root: Path) -> bool:
+    """Whether ``farfield simulate`` wrote the data set: its settings file lies in the folder or above it."""
+    return any((folder / "simulation.json").is_file() for folder in (root, root.parent))
+
+
+def summary(result: dict[str, Any]) -> dict[str, Any]:
+    """The few figures for the terminal: DDS (epsilon 0) overall and by range; AP where there is no DDS."""
+
+    def brief(part: dict[str, Any] | None) -> Any:
+        if part is None:
+            return None
+        figures = part.get("dds", {}).get("0", {}).get("dds") if part.get("dds") else part.get("ap")
+        return round(figures, 4) if isinstance(figures, float) else figures
+
+    return {"overall": brief(result), **{name: brief(part) for name, part in result.get("ranges", {}).items()}}
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    from farfield.errors import ConfigError
+
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"Expected comma-separated numbers, got {text!r}.") from error

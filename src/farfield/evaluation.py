@@ -1,0 +1,139 @@
+"""A detector over a data set, cloud by cloud: scores, found objects and a few frames to look at, ready for a report."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.errors import DatasetError
+from farfield.experiment import environment
+from farfield.frame import Boxes
+from farfield.metrics import score
+from farfield.reports.evaluation import Evaluation, FrameView
+from farfield.reports.objects import annotated_objects
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+Progress = Callable[[Iterable[int], str], Iterable[int]]
+Predictions = dict[tuple[str, str], Boxes]
+
+
+def no_progress(items: Iterable[int], what: str) -> Iterable[int]:
+    """Show nothing."""
+    del what
+    return items
+
+
+def detect_all(
+    detector: "Detector", data: Dataset, *, cloud: str, progress: Progress = no_progress
+) -> tuple[Predictions, Predictions, float]:
+    """Run a detector over one cloud of every frame.
+
+    Returns:
+        Predictions and annotations by (sequence, frame) of the annotated frames, and the median time that a frame took
+        from points to boxes, in milliseconds.
+    """
+    reading = detector.with_cloud(cloud)
+    predictions, annotations, taken_ms = {}, {}, []
+    for index in progress(range(len(data)), cloud):
+        frame = data[index]
+        if frame.boxes is None:
+            continue
+        points = frame.cloud(cloud)
+        began = time.perf_counter()
+        predictions[frame.key] = reading(points)
+        taken_ms.append(1e3 * (time.perf_counter() - began))
+        annotations[frame.key] = frame.boxes
+    return predictions, annotations, float(np.median(taken_ms)) if taken_ms else float("nan")
+
+
+def evaluate_clouds(
+    detector: "Detector",
+    data: Dataset,
+    *,
+    clouds: Sequence[str] | None = None,
+    shown_frames: int = 4,
+    protocol: str = "dds",
+    title: str = "Farfield evaluation",
+    provenance: Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Evaluation:
+    """Score a detector on each cloud of a data set.
+
+    Args:
+        detector: The detector.
+        data: Annotated frames.
+        clouds: Which clouds; by default all that the first frame has.
+        shown_frames: Frames that the report shows, spread evenly over the data.
+        protocol: The metric.
+        title: Title of the report.
+        provenance: What is known of the data beyond their fingerprint.
+        progress: Wraps frame numbers and the cloud's name, to show progress.
+        **options: Settings of the protocol.
+
+    Returns:
+        Results, pictures' frames, settings and provenance by cloud.
+
+    Raises:
+        DatasetError: If no frame is annotated or a cloud is missing.
+    """
+    names = tuple(clouds or data[0].clouds)
+    results, objects, predicted, speed_ms = {}, {}, {}, {}
+    for name in names:
+        predictions, annotations, speed_ms[name] = detect_all(detector, data, cloud=name, progress=progress)
+        if not annotations:
+            raise DatasetError(f"{data.root}: expected annotated frames, found none with boxes.")
+        results[name] = score(predictions, annotations, protocol=protocol, **options).to_json()
+        objects[name] = annotated_objects(predictions, annotations)
+        predicted[name] = predictions
+    return Evaluation(
+        title=title,
+        results=results,
+        objects=objects,
+        frames=[_view(data, index, predicted) for index in _spread(len(data), shown_frames)],
+        settings={
+            "detector": type(detector.network).__name__,
+            "classes": ", ".join(detector.class_names),
+            "range_m": detector.config.grid.range_m,
+            "pillar_m": detector.config.grid.cell_m,
+            "precision": detector.precision,
+            "score_threshold": detector.config.score_threshold,
+            "nms_iou": detector.config.nms_iou,
+            "median_frame_ms": {name: round(value, 1) for name, value in speed_ms.items()},
+        },
+        provenance={
+            **environment(),
+            "data": data.name,
+            "data_fingerprint": data.fingerprint(),
+            "frames": len(data),
+            "trained_on": _trained_on(detector.provenance),
+            **(provenance or {}),
+        },
+    )
+
+
+def _spread(count: int, wanted: int) -> list[int]:
+    return sorted(set(np.linspace(0, count - 1, max(0, min(wanted, count))).round().astype(int).tolist()))
+
+
+def _view(data: Dataset, index: int, predicted: Mapping[str, Predictions]) -> FrameView:
+    frame = data[index]
+    boxes = {name: found[frame.key] for name, found in predicted.items() if frame.key in found}
+    return FrameView(frame=frame, predictions=boxes, title=f"{frame.sequence}, frame {frame.frame_id}")
+
+
+def _trained_on(provenance: Mapping[str, Any]) -> Any:
+    experiment = provenance.get("experiment", {})
+    data = experiment.get("data", {})
+    return {
+        "experiment": experiment.get("name"),
+        "data": data.get("simulate") or data.get("path"),
+        "frames": provenance.get("frames"),
+        "steps": experiment.get("training", {}).get("steps"),
+        "seed": experiment.get("training", {}).get("seed"),
+        "commit": provenance.get("environment", {}).get("commit"),
+    }
