@@ -46,6 +46,10 @@ def read_feather(path: Path, names: Sequence[str]) -> Table:
         if missing:
             found = f"columns {', '.join(table.column_names)[:200]}"
             raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", found=found)
+        table.validate(full=True)
+        holed = [name for name in names if table.column(name).null_count]
+        if holed:
+            raise FileFormatError(path, where="the table", expected="no nulls", found=f"some in {', '.join(holed)}")
         return {name: table.column(name).to_numpy() for name in names}
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise FileFormatError(path, where="the file", expected="a feather table", found=str(error)[:200]) from error
@@ -183,14 +187,21 @@ class Argoverse2(Dataset):
         if self.classes == "cirrus":
             names = [CIRRUS_FROM_ARGOVERSE2.get(name, "unknown") for name in names]
         quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
-        return Boxes(
-            centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
-            size_m=np.column_stack([table[name] for name in _SIZE]),
-            yaw_rad=yaw_from_quaternion(quaternion) if len(rows) else np.zeros(0),
-            label=names,
-            track_id=np.array([log.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64),
-            point_count=table["num_interior_pts"].astype(np.int64),
-        )
+        numbers = np.column_stack([table[name] for name in (*_SIZE, *_QUATERNION, *_TRANSLATION)])
+        try:
+            if not (np.abs(numbers) < 1e9).all():
+                raise ValueError("numbers that are not finite or above 1e9")
+            return Boxes(
+                centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
+                size_m=np.column_stack([table[name] for name in _SIZE]),
+                yaw_rad=yaw_from_quaternion(quaternion) if len(rows) else np.zeros(0),
+                label=names,
+                track_id=np.array([log.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64),
+                point_count=table["num_interior_pts"].astype(np.int64),
+            )
+        except ValueError as error:
+            path, where = log.root / "annotations.feather", f"rows {rows[0]} to {rows[-1]}"
+            raise FileFormatError(path, where=where, expected="possible boxes", found=str(error)) from error
 
 
 _SWEEPS = "sensors/lidar/*.feather"

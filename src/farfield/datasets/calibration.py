@@ -32,7 +32,7 @@ _Row4 = tuple[float, float, float, float]
 
 
 class _CameraEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     matrix: tuple[_Row3, _Row3, _Row3]
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -62,14 +62,14 @@ def read_calibration(path: Path | str, *, inverse: bool = False) -> dict[str, Ca
         if isinstance(content, dict) and "cameras" not in content:
             content = {"cameras": {"camera": content}}
         entries = _CalibrationFile.model_validate(content).cameras
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON or YAML", found=str(error)) from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or "the file"
         raise FileFormatError(
             path, where=where, expected=first["msg"], found=repr(first["input"])[:80], mend=_MEND
         ) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the file", expected="JSON or YAML", found=str(error)[:200]) from error
     return {name: _camera(path, name, entry, inverse) for name, entry in entries.items()}
 
 

@@ -4,13 +4,14 @@
 fraction of the time of parsing text.
 """
 
+import tokenize
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Shaped
 
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, FileFormatError
 from farfield.files.clouds import read_bin, read_cache, write_cache
 from farfield.files.pcd import read_pcd
 from farfield.files.xyz import read_xyz
@@ -57,7 +58,13 @@ def read_rows(
     cached = cache_path(source, root)
     if is_fresh(cached, source):
         stored = read_cache(cached)
-        return [stored[f"c{number}"] for number in range(len(stored))]
+        known = [stored[name] for number in range(len(stored)) if (name := f"c{number}") in stored]
+        good = [column for column in known if column.ndim == 1]
+        if len(good) < 4 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
+            found = f"{', '.join(stored)[:80]}"
+            mend = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
+            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", found=found, mend=mend)
+        return good
     return list(read_xyz(source, columns=columns, delimiter=delimiter).T)
 
 
@@ -111,7 +118,7 @@ def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | Non
 def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
         raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: expected rows of at least 3 numbers, got shape {rows.shape} of {rows.dtype}")
@@ -127,6 +134,8 @@ def _from_named(path: Path, columns: Mapping[str, np.ndarray], scale: float | No
         row = int(np.argwhere(~np.isfinite(points))[0][0])
         raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
     strength = np.asarray(columns.get("intensity", np.zeros(len(points))), dtype=np.float32)
+    if not np.isfinite(strength).all():
+        raise DatasetError(f"{path}: expected finite intensities, got some that are not")
     scale = intensity_scale_of(float(strength.max(initial=0.0))) if scale is None else scale
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
     return Cloud(points, np.clip(strength / np.float32(scale), 0.0, 1.0), extra)

@@ -29,15 +29,26 @@ def camera_from_calib(calib: Mapping[str, np.ndarray]) -> Float[np.ndarray, "4 4
     if rectify is None or motion is None:
         raise DatasetError(f"calibration: expected R0_rect and Tr_velo_to_cam, got {', '.join(calib) or 'nothing'}")
     matrix = np.eye(4)
-    matrix[:3] = np.asarray(rectify, dtype=np.float64).reshape(-1)[:9].reshape(3, 3) @ np.asarray(motion)[:3]
+    matrix[:3] = _shaped(rectify, (3, 3), "R0_rect") @ _shaped(motion, (3, 4), "Tr_velo_to_cam")
+    determinant = float(np.linalg.det(matrix[:3, :3]))
+    if not 0.9 < determinant < 1.1:
+        raise DatasetError(f"calibration: expected R0_rect @ Tr_velo_to_cam to rotate (1), got {determinant:.3g}")
     return matrix
+
+
+def _shaped(matrix: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray:
+    if matrix.shape != shape:
+        raise DatasetError(f"calibration: expected {name} of shape {shape}, got {matrix.shape}")
+    return np.asarray(matrix, dtype=np.float64)
 
 
 def camera_of(calib: Mapping[str, np.ndarray], *, width_px: int = 0, height_px: int = 0) -> Camera:
     """Build the left colour camera (P2) with its pose; P2's fourth column becomes an offset of the camera."""
     if "P2" not in calib:
         raise DatasetError(f"calibration: expected P2, got {', '.join(calib) or 'nothing'}")
-    projection = np.asarray(calib["P2"], dtype=np.float64)
+    projection = _shaped(calib["P2"], (3, 4), "P2")
+    if not abs(np.linalg.det(projection[:, :3])) > 1e-9:
+        raise DatasetError(f"calibration: expected an invertible P2, got {projection.tolist()}")
     offset = np.eye(4)
     offset[:3, 3] = np.linalg.solve(projection[:, :3], projection[:, 3])
     return Camera(

@@ -28,6 +28,7 @@ from farfield.frame import Boxes
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
 
 _MAX_BYTES = 64 << 20
+_LARGEST = 1e9  # no length is larger, and squares of such numbers do not overflow
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,11 +113,14 @@ def _column(path: Path, labels: list[dict[str, Any]], key: str, width: int) -> F
         ):
             expected = f"{key!r} with {width} numbers"
             raise FileFormatError(path, where=f"label {number}", expected=expected, found=repr(value)[:80])
-        rows[number] = [float(x) if abs(x) < 1e300 else np.nan for x in value]
+        rows[number] = [float(x) if abs(x) < _LARGEST else np.nan for x in value]
     if not np.isfinite(rows).all():
         number = int(np.argwhere(~np.isfinite(rows))[0][0])
         raise FileFormatError(
-            path, where=f"label {number}", expected=f"{key!r} finite", found=repr(labels[number][key])[:80]
+            path,
+            where=f"label {number}",
+            expected=f"{key!r} finite and below {_LARGEST:g}",
+            found=repr(labels[number][key])[:80],
         )
     return rows
 
@@ -137,7 +141,7 @@ def _parse_text(path: Path, text: str, settings: Labels) -> RawLabels:
             values = [float(value) for value in fields[1:]]
         except ValueError:
             values = []
-        if len(values) != 14 or not np.isfinite(values).all():
+        if len(values) != 14 or not (np.abs(values) < _LARGEST).all():
             expected = "a class and 14 finite numbers"
             raise FileFormatError(path, where=f"line {number}", expected=expected, found=repr(line[:80]))
         rows.append(values[7:])

@@ -154,9 +154,9 @@ def read_mapping(path: Path | str) -> Mapping:
     try:
         content = yaml.safe_load(Path(path).read_text("utf-8"))
         return Mapping.model_validate({} if content is None else content)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or "the file"
         raise ConfigError(f"{path}, {where}: {first['msg']}; got {first['input']!r}") from error
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {error}") from error

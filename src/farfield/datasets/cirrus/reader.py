@@ -77,7 +77,6 @@ class Cirrus(Dataset):
         present = {name: path for name, path in paths.items() if path is not None}
         times = {name: time_of(path) for name, path in present.items()}
         raw = self.raw_labels(index)
-        root = raw.root if raw else {}
         image = {} if entry.camera is None else {"camera": partial(read_image, entry.camera)}
         return Frame(
             sequence=entry.sequence,
@@ -89,7 +88,7 @@ class Cirrus(Dataset):
             annotation=None if raw is None else partial(boxes_from_labels, raw, self.mapping.labels),
             world_T_lidar=_pose(raw),
             times_ns={name: time for name, time in times.items() if time is not None},
-            conditions={str(name): str(value) for name, value in dict(root.get("conditions") or {}).items()},
+            conditions=_conditions(raw),
             metadata=Lazy(self._metadata(index, entry, raw)),
         )
 
@@ -181,6 +180,13 @@ class Cirrus(Dataset):
         """Cameras by name; empty without a calibration file."""
         path = self.calibration_file
         return {} if path is None else read_calibration(path, inverse=self.mapping.calib.convention == "cam_to_lidar")
+
+
+def _conditions(raw: RawLabels | None) -> dict[str, str]:
+    value = raw.root.get("conditions") if raw else None
+    if not isinstance(value, dict):
+        return {}
+    return {str(name): str(text) for name, text in value.items()}
 
 
 def _pose(raw: RawLabels | None) -> Any:
