@@ -102,8 +102,6 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     Raises:
         DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
     """
-    import torch
-
     from farfield.detectors import build_detector
     from farfield.experiment import environment
     from farfield.training.loop import Training
@@ -115,8 +113,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     missing = [name for name in experiment.data.clouds if name not in data[0].clouds]
     if missing:
         raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
-    torch.manual_seed(experiment.training.seed)
-    network = build_detector(experiment.detector)
+    network = build_detector(experiment.detector, seed=experiment.training.seed)
     samples = TrainingSamples(
         data,
         clouds=experiment.data.clouds,

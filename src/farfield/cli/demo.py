@@ -9,7 +9,7 @@ def run(*, out: Path = Path("farfield-demo"), sequences: int = 4, frames: int = 
 
     examples:
       farfield demo
-      farfield demo --frames 60 --sequences 6 --out /tmp/demo
+      farfield demo --frames 60 --sequences 6 --out my-demo
 
     Two-pattern LiDAR frames of roads that the detector has never seen are simulated and written as Cirrus files,
     checked by the doctor, searched for vehicles to 250 m with the bundled weights, scored with DDS and wDDS by range,

@@ -1,6 +1,7 @@
 """``farfield evaluate``."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -96,10 +97,10 @@ def is_simulated(root: Path) -> bool:
     return any((folder / "simulation.json").is_file() for folder in (root, root.parent))
 
 
-def summary(result: dict[str, Any]) -> dict[str, Any]:
+def summary(result: Mapping[str, Any]) -> dict[str, Any]:
     """The few figures for the terminal: DDS (epsilon 0) overall and by range; AP where there is no DDS."""
 
-    def brief(part: dict[str, Any] | None) -> Any:
+    def brief(part: Mapping[str, Any] | None) -> Any:
         if part is None:
             return None
         figures = part.get("dds", {}).get("0", {}).get("dds") if part.get("dds") else part.get("ap")

@@ -8,6 +8,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from farfield.experiment import DataConfig
     from farfield.training.loop import Training
 
 
@@ -42,6 +43,7 @@ def run(
 
     console = Console(stderr=True)
     settings = load_experiment(experiment, override)
+    _simulate_if_absent(settings.data)
     folder = out / settings.name
     folder.mkdir(parents=True, exist_ok=True)
     training = prepare_training(
@@ -52,6 +54,18 @@ def run(
     weights = _train(training, console)
     console.print(f"weights: {weights}\nnext: farfield evaluate {folder} DATA")
     return 0
+
+
+def _simulate_if_absent(data: "DataConfig") -> None:
+    """Make the simulated data set that the experiment describes, where its path holds nothing yet."""
+    begun = (data.path / "simulation.json").is_file()  # then the rest is simulated, or nothing is missing
+    if data.simulate is None or (data.path.exists() and not begun):
+        return
+    from farfield.cli import simulate
+
+    wanted = data.simulate
+    frames = wanted.sequences * wanted.frames
+    simulate.run(wanted.preset, data.path, frames=frames, sequences=wanted.sequences, seed=wanted.seed, cache=True)
 
 
 def _train(training: "Training", console: "Console") -> Path:

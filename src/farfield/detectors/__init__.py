@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 DETECTORS = {"pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig")}
 
 
-def detector_classes(name: str) -> tuple[type, type]:
+def detector_classes(name: str) -> tuple[Any, Any]:
     """Return the network class and its configuration class.
 
     Raises:
@@ -33,6 +33,11 @@ def detector_classes(name: str) -> tuple[type, type]:
     return getattr(module, network), getattr(module, config)
 
 
-def build_detector(config: Any) -> "nn.Module":
-    """Build the untrained network that a configuration object describes."""
-    return detector_classes(config.name)[0](config)
+def build_detector(config: Any, *, seed: int | None = None) -> "nn.Module":
+    """Build the untrained network that a configuration object describes; a seed makes its weights repeatable."""
+    network = detector_classes(config.name)[0]
+    if seed is not None:
+        import torch
+
+        torch.manual_seed(seed)
+    return network(config)

@@ -10,7 +10,7 @@ from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import points_in_boxes
 from farfield.training.config import AugmentationConfig
 
-Points = Float32[np.ndarray, "n 4"]
+Points = Float32[np.ndarray, "_ 4"]
 
 
 @dataclass

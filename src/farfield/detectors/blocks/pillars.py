@@ -59,7 +59,7 @@ class PillarEncoder(nn.Module):
         return points[keep], key[keep]
 
     def _decorate(self, points: Tensor, key: Tensor, member: Tensor, pillar_count: int) -> Tensor:
-        """Compute the features of each point: position, offset to the pillar's mean and to its centre, number of points.
+        """Describe each point: position, offset to its pillar's mean and to its centre, number of points there.
 
         The first three are those of the paper, scaled to the grid; the fourth (logarithm) stands in for intensity.
         """

@@ -1,0 +1,210 @@
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from farfield.datasets import open_dataset
+from farfield.detectors.weights import load_weights
+from farfield.errors import ConfigError, FileFormatError
+from farfield.experiment import dump_experiment, load_experiment
+from farfield.frame import Boxes
+from farfield.geometry.points import count_points_in_boxes
+from farfield.training.augmentation import ObjectBank, augment
+from farfield.training.checkpoints import load_checkpoint
+from farfield.training.config import AugmentationConfig, TrainingConfig
+from farfield.training.loop import one_cycle
+from farfield.training.samples import TrainingSamples
+
+SETTINGS = """
+name: tiny
+data: {path: DATA, clouds: [gaussian, uniform]}
+detector:
+  {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 16, 16], depths: [0, 0, 0], neck_width: 16}
+augmentation: {pasted: {vehicle: 2}}
+training:
+  {steps: 12, batch_size: 2, precision: fp32, threads: 1, workers: WORKERS, checkpoint_every_s: 0.001,
+   log_every_steps: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three mini frames in the Cirrus layout."""
+    pytest.importorskip("embreex")
+    from farfield.datasets.cirrus import CirrusWriter
+    from farfield.simulation import simulate_sequence
+
+    root = tmp_path_factory.mktemp("data")
+    for frame in simulate_sequence("mini", seed=5, sequence=1, frames=3):
+        CirrusWriter(root).write(frame)
+    return root
+
+
+def write_experiment(folder: Path, data: Path, workers: int = 0) -> Path:
+    path = folder / "tiny.yaml"
+    path.write_text(SETTINGS.replace("DATA", str(data)).replace("WORKERS", str(workers)))
+    return path
+
+
+def train(experiment: Path, out: Path) -> subprocess.Popen:
+    command = [sys.executable, "-m", "farfield.cli", "train", str(experiment), "--out", str(out)]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdout=quiet, stderr=quiet, env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+
+def test_killed_training_resumes_to_the_same_weights(data, tmp_path):
+    experiment = write_experiment(tmp_path, data)
+    whole = train(experiment, tmp_path / "whole")
+    assert whole.wait(200) == 0
+    log = tmp_path / "cut" / "tiny" / "log.jsonl"
+    cut = train(experiment, tmp_path / "cut")
+    until = time.monotonic() + 200
+    while not (log.exists() and len(log.read_text().splitlines()) >= 4):  # six samples an epoch: inside the second one
+        assert time.monotonic() < until
+        assert cut.poll() is None
+        time.sleep(0.01)
+    cut.send_signal(signal.SIGKILL)
+    cut.wait(30)
+    reached = load_checkpoint(tmp_path / "cut" / "tiny" / "checkpoint.pt")["step"]
+    assert 0 < reached < 12
+    again = train(experiment, tmp_path / "cut")
+    assert again.wait(200) == 0
+    one, other = (
+        load_weights(tmp_path / run / "tiny" / "weights.safetensors")[0].state_dict() for run in ("whole", "cut")
+    )
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    raw = [load_checkpoint(tmp_path / run / "tiny" / "checkpoint.pt")["network"] for run in ("whole", "cut")]
+    assert all(torch.equal(raw[0][name], raw[1][name]) for name in raw[0])
+    provenance = load_weights(tmp_path / "cut" / "tiny" / "weights.safetensors")[1]
+    assert provenance["data_fingerprint"] == open_dataset(data).fingerprint()
+    assert provenance["experiment"]["training"]["seed"] == 0
+    assert torch.__version__.startswith(provenance["environment"]["versions"]["torch"].split("+")[0])
+
+
+def samples(data, **changes) -> TrainingSamples:
+    settings = {
+        "clouds": ("gaussian", "uniform"),
+        "classes": ("vehicle", "large_vehicle"),
+        "targets": lambda boxes: boxes,
+        "augmentation": AugmentationConfig(pasted={"vehicle": 3}),
+        "seed": 4,
+    }
+    made = TrainingSamples(open_dataset(data), **{**settings, **changes})
+    made.fill_bank()
+    return made
+
+
+def test_samples_are_a_function_of_seed_and_position(data):
+    first, second = samples(data), samples(data)
+    assert first.epoch_length == 6
+    for position in (0, 5, 6, 17):
+        a, b = first[position], second[position]
+        assert torch.equal(a.points, b.points)
+        np.testing.assert_array_equal(a.targets.centre_m, b.targets.centre_m)
+    assert not torch.equal(first[0].points, samples(data, seed=5)[0].points)
+
+
+def test_every_sample_comes_once_an_epoch(data):
+    made = samples(data, augmentation=AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0))
+    once = sorted(len(made[position].points) for position in range(6))
+    again = sorted(len(made[position].points) for position in range(6, 12))
+    assert once == again == sorted(len(made.load(number)[0]) for number in range(6))
+
+
+def test_aliases_and_min_points_choose_the_boxes(data):
+    merged = samples(data, aliases={"large_vehicle": "vehicle"}, classes=("vehicle",))
+    assert set(merged.load(0)[1].label) <= {"vehicle"}
+    few, many = samples(data, min_points=1).load(0), samples(data, min_points=30).load(0)
+    assert len(many[1]) < len(few[1])
+    assert (count_points_in_boxes(few[0][:, :3], few[1], margin_m=0.05) >= 1).all()
+
+
+def test_augmentation_keeps_points_in_their_boxes(data, rng):
+    points, boxes = samples(data).load(0)
+    inside = count_points_in_boxes(points[:, :3], boxes, margin_m=0.01)
+    for _ in range(10):
+        moved, turned = augment(
+            points, boxes, AugmentationConfig(flip_probability=0.5, rotation_rad=1.0, scale=0.1), rng
+        )
+        np.testing.assert_allclose(count_points_in_boxes(moved[:, :3], turned, margin_m=0.01), inside, atol=2)
+        assert len(moved) == len(points)
+
+
+def test_mirrored_boxes_by_hand(rng):
+    box = Boxes(
+        centre_m=np.array([[10.0, 4.0, -1.0]]),
+        size_m=np.array([[4.0, 2.0, 1.5]]),
+        yaw_rad=np.array([0.4]),
+        label="vehicle",
+    )
+    points = np.array([[10.0, 4.0, -1.0, 0.5]], dtype=np.float32)
+    settings = AugmentationConfig(flip_probability=1.0, rotation_rad=0.0, scale=0.0)
+    moved, mirrored = augment(points, box, settings, rng)
+    np.testing.assert_allclose(moved[0], [10, -4, -1, 0.5])
+    np.testing.assert_allclose(mirrored.centre_m[0], [10, -4, -1])
+    np.testing.assert_allclose(mirrored.yaw_rad, [-0.4])
+
+
+def test_pasted_objects_touch_nothing_and_clear_their_place(rng):
+    bank = ObjectBank(capacity=10)
+    place = np.array([[20.0, 0.0, 0.0]])
+    car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
+    bank.add(np.array([[20, 0, 0, 1]] * 6, dtype=np.float32), car, min_points=5, rng=rng)
+    bank.add(np.array([[40, 0, 0, 1]] * 4, dtype=np.float32), car.replace(centre_m=place * 2), min_points=5, rng=rng)
+    assert len(bank.objects["vehicle"]) == 1  # the second has too few points
+    ground = np.array([[20.5, 0, -0.5, 0], [60, 0, 0, 0]], dtype=np.float32)
+    points, boxes = bank.paste(ground, Boxes.empty(), {"vehicle": 3}, rng)
+    assert len(boxes) == 1
+    assert len(points) == 7  # one of the ground's two points stood where the car is now
+    points, boxes = bank.paste(ground, car, {"vehicle": 3}, rng)
+    assert (len(boxes), len(points)) == (1, 2)
+
+
+def test_learning_rate_rises_and_falls():
+    config = TrainingConfig(steps=100, learning_rate=1.0, warmup=0.3)
+    rates = [one_cycle(step, config) for step in range(100)]
+    assert rates[0] == pytest.approx(0.1)
+    assert max(rates) == rates[30] == pytest.approx(1.0)
+    assert rates[-1] < 0.01
+    assert all(a < b for a, b in itertools.pairwise(rates[:31]))
+    assert all(a > b for a, b in itertools.pairwise(rates[30:]))
+
+
+def test_experiment_round_trips_and_refuses_unknown_keys(data, tmp_path):
+    path = write_experiment(tmp_path, data)
+    experiment = load_experiment(path, ["training.steps=7", "detector.grid.range_m=100"])
+    assert (experiment.training.steps, experiment.detector.grid.range_m) == (7, 100.0)
+    (tmp_path / "again.yaml").write_text(dump_experiment(experiment))
+    assert load_experiment(tmp_path / "again.yaml") == experiment
+    with pytest.raises(ConfigError, match=r"training\.step: Extra inputs"):
+        load_experiment(path, ["training.step=7"])
+    with pytest.raises(ConfigError, match=r"key\.key=value"):
+        load_experiment(path, ["nonsense"])
+    with pytest.raises(ConfigError, match="found nothing"):
+        load_experiment(tmp_path / "absent.yaml")
+
+
+def test_run_of_another_experiment_is_not_continued(data, tmp_path):
+    from farfield.api import prepare_training
+
+    path = write_experiment(tmp_path, data)
+    prepare_training(load_experiment(path, ["training.steps=1"]), tmp_path / "run").run()
+    assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["step"] == 1
+    with pytest.raises(ConfigError, match="another experiment"):
+        prepare_training(load_experiment(path, ["training.steps=2"]), tmp_path / "run").run()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"\x80\x04\x95\x00."])
+def test_damaged_checkpoints_are_refused(tmp_path, content):
+    (tmp_path / "checkpoint.pt").write_bytes(content)
+    with pytest.raises(FileFormatError, match="checkpoint"):
+        load_checkpoint(tmp_path / "checkpoint.pt")
