@@ -50,12 +50,10 @@ def main() -> None:
     config = detectors["fp32"].config
     nx, ny = config.grid.shape(int(np.prod(config.strides)))
     parameters = sum(p.numel() for p in detectors["fp32"].network.parameters())
-    print(
-        f"{options.detector}: pillars of {config.grid.cell_m} m, {nx} x {ny} ({nx * config.grid.cell_m:g} x {ny * config.grid.cell_m:g} m)"
-    )
-    print(
-        f"widths {config.pillar_channels} -> {config.widths}, depths {config.depths}, necks {config.neck_width}, {parameters / 1e6:.2f} M parameters"
-    )
+    cell_m = config.grid.cell_m
+    print(f"{options.detector}: pillars of {cell_m} m, {nx} x {ny} ({nx * cell_m:g} x {ny * cell_m:g} m)")
+    print(f"widths {config.pillar_channels} -> {config.widths}, depths {config.depths}, necks {config.neck_width}")
+    print(f"{parameters / 1e6:.2f} M parameters")
     print(f"{len(cloud)} points in the window, {len(detectors['fp32'](cloud))} boxes, {options.threads} threads\n")
     print("precision   median      p90      min   (ms a frame, voxelisation to boxes after suppression)")
     for _ in range(2):  # alternating, so that a noisy moment of the machine shows

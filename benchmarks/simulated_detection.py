@@ -47,9 +47,8 @@ def main() -> None:
     for model in options.models:
         detector = load_detector(model)
         trained = detector.provenance.get("experiment", {})
-        print(
-            f"\n{model}: trained on {trained.get('data', {}).get('clouds')}, {trained.get('training', {}).get('steps')} steps"
-        )
+        clouds, steps = (trained.get(group, {}).get(key) for group, key in (("data", "clouds"), ("training", "steps")))
+        print(f"\n{model}: trained on {clouds}, {steps} steps")
         for cloud in ("gaussian", "uniform"):
             predictions, annotations, taken = detect_all(detector, data, cloud=cloud, progress=bar)
             result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)

@@ -137,6 +137,16 @@ def test_a_bin_without_annotated_boxes_is_null() -> None:
     assert "NaN" not in json.dumps(nothing)
 
 
+def test_an_open_last_bin_and_no_frames_at_all() -> None:
+    settings = DdsSettings(range_bins_m=(0.0, 50.0, math.inf), region="none", bootstrap=NO_BOOTSTRAP)
+    annotated = {("s", "0"): boxes([car(900)], scored=False)}
+    tree = evaluate_dds(as_predictions(annotated), annotated, settings).to_json()
+    assert tree["ranges"]["50-inf"]["dds"]["0"]["dds"] == pytest.approx(1.0)
+    assert json.loads(json.dumps(tree, allow_nan=False))["settings"]["range_bins_m"] == [0.0, 50.0, "inf"]
+    for protocol in ("dds", "nuscenes", "kitti"):
+        assert all(value is None for value in score({}, {}, protocol=protocol).figures.values())
+
+
 def test_no_predictions_score_zero() -> None:
     result = evaluate_dds({}, {("s", "0"): boxes([car(10)], scored=False)})
     assert result.figures["dds/0/dds"] == 0.0

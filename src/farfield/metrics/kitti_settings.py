@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.settings import check_range_bins, option_text
+from farfield.metrics.settings import check_range_bins, json_options, option_text
 
 DIFFICULTIES: dict[str, tuple[float, int, float]] = {  # least height in pixels, largest occlusion and truncation
     "easy": (40.0, 0, 0.15),
@@ -67,7 +67,7 @@ class KittiSettings:
 
     def to_json(self) -> dict[str, Any]:
         """All options as JSON values."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        return json_options(asdict(self))
 
     def convention(self) -> str:
         """The chosen options in one line."""

@@ -4,6 +4,7 @@ The Cirrus paper leaves them open, so each is an option, and the chosen setting 
 are those of the list of ambiguities in ``docs/metrics.md``.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -115,7 +116,7 @@ class CentreSettings:
 
     def to_json(self) -> dict[str, Any]:
         """All options as JSON values."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        return json_options(asdict(self))
 
     def convention(self) -> str:
         """The chosen options in one line of ``name=value`` pairs."""
@@ -130,6 +131,17 @@ def check_range_bins(edges_m: tuple[float, ...]) -> None:
     rising = all(low < high for low, high in pairwise(edges_m))
     if len(edges_m) < 2 or not rising or edges_m[0] < 0:
         raise ConfigError(f"range_bins_m: expected two or more rising edges from 0 on, got {edges_m}")
+
+
+def json_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as JSON values; JSON has no infinity, so an open edge becomes the word ``inf``."""
+
+    def plain(value: Any) -> Any:
+        return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+    return {
+        name: [plain(v) for v in value] if isinstance(value, tuple) else plain(value) for name, value in options.items()
+    }
 
 
 def option_text(options: Mapping[str, Any]) -> str:
