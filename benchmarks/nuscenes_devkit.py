@@ -4,7 +4,8 @@
 
 The devkit needs numpy < 2, so it gets an environment of its own (built at the first run). Both sides run in processes
 of their own, in turns, and are timed from boxes in memory (EvalBoxes there, Boxes here) to the matches and the AP of
-all four thresholds and the errors at 2 m.
+all four thresholds and the errors at 2 m. Both are single-threaded; the ratio is taken of processor time, which
+another job on the machine disturbs less than it does the clock.
 """
 
 import argparse
@@ -123,9 +124,19 @@ def unpack(path: Path, side: str) -> list[dict[str, np.ndarray]]:
     return [dict(zip(parts, values, strict=True)) for values in zip(*parts.values(), strict=True)]
 
 
-def measured(seconds: float, ap: dict[float, float], errors: dict[str, float]) -> dict[str, Any]:
+class Stopwatch:
+    """Clock and processor time since it was made."""
+
+    def __init__(self) -> None:
+        self.wall_s, self.cpu_s = time.perf_counter(), time.process_time()
+
+    def times(self) -> dict[str, float]:
+        return {"wall_s": time.perf_counter() - self.wall_s, "cpu_s": time.process_time() - self.cpu_s}
+
+
+def measured(times: dict[str, float], ap: dict[float, float], errors: dict[str, float]) -> dict[str, Any]:
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"seconds": seconds, "peak_mb": peak_mb, "figures": {f"AP {k}": v for k, v in ap.items()} | errors}
+    return {**times, "peak_mb": peak_mb, "figures": {f"AP {k}": v for k, v in ap.items()} | errors}
 
 
 def run_devkit(path: Path) -> dict[str, Any]:
@@ -155,11 +166,11 @@ def run_devkit(path: Path) -> dict[str, Any]:
         return held
 
     annotated, predicted = boxes("annotated"), boxes("predicted")
-    start = time.perf_counter()
+    watch = Stopwatch()
     data = {t: accumulate(annotated, predicted, "car", center_distance, t) for t in THRESHOLDS_M}
     ap = {t: float(calc_ap(data[t], 0.1, 0.1)) for t in THRESHOLDS_M}
     errors = {name: float(calc_tp(data[2.0], 0.1, name)) for name in ERRORS}
-    return measured(time.perf_counter() - start, ap, errors)
+    return measured(watch.times(), ap, errors)
 
 
 def run_farfield(path: Path) -> dict[str, Any]:
@@ -176,12 +187,12 @@ def run_farfield(path: Path) -> dict[str, Any]:
 
     annotated, predicted = boxes("annotated"), boxes("predicted")
     settings = NuScenesSettings(range_bins_m=(0.0, np.inf), bootstrap=Bootstrap(replicates=0))
-    start = time.perf_counter()
+    watch = Stopwatch()
     result = evaluate_nuscenes(predicted, annotated, settings)
-    seconds = time.perf_counter() - start
+    times = watch.times()
     figures = result.figures
     ap = {t: float(figures[f"ap/{t}"] or 0) for t in THRESHOLDS_M}
-    return measured(seconds, ap, {name: float(figures[f"errors/{name}"] or 0) for name in ERRORS})
+    return measured(times, ap, {name: float(figures[f"errors/{name}"] or 0) for name in ERRORS})
 
 
 def compare(name: str, scene: Path, devkit: Path, repeats: int) -> bool:
@@ -194,22 +205,23 @@ def compare(name: str, scene: Path, devkit: Path, repeats: int) -> bool:
             )
             runs[side].append(json.loads(done.stdout.splitlines()[-1]))
     print(f"\n{name}")
-    median = {}
+    median: dict[str, dict[str, float]] = {}
     for side, found in runs.items():
-        seconds = [run["seconds"] for run in found]
-        median[side] = float(np.median(seconds))
-        listed = ", ".join(f"{value:.3f}" for value in seconds)
-        print(f"  {side:<9} median {median[side]:8.3f} s ({listed})   peak RSS {found[0]['peak_mb']:6.0f} MB")
+        median[side] = {name: float(np.median([run[name] for run in found])) for name in ("cpu_s", "wall_s")}
+        listed = ", ".join(f"{run['cpu_s']:.3f}" for run in found)
+        times = f"processor time {median[side]['cpu_s']:8.3f} s ({listed}), clock {median[side]['wall_s']:8.3f} s"
+        print(f"  {side:<9} {times}, peak RSS {found[0]['peak_mb']:6.0f} MB", flush=True)
     theirs, ours = (runs[side][0]["figures"] for side in ("devkit", "farfield"))
     for figure, value in theirs.items():
         difference = ours[figure] - value
         print(f"  {figure:<11} devkit {value:.12f}   farfield {ours[figure]:.12f}   difference {difference:+.1e}")
     worst = max(abs(ours[figure] - value) for figure, value in theirs.items())
-    ratio = median["devkit"] / median["farfield"]
-    passed = worst < 1e-6 and ratio >= 20
+    ratio = {name: median["devkit"][name] / median["farfield"][name] for name in ("cpu_s", "wall_s")}
+    passed = worst < 1e-6 and ratio["cpu_s"] >= 20
     print(
-        f"  the devkit takes {ratio:.1f} times as long; largest difference {worst:.1e}: {'pass' if passed else 'FAIL'}"
+        f"  the devkit takes {ratio['cpu_s']:.1f} times the processor time ({ratio['wall_s']:.1f} times by the clock)"
     )
+    print(f"  largest difference {worst:.1e}: {'pass' if passed else 'FAIL'}", flush=True)
     return passed
 
 
