@@ -131,6 +131,7 @@ class Stopwatch:
         self.wall_s, self.cpu_s = time.perf_counter(), time.process_time()
 
     def times(self) -> dict[str, float]:
+        """Seconds by the clock and of processor time."""
         return {"wall_s": time.perf_counter() - self.wall_s, "cpu_s": time.process_time() - self.cpu_s}
 
 
