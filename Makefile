@@ -6,7 +6,7 @@
 #   make bench-NAME    run benchmarks/NAME.py
 #
 # A machine with a GPU keeps its own torch:  make install TORCH=torch
-# A machine without one, on the plain PyPI:  make install TORCH_FLAGS="--index-url https://download.pytorch.org/whl/cpu"
+# A machine without one:  make install TORCH_FLAGS="--index-url ..."  with the CPU index that PyTorch's own page names
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
