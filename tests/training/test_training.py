@@ -208,3 +208,13 @@ def test_damaged_checkpoints_are_refused(tmp_path, content):
     (tmp_path / "checkpoint.pt").write_bytes(content)
     with pytest.raises(FileFormatError, match="checkpoint"):
         load_checkpoint(tmp_path / "checkpoint.pt")
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parents[2] / "experiments").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_shipped_experiments_are_valid(path):
+    from farfield.detectors import build_detector
+
+    network = build_detector(load_experiment(path).detector, seed=0)
+    assert network.encoder.nx * network.encoder.grid.cell_m >= 250
