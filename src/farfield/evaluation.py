@@ -10,6 +10,7 @@ from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError
 from farfield.experiment import environment
 from farfield.frame import Boxes
+from farfield.geometry.points import count_points_in_boxes
 from farfield.metrics import score
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
 
 Progress = Callable[[Iterable[int], str], Iterable[int]]
+_MARGIN_M = 0.05  # annotators leave a little room, and range noise takes some
 Predictions = dict[tuple[str, str], Boxes]
 
 
@@ -46,7 +48,8 @@ def detect_all(
         began = time.perf_counter()
         predictions[frame.key] = reading(points)
         taken_ms.append(1e3 * (time.perf_counter() - began))
-        annotations[frame.key] = frame.boxes
+        inside = count_points_in_boxes(points.points_m, frame.boxes, margin_m=_MARGIN_M)
+        annotations[frame.key] = frame.boxes.replace(point_count=inside)  # of this cloud: patterns share their boxes
     return predictions, annotations, float(np.median(taken_ms)) if taken_ms else float("nan")
 
 
@@ -126,14 +129,16 @@ def _view(data: Dataset, index: int, predicted: Mapping[str, Predictions]) -> Fr
     return FrameView(frame=frame, predictions=boxes, title=f"{frame.sequence}, frame {frame.frame_id}")
 
 
-def _trained_on(provenance: Mapping[str, Any]) -> Any:
-    experiment = provenance.get("experiment", {})
-    data = experiment.get("data", {})
-    return {
-        "experiment": experiment.get("name"),
-        "data": data.get("simulate") or data.get("path"),
-        "frames": provenance.get("frames"),
-        "steps": experiment.get("training", {}).get("steps"),
-        "seed": experiment.get("training", {}).get("seed"),
-        "commit": provenance.get("environment", {}).get("commit"),
-    }
+def _trained_on(provenance: Mapping[str, Any]) -> str:
+    """One phrase on what a detector learnt from; empty where nothing is known."""
+    experiment = provenance.get("experiment")
+    if not experiment:
+        return ""
+    data, made = experiment["data"], experiment["data"].get("simulate")
+    source = f"simulated frames (preset {made['preset']}, seed {made['seed']})" if made else f"frames of {data['path']}"
+    commit = provenance.get("environment", {}).get("commit") or "unknown"
+    return (
+        f"{provenance.get('frames')} {source}, clouds {' and '.join(data['clouds'])}, "
+        f"{experiment['training']['steps']} steps of {experiment['training']['batch_size']}, "
+        f"training seed {experiment['training']['seed']}, commit {commit}"
+    )

@@ -152,7 +152,7 @@ def overview(
     """The whole window in one picture, 250 m long; arguments as in :func:`draw_birdseye`."""
     with house_style():
         x_from, x_to, y_from, y_to = window_m
-        figure = new_figure(11.0, 0.85 + 10.2 * (y_to - y_from) / (x_to - x_from))
+        figure = new_figure(11.0, 0.85 + (0.3 if title else 0.0) + 10.2 * (y_to - y_from) / (x_to - x_from))
         axes = figure.add_subplot()
         draw_birdseye(
             axes, cloud, annotated=annotated, predicted=predicted, labels=labels, window_m=window_m, line_width=0.9
