@@ -9,9 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 
+ROOT = Path(__file__).resolve().parent.parent
+SHARED_REAL = ROOT.parent / "shared" / "real"  # real frames beside the project, where there are any
+
+
 def header() -> str:
     """Command, machine, date, versions and commit, one a line; ``dirty`` where the tree differs from the commit."""
-    root = Path(__file__).resolve().parent.parent
+    root = ROOT
     command = [Path(sys.argv[0]).name, *sys.argv[1:]]
     lines = {
         "command": f"python benchmarks/{shlex.join(command)}",

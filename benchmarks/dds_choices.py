@@ -1,16 +1,17 @@
 """How much each open choice of DDS moves the score, on real detections.
 
-usage: python benchmarks/dds_choices.py DETECTIONS LABELS [--format kitti-tracking] [--label Car]
+usage: python benchmarks/dds_choices.py [DETECTIONS LABELS] [--format kitti-tracking] [--label Car]
 """
 
 import argparse
 from pathlib import Path
 
-from _report import header
+from _report import SHARED_REAL, header
 
 from farfield.metrics import Bootstrap, DdsSettings, evaluate_dds
 from farfield.metrics.inputs import read_inputs
 
+TRACKING = SHARED_REAL / "kitti_tracking"
 CHOICES = (
     {},
     {"distance": "bev"},
@@ -33,8 +34,8 @@ CHOICES = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("detections", type=Path)
-    parser.add_argument("labels", type=Path)
+    parser.add_argument("detections", type=Path, nargs="?", default=TRACKING / "detections_pointrcnn_car")
+    parser.add_argument("labels", type=Path, nargs="?", default=TRACKING / "label")
     parser.add_argument("--format", default="kitti-tracking")
     parser.add_argument("--label", default="Car")
     options = parser.parse_args()

@@ -1,6 +1,6 @@
 """The shipped detector, trained on simulation only, on real Luminar and KITTI frames.
 
-usage: python benchmarks/real_frames.py REAL [--pictures FOLDER]
+usage: python benchmarks/real_frames.py [REAL] [--pictures FOLDER]
 
 REAL holds ``cirrus_layout/Cirrus_dataset1`` and ``kitti``. The Luminar frames see all round, so they are also turned by
 180 degrees. KITTI's detections are cut to the front camera's view, where it is annotated.
@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from _report import header
+from _report import SHARED_REAL, header
 from simulated_detection import rows_of
 
 from farfield.api import load_detector, open_dataset, show
@@ -26,7 +26,7 @@ def in_camera(boxes: Boxes, frame: Frame) -> Boxes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("real", type=Path)
+    parser.add_argument("real", type=Path, nargs="?", default=SHARED_REAL)
     parser.add_argument("--detector", default="pointpillars-cirrus-sim")
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args()

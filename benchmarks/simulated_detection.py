@@ -1,17 +1,19 @@
 """DDS and wDDS by range of detectors on the frozen validation split, both scan patterns; one model against two.
 
-usage: python benchmarks/simulated_detection.py DATA [--models NAME_OR_RUN ...] [--json OUT]
+usage: python benchmarks/simulated_detection.py [DATA] [--models NAME_OR_RUN ...] [--json OUT]
 
-DATA is what ``farfield simulate cirrus-sim-val-v1 DATA --cache`` wrote. Trained and scored on simulation only.
+DATA is what ``farfield simulate cirrus-sim-val-v1 DATA --cache`` wrote; it is made where it is absent. Trained and scored
+on simulation only.
 """
 
 import argparse
 import json
 from pathlib import Path
 
-from _report import header
+from _report import ROOT, header
 
 from farfield.api import load_detector, open_dataset
+from farfield.cli import simulate
 from farfield.cli._progress import bar
 from farfield.evaluation import detect_all
 from farfield.metrics import score
@@ -36,11 +38,13 @@ def rows_of(result: dict) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=Path, nargs="?", default=ROOT / "data" / "cirrus-sim-val-v1")
     parser.add_argument("--models", nargs="+", default=["pointpillars-cirrus-sim"])
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     print(header(), "\n", sep="")
+    if not options.data.exists():
+        simulate.run("cirrus-sim-val-v1", options.data, cache=True)
     data = open_dataset(options.data)
     print(f"{options.data.name}: {len(data)} frames, fingerprint {data.fingerprint()[:16]}")
     found = {}

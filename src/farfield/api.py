@@ -59,7 +59,7 @@ def evaluate(
     data: "Sequence[Frame] | Dataset",
     *,
     metric: str = "dds",
-    range_bins_m: Sequence[float] = (0.0, 70.0, 150.0, 250.0),
+    range_bins_m: Sequence[float | int] = (0.0, 70.0, 150.0, 250.0),
     progress: Progress = iter,
     **settings: Any,
 ) -> Any:
@@ -86,7 +86,7 @@ def evaluate(
     if not annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     kept = {key: boxes for key, boxes in predictions.items() if key in annotations}
-    return score(kept, annotations, protocol=metric, range_bins_m=tuple(range_bins_m), **settings)
+    return score(kept, annotations, protocol=metric, range_bins_m=tuple(float(edge) for edge in range_bins_m), **settings)
 
 
 def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
