@@ -2,8 +2,8 @@
 
 usage: python benchmarks/simulated_detection.py [DATA] [--models NAME_OR_RUN ...] [--json OUT]
 
-DATA is what ``farfield simulate cirrus-sim-val-v1 DATA --cache`` wrote; it is made where it is absent. Trained and scored
-on simulation only.
+DATA is what ``farfield simulate cirrus-sim-val-v1 DATA --cache`` wrote; it is made where it is absent.
+Trained and scored on simulation only.
 """
 
 import argparse

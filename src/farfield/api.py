@@ -86,7 +86,8 @@ def evaluate(
     if not annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     kept = {key: boxes for key, boxes in predictions.items() if key in annotations}
-    return score(kept, annotations, protocol=metric, range_bins_m=tuple(float(edge) for edge in range_bins_m), **settings)
+    edges_m = tuple(float(edge) for edge in range_bins_m)
+    return score(kept, annotations, protocol=metric, range_bins_m=edges_m, **settings)
 
 
 def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:

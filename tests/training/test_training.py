@@ -218,3 +218,13 @@ def test_shipped_experiments_are_valid(path):
 
     network = build_detector(load_experiment(path).detector, seed=0)
     assert network.encoder.nx * network.encoder.grid.cell_m >= 250
+
+
+def test_tensorboard_log_is_written_when_asked_for(data, tmp_path):
+    pytest.importorskip("tensorboard")
+    from farfield.api import prepare_training
+
+    path = write_experiment(tmp_path, data)
+    prepare_training(load_experiment(path, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run").run()
+    (events,) = (tmp_path / "run").glob("events.out.tfevents.*")
+    assert events.stat().st_size > 0

@@ -40,5 +40,5 @@ class TrainingConfig(_Settings):
     checkpoint_every_s: float = Field(60.0, gt=0)
     log_every_steps: int = Field(20, ge=1)
     min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are not asked for")
-    tensorboard: bool = False
+    tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
     seed: int = 0

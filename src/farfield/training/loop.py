@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -192,3 +193,14 @@ class Training:
         }
         with (self.folder / "log.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
+        if self.config.tensorboard:
+            for name, value in losses.items():
+                self._board.add_scalar(f"training/{name}", value, self.step)
+            self._board.add_scalar("training/learning_rate", line["learning_rate"], self.step)
+
+    @cached_property
+    def _board(self) -> Any:
+        """TensorBoard's writer, imported when it is asked for."""
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(str(self.folder), purge_step=self.step)
