@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
@@ -17,6 +17,8 @@ def boxes(rows, **rest):
     return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], **rest)
 
 
+@example([(0.0, 0.0, 0.0, 1.0, 1.0, 1.0, -2.220446049250313e-16)])  # a residual of pi/2, up to rounding
+@example([(0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)])
 @given(
     st.lists(
         st.tuples(*[st.floats(-200, 200)] * 2, st.floats(-3, 3), *[st.floats(0.2, 20)] * 3, st.floats(-3.1, 3.1)),

@@ -134,5 +134,6 @@ def decode(
     diagonal = np.hypot(anchors[:, 3], anchors[:, 4])
     centre = code[:, :3] * np.column_stack([diagonal, diagonal, anchors[:, 5]]) + anchors[:, :3]
     size = np.exp(np.clip(code[:, 3:6], np.log(0.02), np.log(20.0))) * anchors[:, 3:6]
-    residual = (code[:, 6] + np.pi / 2) % np.pi - np.pi / 2
+    half_turns = np.round(code[:, 6] / np.pi * (1 - 1e-9))  # an encoded residual of exactly pi/2 is not wrapped
+    residual = code[:, 6] - np.pi * half_turns
     return np.column_stack([centre, size, wrap_angle_rad(anchors[:, 6] + residual + np.pi * backwards)])
