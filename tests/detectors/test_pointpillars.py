@@ -1,4 +1,5 @@
 import copy
+import json
 
 import numpy as np
 import pytest
@@ -146,6 +147,29 @@ def test_weights_round_trip_with_their_provenance(network, scene, tmp_path):
 def test_damaged_weights_are_refused_clearly(tmp_path, content):
     (tmp_path / "w.safetensors").write_bytes(content)
     with pytest.raises(FileFormatError, match="safetensors"):
+        load_weights(tmp_path / "w.safetensors")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"widths": [16, 64, 32]},
+        {"widths": [10**9, 32, 32]},
+        {"depths": [10**9, 0, 0]},
+        {"grid": {"range_m": 1e9}},
+        {"name": "other"},
+        {"more": 1},
+    ],
+)
+def test_weights_that_lie_about_their_network_are_refused_before_anything_is_allocated(network, tmp_path, change):
+    config = SMALL.model_dump(mode="json") | change
+
+    class Lying:
+        def model_dump_json(self):
+            return json.dumps(config)
+
+    save_weights(tmp_path / "w.safetensors", network.state_dict(), config=Lying(), provenance={})
+    with pytest.raises(FileFormatError, match="configuration and tensors"):
         load_weights(tmp_path / "w.safetensors")
 
 

@@ -6,7 +6,7 @@ distance of its centre (boxes of visible parts overlap no anchor), and intensity
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +20,8 @@ from farfield.detectors.blocks.losses import box_loss, direction_loss, focal_los
 from farfield.detectors.blocks.nms import rotated_nms
 from farfield.detectors.blocks.pillars import PillarEncoder
 from farfield.geometry.boxes import Boxes
+
+Count = Annotated[int, Field(ge=1, le=4096)]
 
 
 def cirrus_anchors() -> dict[str, AnchorConfig]:
@@ -45,13 +47,13 @@ class PointPillarsConfig(BaseModel):
     name: Literal["pointpillars"] = "pointpillars"
     grid: GridConfig = GridConfig()
     anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
-    pillar_channels: int = 32
+    pillar_channels: Count = 32
     use_intensity: bool = False
-    widths: tuple[int, ...] = (32, 64, 128)
-    depths: tuple[int, ...] = (1, 4, 4)
-    strides: tuple[int, ...] = (2, 2, 2)
-    out_stride: int = Field(4, description="stride of the anchors' grid, in pillars")
-    neck_width: int = 96
+    widths: tuple[Count, ...] = (32, 64, 128)
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (1, 4, 4)
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
+    out_stride: int = Field(4, ge=1, description="stride of the anchors' grid, in pillars")
+    neck_width: Count = 96
     positive_m: float = Field(1.0, description="anchor cells this near to a box's centre answer for it")
     ignore_m: float = Field(2.0, description="anchor cells this near are not blamed")
     box_weight: float = 2.0

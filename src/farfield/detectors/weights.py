@@ -11,7 +11,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from farfield.detectors import build_detector, detector_classes
-from farfield.errors import FarfieldError, FileFormatError
+from farfield.errors import ConfigError, FarfieldError, FileFormatError
 from farfield.files.atomic import write_bytes
 
 _MAX_METADATA_BYTES = 4_000_000
@@ -52,7 +52,8 @@ def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
-    if metadata.get("format") != "farfield-detector-1" or len(metadata["config"]) > _MAX_METADATA_BYTES:
+    known = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
+    if not known or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
         raise FileFormatError(
             path,
             where="metadata",
@@ -60,18 +61,17 @@ def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
             found=repr(metadata.get("format")),
             mend="Weights of other codebases need an import first.",
         )
-    described = json.loads(metadata["config"])
-    config = detector_classes(described["name"])[1].model_validate(described)
-    network = build_detector(config)
-    missing, unexpected = network.load_state_dict(tensors, strict=False)
-    if missing or unexpected:
+    try:
+        described, provenance = json.loads(metadata["config"]), json.loads(metadata["provenance"])
+        config = detector_classes(described["name"])[1].model_validate(described)
+        with torch.device("meta"):  # shapes only: nothing is allocated on the word of the file
+            network = build_detector(config)
+        network.load_state_dict(tensors, assign=True)
+    except (ValueError, KeyError, TypeError, RuntimeError, ConfigError) as error:
         raise FileFormatError(
-            path,
-            where="tensors",
-            expected=f"the state of {described['name']}",
-            found=f"missing {list(missing)[:3]}, unexpected {list(unexpected)[:3]}",
-        )
-    return network.eval(), json.loads(metadata["provenance"])
+            path, where="configuration and tensors", expected="those of one detector", found=str(error)[:300]
+        ) from error
+    return network.eval(), provenance
 
 
 def bundled_weights() -> dict[str, Path]:

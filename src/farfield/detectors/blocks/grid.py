@@ -2,7 +2,9 @@
 
 import math
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+_MAX_CELLS = 50_000_000
 
 
 class GridConfig(BaseModel):
@@ -19,6 +21,13 @@ class GridConfig(BaseModel):
     z_min_m: float = Field(-6.0, description="points below are dropped; generous, since roads climb over 250 m")
     z_max_m: float = Field(6.0, description="points above are dropped")
     cell_m: float = Field(0.25, gt=0, description="edge length of a square pillar")
+
+    @model_validator(mode="after")
+    def _fits_memory(self) -> "GridConfig":
+        cells = self.range_m * 2 * self.half_width_m / self.cell_m**2
+        if not cells <= _MAX_CELLS:
+            raise ValueError(f"expected at most {_MAX_CELLS:,} cells, got {cells:,.0f}: take a larger cell_m")
+        return self
 
     def shape(self, multiple: int) -> tuple[int, int]:
         """Cells along x and y, padded so that ``multiple`` divides both."""
