@@ -17,7 +17,7 @@ from _report import header
 from farfield.files.atomic import write_text
 from farfield.frame import Frame
 from farfield.simulation import find_preset, simulate_frame
-from farfield.simulation.lidar import LidarModel, detection_probability, signal
+from farfield.simulation.lidar.model import LidarModel, detection_probability, signal
 
 VEHICLES = ("vehicle", "large_vehicle")
 BINS_M = ((0, 30), (30, 70), (70, 100), (100, 150), (150, 200), (200, 250), (250, 350))

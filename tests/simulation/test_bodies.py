@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from farfield.simulation.actors import _SIZES, CLASSES, Actor, draw_car, draw_size_m, draw_truck
-from farfield.simulation.materials import SURFACES, Material, draw_reflectance
+from farfield.simulation.bodies.actors import _SIZES, CLASSES, Actor, draw_car, draw_size_m, draw_truck
+from farfield.simulation.bodies.materials import SURFACES, Material, draw_reflectance
 
 KINDS = sorted(_SIZES)
 

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.geometry.poses import pose_from_yaw
-from farfield.simulation.lidar import (
+from farfield.simulation.lidar.model import (
     PATTERNS,
     LidarModel,
     Scan,
@@ -16,9 +16,9 @@ from farfield.simulation.lidar import (
     measure,
     signal,
 )
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box
-from farfield.simulation.sweep import Body, sweep
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box
+from farfield.simulation.lidar.sweep import Body, sweep
 from farfield.simulation.trace import Tracer
 
 MODEL = LidarModel()

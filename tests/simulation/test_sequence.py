@@ -12,7 +12,7 @@ from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import count_points_in_boxes
 from farfield.simulation import find_preset, simulate_frame, simulate_sequence
 from farfield.simulation import sequence as sequence_module
-from farfield.simulation.actors import CLASSES
+from farfield.simulation.bodies.actors import CLASSES
 from farfield.simulation.frozen import frame_record
 from farfield.simulation.labels import MARGIN_M
 

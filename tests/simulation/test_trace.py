@@ -7,10 +7,10 @@ import pytest
 
 from farfield.errors import MissingExtraError
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
-from farfield.simulation.lidar import LidarModel, Scan
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box, ellipsoid, quads
-from farfield.simulation.sweep import Body, shots_towards, sweep
+from farfield.simulation.lidar.model import LidarModel, Scan
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box, ellipsoid, quads
+from farfield.simulation.lidar.sweep import Body, shots_towards, sweep
 from farfield.simulation.trace import Tracer
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from farfield.frame import Boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.simulation.scene import Scene
-from farfield.simulation.traffic import STEP_S, Motion, follow, in_conflict
+from farfield.simulation.world.scene import Scene
+from farfield.simulation.world.traffic import STEP_S, Motion, follow, in_conflict
 
 
 def test_free_vehicle_keeps_its_desired_speed() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.geometry.boxes import Boxes
-from farfield.simulation.actors import Actor
+from farfield.simulation.bodies.actors import Actor
 
 MIN_POINTS_BOTH = 5
 MIN_POINTS_GAUSSIAN = 3

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.simulation.lidar import LidarModel
+from farfield.simulation.lidar.model import LidarModel
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from farfield.errors import ConfigError
 from farfield.frame import Boxes, Frame
 from farfield.geometry.poses import invert
 from farfield.simulation import labels
-from farfield.simulation.lidar import PATTERNS, Scan
+from farfield.simulation.lidar.model import PATTERNS, Scan
 from farfield.simulation.presets import Preset, find_preset
-from farfield.simulation.scene import Scene, State
-from farfield.simulation.sweep import Sweep, sweep
+from farfield.simulation.world.scene import Scene, State
+from farfield.simulation.lidar.sweep import Sweep, sweep
 
 _EPOCH_NS = 1_600_000_000_000_000_000
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from farfield.errors import MissingExtraError
-from farfield.simulation.mesh import Mesh
+from farfield.simulation.bodies.mesh import Mesh
 
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=bool)
 

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, Triple, box, ellipsoid, ring_tube, tube
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, Triple, box, ellipsoid, ring_tube, tube
 
 _CLOTH, _SKIN, _METAL, _TYRE = (int(m) for m in (Material.CLOTH, Material.SKIN, Material.METAL, Material.TYRE))
 

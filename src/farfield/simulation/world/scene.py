@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.geometry.poses import pose, pose_from_yaw
-from farfield.simulation.actors import Actor
-from farfield.simulation.highway import build_highway
-from farfield.simulation.layout import CHUNK_M, Layout
-from farfield.simulation.mesh import Mesh
-from farfield.simulation.sweep import Body
+from farfield.simulation.bodies.actors import Actor
+from farfield.simulation.world.highway import build_highway
+from farfield.simulation.world.layout import CHUNK_M, Layout
+from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.lidar.sweep import Body
 from farfield.simulation.trace import Tracer
-from farfield.simulation.traffic import STEP_S, Motion
-from farfield.simulation.urban import build_urban
+from farfield.simulation.world.traffic import STEP_S, Motion
+from farfield.simulation.world.urban import build_urban
 
 _STAGE_M = 300.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
 _VIEW_M = 360.0

@@ -5,14 +5,14 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation import furniture
-from farfield.simulation.actors import draw_car, draw_truck
-from farfield.simulation.layout import Layout, Placement
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh
-from farfield.simulation.population import Lane, Population
-from farfield.simulation.road import RoadLine, ribbon
-from farfield.simulation.traffic import STEP_S
+from farfield.simulation.bodies import furniture
+from farfield.simulation.bodies.actors import draw_car, draw_truck
+from farfield.simulation.world.layout import Layout, Placement
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.world.population import Lane, Population
+from farfield.simulation.world.road import RoadLine, ribbon
+from farfield.simulation.world.traffic import STEP_S
 
 _ASPHALT, _GRASS, _SOIL, _PAINT = (
     int(m) for m in (Material.ASPHALT, Material.GRASS, Material.SOIL, Material.LANE_PAINT)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.simulation.materials import Material, draw_reflectance
+from farfield.simulation.bodies.materials import Material, draw_reflectance
 
 Triple = Sequence[float | int]  # x, y, z
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box, loft, quads, wheel
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box, loft, quads, wheel
 
 _PAINT, _SCREEN, _CABIN, _PILLAR = "paint", "screen", "cabin", "pillar"
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.cars import BODY_STYLES, CAR_SHARES, build_car
-from farfield.simulation.mesh import Mesh
-from farfield.simulation.people import (
+from farfield.simulation.bodies.cars import BODY_STYLES, CAR_SHARES, build_car
+from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.bodies.people import (
     build_animal,
     build_cyclist,
     build_motorcycle,
     build_pedestrian,
     build_wheeled_person,
 )
-from farfield.simulation.trucks import TRUCK_STYLES, build_bus, build_trailer, build_truck
+from farfield.simulation.bodies.trucks import TRUCK_STYLES, build_bus, build_trailer, build_truck
 
 CLASSES = (
     "vehicle",

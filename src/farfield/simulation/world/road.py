@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.simulation.mesh import Mesh, grid
+from farfield.simulation.bodies.mesh import Mesh, grid
 
 _STEP_M = 1.0
 

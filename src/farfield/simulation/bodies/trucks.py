@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box, loft, quads, tube, wheel
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box, loft, quads, tube, wheel
 
 TRUCK_STYLES = ("box", "semi", "flatbed", "tanker", "tipper")
 

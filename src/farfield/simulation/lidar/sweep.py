@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from farfield.frame import Cloud
 from farfield.geometry.poses import invert, transform_points
-from farfield.simulation.lidar import LidarModel, Scan, measure
-from farfield.simulation.materials import Material
+from farfield.simulation.lidar.model import LidarModel, Scan, measure
+from farfield.simulation.bodies.materials import Material
 from farfield.simulation.trace import Tracer
 
 _PANES = 2  # a shot passes through so many panes of glass at most

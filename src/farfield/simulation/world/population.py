@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.actors import Actor, draw_car, draw_size_m
-from farfield.simulation.road import RoadLine
-from farfield.simulation.traffic import STEP_S, Motion, follow, in_conflict
+from farfield.simulation.bodies.actors import Actor, draw_car, draw_size_m
+from farfield.simulation.world.road import RoadLine
+from farfield.simulation.world.traffic import STEP_S, Motion, follow, in_conflict
 
 KindChoice = Callable[[np.random.Generator], str]
 

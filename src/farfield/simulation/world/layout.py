@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.mesh import Mesh
-from farfield.simulation.population import Population
-from farfield.simulation.road import RoadLine
+from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.world.population import Population
+from farfield.simulation.world.road import RoadLine
 
 CHUNK_M = 100.0
 

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.materials import Material
-from farfield.simulation.mesh import Mesh, box, ellipsoid, quads, tube
-from farfield.simulation.road import RoadLine, ribbon
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box, ellipsoid, quads, tube
+from farfield.simulation.world.road import RoadLine, ribbon
 
 _SQUARE = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) / 2
 

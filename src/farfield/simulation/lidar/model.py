@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from farfield.errors import ConfigError
-from farfield.simulation.materials import BACKSCATTER, GLOSS
+from farfield.simulation.bodies.materials import BACKSCATTER, GLOSS
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Cameras: pictures of the scene, by ray casting."""

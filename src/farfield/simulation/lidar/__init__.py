@@ -1,0 +1,1 @@
+"""LiDAR sensors: scan patterns, the ranging law, and sweeps over a scene."""
