@@ -84,3 +84,18 @@ class Tracer:
         cosine = dot / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-20))
         missed = face < 0
         return Hits(np.where(missed, np.float32(np.inf), out["tfar"]), face, np.where(missed, np.float32(0), cosine))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid thing that rays can hit, and where it is at each knot of a span of time.
+
+    Args:
+        tracer: Its mesh in its own frame.
+        world_T_body: Its pose at each knot, shape (k, 4, 4).
+        actor: Row of the road user within the scene's window, or -1 for what is fixed.
+    """
+
+    tracer: Tracer
+    world_T_body: Float[np.ndarray, "k 4 4"]
+    actor: int = -1

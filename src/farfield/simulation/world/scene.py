@@ -1,4 +1,4 @@
-"""A scene at work: what stands where at a continuous time, ready for rays."""
+"""A scene at work: what stands where over a short span of continuous time, ready for rays."""
 
 from dataclasses import dataclass
 
@@ -7,97 +7,142 @@ from jaxtyping import Float
 
 from farfield.geometry.poses import pose, pose_from_yaw
 from farfield.simulation.bodies.actors import Actor
+from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.world.highway import build_highway
 from farfield.simulation.world.layout import CHUNK_M, Layout
-from farfield.simulation.bodies.mesh import Mesh
-from farfield.simulation.lidar.sweep import Body
-from farfield.simulation.trace import Tracer
-from farfield.simulation.world.traffic import STEP_S, Motion
+from farfield.simulation.world.traffic import STEP_S
 from farfield.simulation.world.urban import build_urban
 
-_STAGE_M = 300.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
-_VIEW_M = 360.0
+_STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
+_BUILDERS = {"highway": build_highway, "urban": build_urban}
+ROADS = tuple(_BUILDERS)
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """The scene at one moment.
+class Window:
+    """The scene over a short span around one moment.
+
+    Poses are given at ``k`` knots; between them they move linearly (:func:`at_knots`). Row ``i`` of ``actors``,
+    ``bottom_m``, ``yaw_rad`` and ``velocity_m_s`` is the road user that bodies with ``actor == i`` belong to.
 
     Args:
-        world_T_lidar: Pose of the Gaussian sensor.
-        bodies: Fixed surroundings, then the road users within view.
+        time_s: The reference moment.
+        knots_s: Offsets from it, rising, symmetric, shape (k,); a single knot is 0.
+        world_T_ego: Pose of the ego vehicle at each knot: middle of its bottom, x forward, shape (k, 4, 4).
+        bodies: Fixed surroundings first, then the road users within view; the ego vehicle is left out.
         actors: Those road users.
-        bottom_m: Middles of their bottoms in the world, shape (n, 3).
-        yaw_rad: Their headings in the world, shape (n,).
+        bottom_m: Middles of their bottoms in the world at the reference moment, shape (n, 3).
+        yaw_rad: Their headings in the world then, shape (n,).
+        velocity_m_s: Their velocities in the world then, shape (n, 3).
+        ego_velocity_m_s: The ego vehicle's, shape (3,).
     """
 
-    world_T_lidar: Float[np.ndarray, "4 4"]
+    time_s: float
+    knots_s: Float[np.ndarray, " k"]
+    world_T_ego: Float[np.ndarray, "k 4 4"]
     bodies: list[Body]
     actors: list[Actor]
     bottom_m: Float[np.ndarray, "n 3"]
     yaw_rad: Float[np.ndarray, " n"]
+    velocity_m_s: Float[np.ndarray, "n 3"]
+    ego_velocity_m_s: Float[np.ndarray, " 3"]
+
+    @property
+    def world_T_ego_now(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the ego vehicle at the reference moment."""
+        return at_knots(self.world_T_ego, self.knots_s, np.zeros(1))[0]
+
+
+def at_knots(
+    poses: Float[np.ndarray, "k 4 4"], knots_s: Float[np.ndarray, " k"], time_s: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses at any times within the span, linear between knots (an angle of 0.01 rad between knots errs by 1e-5)."""
+    if len(knots_s) == 1:
+        return np.broadcast_to(poses[0], (len(time_s), 4, 4))
+    before = np.clip(np.searchsorted(knots_s, time_s, side="right") - 1, 0, len(knots_s) - 2)
+    share = ((time_s - knots_s[before]) / (knots_s[before + 1] - knots_s[before]))[:, None, None]
+    return poses[before] + share * (poses[before + 1] - poses[before])
 
 
 class Scene:
     """One sequence's world.
 
     Args:
-        template: "highway" or "urban".
-        seed: Draws everything; the same seed gives the same world.
+        road: One of ``ROADS``.
+        seed: Draws everything; the same seed gives the same world whatever sensors look at it.
         duration_s: How long it lasts.
-        sensor_height_m: Height of the sensor above the road.
+        sizes: Named prior of the road users' sizes: "us", "korea" or "kitti".
     """
 
-    def __init__(
-        self, template: str, seed: np.random.SeedSequence, *, duration_s: float, sensor_height_m: float
-    ) -> None:
-        build = {"highway": build_highway, "urban": build_urban}[template]
-        layout_seed, actor_seed, self._pose_seed = seed.spawn(3)
-        self.template, self.sensor_height_m = template, sensor_height_m
-        self.layout: Layout = build(layout_seed, duration_s=duration_s)
+    def __init__(self, road: str, seed: np.random.SeedSequence, *, duration_s: float, sizes: str = "us") -> None:
+        layout_seed, actor_seed, pose_seed = seed.spawn(3)
+        self.road, self.duration_s, self.sizes = road, duration_s, sizes
+        self.layout: Layout = _BUILDERS[road](layout_seed, duration_s=duration_s)
         self.actors, self.motion = self.layout.population.finish(actor_seed)
-        self._tracers: dict[int, Tracer] = {}
-        self._stage: tuple[int, Tracer] | None = None
+        self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
+        self._tracers: dict[tuple[int, int], Tracer] = {}
+        self._stage: tuple[tuple[int, float], Tracer] | None = None
 
-    def lidar_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
-        """Pose of the sensor on the ego vehicle's roof: heading and slope of the road, and a little nodding."""
-        s = self._ego_s_m(time_s)
-        (x, y, z), yaw = (value[0] for value in Motion(self.motion.position_m[:1], self.motion.yaw_rad[:1]).at(time_s))
-        wave = np.random.default_rng(self._pose_seed).uniform(0, 2 * np.pi, 2)
-        nod = np.radians(0.05) * np.sin(2 * np.pi * np.array([1.1, 0.7]) * time_s + wave)
-        pitch = -self.layout.road.slope(s) + nod[0]
+    def ego_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
+        """Pose of the ego vehicle: middle of its bottom on the road, its heading, the road's slope, some nodding."""
+        position, heading = self.motion.at(time_s, rows=slice(0, 1))
+        (x, y, z), yaw = position[0], heading[0]
+        nod = np.radians(0.05) * np.sin(2 * np.pi * np.array([1.1, 0.7]) * time_s + self._sway)
+        pitch = -self.layout.road.slope(self._ego_s_m(time_s)) + nod[0]
         tilt = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
         lean = np.array([[1, 0, 0], [0, np.cos(nod[1]), -np.sin(nod[1])], [0, np.sin(nod[1]), np.cos(nod[1])]])
-        world_T_car = pose_from_yaw(float(yaw), np.array([x, y, z]))
-        return world_T_car @ pose(tilt @ lean, np.array([0.0, 0.0, self.sensor_height_m]))
+        return pose_from_yaw(float(yaw), np.array([x, y, z])) @ pose(tilt @ lean, np.zeros(3))
 
     def _ego_s_m(self, time_s: float) -> float:
         track = self.layout.population.ego_s_m
         return float(np.interp(time_s / STEP_S, np.arange(len(track)), track))
 
-    def _fixed(self, time_s: float) -> Body:
+    def _fixed(self, time_s: float, reach_m: float, behind_m: float, knots: int) -> Body:
         stage = int(np.floor(self._ego_s_m(time_s) / _STAGE_M))
-        if self._stage is None or self._stage[0] != stage:
-            first = int(np.floor((stage * _STAGE_M - 20.0) / CHUNK_M))
-            last = int(np.ceil(((stage + 1) * _STAGE_M + _VIEW_M) / CHUNK_M))
+        if self._stage is None or self._stage[0] != (stage, behind_m):
+            first = int(np.floor((stage * _STAGE_M - behind_m) / CHUNK_M))
+            last = int(np.ceil(((stage + 1) * _STAGE_M + reach_m) / CHUNK_M))
             mesh = Mesh.merge([self.layout.chunk(index) for index in range(first, last)])
             anchor = self.layout.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
-            self._stage = (stage, Tracer(mesh, anchor_m=anchor))
-        return Body(self._stage[1], np.eye(4))
+            self._stage = ((stage, behind_m), Tracer(mesh, anchor_m=anchor))
+        return Body(self._stage[1], np.broadcast_to(np.eye(4), (knots, 4, 4)))
 
-    def at(self, time_s: float) -> State:
-        """The scene at a moment; road users beyond view or behind the sensor are left out."""
-        world_T_lidar = self.lidar_pose(time_s)
+    def window(
+        self, time_s: float, *, half_span_s: float = 0.0, reach_m: float = 360.0, behind_m: float = 20.0
+    ) -> Window:
+        """The scene from ``half_span_s`` before a moment to as long after it.
+
+        Args:
+            time_s: The reference moment, 0 <= time_s <= duration_s.
+            half_span_s: Half of the span, such as 0.06 for a sweep of 0.1 s and what follows it; 0 stands still.
+            reach_m: How far ahead to look.
+            behind_m: How far behind; a sensor that looks all around needs its own range here.
+        """
+        knots_s = np.linspace(-half_span_s, half_span_s, 9) if half_span_s else np.zeros(1)
+        moments = np.clip(time_s + knots_s, 0.0, self.duration_s + STEP_S)
+        world_T_ego = np.stack([self.ego_pose(float(moment)) for moment in moments])
         position, yaw = self.motion.at(time_s)
-        offset = position - world_T_lidar[:3, 3]
+        here = self.ego_pose(time_s)
+        offset = position - here[:3, 3]
+        ahead = offset @ here[:3, 0]
         reach = np.array([actor.size_m[0] for actor in self.actors]) / 2
-        ahead = offset @ world_T_lidar[:3, 0]
-        near = (np.hypot(offset[:, 0], offset[:, 1]) < _VIEW_M) & (ahead > -reach)
-        near[0] = False  # the ego vehicle
+        near = (np.hypot(offset[:, 0], offset[:, 1]) < reach_m) & (ahead > -reach - behind_m)
+        near[0] = False
         chosen = np.flatnonzero(near)
-        bodies = [self._fixed(time_s)]
+        paths = [self.motion.at(float(moment), rows=chosen) for moment in moments]
+        bodies = [self._fixed(time_s, reach_m, behind_m, len(knots_s))]
         for row, index in enumerate(chosen):
-            if index not in self._tracers:
-                self._tracers[int(index)] = Tracer(self.actors[index].build())
-            bodies.append(Body(self._tracers[int(index)], pose_from_yaw(float(yaw[index]), position[index]), row))
-        return State(world_T_lidar, bodies, [self.actors[i] for i in chosen], position[chosen], yaw[chosen])
+            poses = np.stack([pose_from_yaw(float(turn[row]), place[row]) for place, turn in paths])
+            bodies.append(Body(self._tracer(int(index), time_s), poses, row))
+        actors = [self.actors[index] for index in chosen]
+        velocity = self.motion.velocity_m_s(time_s)
+        return Window(
+            time_s, knots_s, world_T_ego, bodies, actors, position[chosen], yaw[chosen], velocity[chosen], velocity[0]
+        )
+
+    def _tracer(self, index: int, time_s: float) -> Tracer:  # noqa: ARG002  gait will need the time
+        key = (index, 0)
+        if key not in self._tracers:
+            self._tracers[key] = Tracer(self.actors[index].build())
+        return self._tracers[key]

@@ -24,14 +24,25 @@ class Motion:
     position_m: Float[np.ndarray, "n steps 3"]
     yaw_rad: Float[np.ndarray, "n steps"]
 
-    def at(self, time_s: float) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-        """Positions (n, 3) and headings (n,) at a continuous time."""
+    def at(
+        self, time_s: float, *, rows: slice | Int[np.ndarray, " m"] = slice(None)
+    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+        """Positions (m, 3) and headings (m,) of some actors, all unless named, at a continuous time."""
+        before, share = self._place(time_s)
+        a, b = self.position_m[rows, before], self.position_m[rows, before + 1]
+        turn = wrap_angle_rad(self.yaw_rad[rows, before + 1] - self.yaw_rad[rows, before])
+        return a + share * (b - a), wrap_angle_rad(self.yaw_rad[rows, before] + share * turn)
+
+    def velocity_m_s(self, time_s: float) -> Float[np.ndarray, "n 3"]:
+        """Velocities in the world at a continuous time, shape (n, 3)."""
+        before, _ = self._place(time_s)
+        change: Float[np.ndarray, "n 3"] = self.position_m[:, before + 1] - self.position_m[:, before]
+        return change / STEP_S
+
+    def _place(self, time_s: float) -> tuple[int, float]:
         last = self.position_m.shape[1] - 1
         before = min(int(time_s / STEP_S), last - 1)
-        share = time_s / STEP_S - before
-        a, b = self.position_m[:, before], self.position_m[:, before + 1]
-        turn = wrap_angle_rad(self.yaw_rad[:, before + 1] - self.yaw_rad[:, before])
-        return a + share * (b - a), wrap_angle_rad(self.yaw_rad[:, before] + share * turn)
+        return before, time_s / STEP_S - before
 
 
 def follow(
