@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.simulation.bodies.materials import Material
-from farfield.simulation.bodies.mesh import Mesh, box, loft, quads, wheel
+from farfield.simulation.bodies.mesh import Mesh, box, loft, quads, tube, wheel
 
+_TRIM = int(Material.TRIM)
 _PAINT, _SCREEN, _CABIN, _PILLAR = "paint", "screen", "cabin", "pillar"
 
 
@@ -18,14 +19,10 @@ class BodyStyle:
     Args:
         stations: Position u, height of the top as a share of the car's height, and what follows the station.
         belt: Height of the windows' lower edge as a share of the car's height.
-        size_m: Mean length, width, height.
-        sigma_m: Their standard deviations.
     """
 
     stations: tuple[tuple[float, float, str], ...]
     belt: float
-    size_m: tuple[float, float, float]
-    sigma_m: tuple[float, float, float]
 
 
 _FRONT = ((0.0, 0.44, _PAINT), (0.02, 0.53, _PAINT))
@@ -46,8 +43,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.50, _PAINT),
         ),
         0.64,
-        (4.75, 1.86, 1.47),
-        (0.25, 0.06, 0.05),
     ),
     "hatch": BodyStyle(
         (
@@ -62,8 +57,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.48, _PAINT),
         ),
         0.61,
-        (4.2, 1.79, 1.50),
-        (0.25, 0.05, 0.06),
     ),
     "estate": BodyStyle(
         (
@@ -78,8 +71,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.50, _PAINT),
         ),
         0.61,
-        (4.75, 1.85, 1.50),
-        (0.2, 0.05, 0.06),
     ),
     "suv": BodyStyle(
         (
@@ -95,8 +86,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.48, _PAINT),
         ),
         0.62,
-        (4.75, 1.94, 1.76),
-        (0.25, 0.07, 0.08),
     ),
     "pickup": BodyStyle(
         (
@@ -113,8 +102,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.42, _PAINT),
         ),
         0.60,
-        (5.6, 1.99, 1.86),
-        (0.3, 0.06, 0.08),
     ),
     "mpv": BodyStyle(
         (
@@ -130,8 +117,6 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.44, _PAINT),
         ),
         0.58,
-        (5.0, 1.97, 1.78),
-        (0.2, 0.05, 0.06),
     ),
     "van": BodyStyle(
         (
@@ -147,19 +132,7 @@ BODY_STYLES: dict[str, BodyStyle] = {
             (1.0, 0.90, _PAINT),
         ),
         0.52,
-        (5.6, 2.05, 2.25),
-        (0.4, 0.08, 0.2),
     ),
-}
-
-CAR_SHARES: dict[str, float] = {
-    "sedan": 0.30,
-    "suv": 0.31,
-    "pickup": 0.14,
-    "hatch": 0.08,
-    "mpv": 0.07,
-    "van": 0.06,
-    "estate": 0.04,
 }
 
 
@@ -209,35 +182,85 @@ def _patch(x_m: float, y_m: float, z_m: float, width_m: float, height_m: float) 
     return np.array([x_m, y_m, z_m]) + half * [0.0, width_m, height_m]
 
 
+def _arches(axles_m: tuple[float, float], width_m: float, radius_m: float) -> Mesh:
+    """Dark half rings around the upper halves of the wheels."""
+    angle = np.linspace(0.0, np.pi, 7)
+    strips: list[Float[np.ndarray, "6 4 3"]] = []
+    for x in axles_m:
+        for side in (1, -1):
+            inner, outer = (
+                np.stack(
+                    [x + r * np.cos(angle), np.full(7, side * (width_m / 2 - 0.004)), radius_m + r * np.sin(angle)], 1
+                )
+                for r in (radius_m, 1.17 * radius_m)
+            )
+            strips.append(np.stack([inner[:-1], inner[1:], outer[1:], outer[:-1]], axis=1))
+    return quads(np.concatenate(strips), int(Material.TRIM))
+
+
+def _marks(length_m: float, width_m: float, height_m: float, rng: np.random.Generator) -> list[Mesh]:
+    """Lamps, number plates on both ends, and a grille, as patches just off the body."""
+    face, lamp_z, plate_z = 0.004, rng.uniform(0.36, 0.41) * height_m, 0.34 * height_m
+    lamp = np.array([rng.uniform(0.12, 0.19) * width_m, rng.uniform(0.05, 0.09) * height_m])
+    patches = [
+        _patch(sign * (length_m / 2 + face), side * 0.31 * width_m, lamp_z, *lamp)
+        for sign in (1, -1)
+        for side in (1, -1)
+    ]
+    patches.append(_patch(-length_m / 2 - face, 0.0, plate_z, 0.42, 0.13))
+    patches.append(_patch(length_m / 2 + 2 * face, 0.0, 0.24 * height_m, 0.42, 0.12))
+    lights = quads(np.stack(patches), np.array([int(Material.LAMP)] * 4 + [int(Material.PLATE)] * 2))
+    grille = quads(_patch(length_m / 2 + face, 0.0, 0.30 * height_m, 0.5 * width_m, 0.14 * height_m)[None], _TRIM)
+    return [lights, grille]
+
+
+def _extras(style_name: str, length_m: float, width_m: float, height_m: float, rng: np.random.Generator) -> list[Mesh]:
+    """Mirrors, and by chance roof rails or what a pickup carries."""
+    belt, front = BODY_STYLES[style_name].belt * height_m, 0.18 * length_m
+    parts = [
+        box([0.10, 0.07 * width_m, 0.13], [front, side * 0.465 * width_m, belt + 0.08], int(Material.CAR_PAINT))
+        for side in (1, -1)
+    ]
+    draw, load = rng.random(), rng.random(4)
+    if style_name in ("estate", "suv") and draw < 0.5:
+        y, z = 0.33 * width_m, height_m - 0.02
+        parts += [
+            tube([0.05 * length_m, side * y, z], [-0.4 * length_m, side * y, z], 0.025, int(Material.METAL), sides=4)
+            for side in (1, -1)
+        ]
+    if style_name == "pickup" and draw < 0.45:
+        size = np.array([0.12 + 0.2 * load[0], (0.4 + 0.3 * load[1]) * width_m / length_m, 0.15 + 0.2 * load[2]])
+        size *= [length_m, length_m, height_m]
+        x = -0.3 * length_m + (load[3] - 0.5) * 0.1 * length_m
+        parts.append(box(size.tolist(), [x, 0.0, 0.58 * height_m + size[2] / 2], int(Material.CARGO)))
+    return parts
+
+
 def build_car(style_name: str, size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh:
     """Build one car.
 
     Args:
         style_name: A key of ``BODY_STYLES``.
-        size_m: Length, width, height.
+        size_m: Length, width, height; a roof box counts as part of the height.
         rng: Varies the shape by about ten per cent and draws the paint.
 
     Returns:
-        A painted mesh of about 500 triangles, x forward, standing on z = 0, exactly as large as ``size_m``.
+        A painted mesh of about 650 triangles, x forward, standing on z = 0, exactly as large as ``size_m``.
     """
     style = BODY_STYLES[style_name]
-    length, width, height = (float(value) for value in size_m)
+    length, width, whole = (float(value) for value in size_m)
+    box_m = 0.30 if style_name in ("estate", "suv", "mpv") and whole > 1.78 and rng.random() < 0.15 else 0.0
+    height = whole - box_m
     u, top = _profile(style, rng)
     body = loft(_rings(style, u, top, rng) * [length, width, height], _skin(style), int(Material.CAR_PAINT))
-    radius = float(np.clip(0.205 * height, 0.30, 0.40) * rng.uniform(0.96, 1.06))
-    axle_front, axle_rear = (0.5 - rng.uniform(0.165, 0.20)) * length, (0.5 - rng.uniform(0.78, 0.82)) * length
-    wheels = [wheel(x, side * width / 2, radius, 0.22) for x in (axle_front, axle_rear) for side in (1, -1)]
-    face = 0.004
-    lamp_z, plate_z = 0.38 * height, 0.36 * height
-    patches = [
-        _patch(sign * (length / 2 + face), side * 0.31 * width, lamp_z, 0.16 * width, 0.07 * height)
-        for sign in (1, -1)
-        for side in (1, -1)
-    ]
-    patches.append(_patch(-length / 2 - face, 0.0, plate_z - 0.02 * height, 0.32, 0.16))
-    lights = quads(np.stack(patches), np.array([int(Material.LAMP)] * 4 + [int(Material.PLATE)]))
-    grille = quads(_patch(length / 2 + face, 0.0, 0.30 * height, 0.5 * width, 0.14 * height)[None], int(Material.TRIM))
-    seats = [box([0.5, 0.7 * width, 0.5 * height], [x, 0.0, 0.50 * height], int(Material.CLOTH)) for x in (0.0, -0.9)]
-    if style_name == "pickup":
-        seats = [box([0.5, 0.7 * width, 0.5 * height], [0.02 * length, 0.0, 0.50 * height], int(Material.CLOTH))]
-    return Mesh.merge([body, *wheels, lights, grille, *seats]).fitted(size_m).painted(rng)
+    radius = float(np.clip(0.205 * height, 0.28, 0.40) * rng.uniform(0.96, 1.06))
+    axles = ((0.5 - rng.uniform(0.165, 0.20)) * length, (0.5 - rng.uniform(0.78, 0.82)) * length)
+    wheels = [wheel(x, side * width / 2, radius, 0.22) for x in axles for side in (1, -1)]
+    rows = (0.02 * length,) if style_name == "pickup" else (0.0, -0.9)
+    seats = [box([0.5, 0.7 * width, 0.5 * height], [x, 0.0, 0.50 * height], int(Material.CLOTH)) for x in rows]
+    parts = [body, *wheels, _arches(axles, width, radius), *seats, *_marks(length, width, height, rng)]
+    parts += _extras(style_name, length, width, height, rng)
+    if box_m:
+        size = [0.38 * length, 0.45 * width, box_m]
+        parts.append(box(size, [-0.12 * length, 0.0, height + box_m / 2], _TRIM))
+    return Mesh.merge(parts).fitted(size_m).painted(rng)

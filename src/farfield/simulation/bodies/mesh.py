@@ -1,16 +1,17 @@
 """Triangle meshes and the few primitives that all objects are built from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from farfield.simulation.bodies.materials import Material, draw_reflectance
 
 Triple = Sequence[float | int]  # x, y, z
 
+_UNTINTED = np.zeros(0, dtype=np.float32)
 _BOX_ENDS = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])
 _BOX_SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]])
 _BOX_FACES = np.concatenate([_BOX_ENDS, _BOX_SIDES])
@@ -28,12 +29,19 @@ class Mesh:
         faces: Vertex indices of each triangle, shape (f, 3).
         material: Material of each triangle, shape (f,).
         reflectance: Diffuse reflectance of each triangle, shape (f,); NaN until ``painted``.
+        tint: Where in its material's range of colours each triangle lies, in [0, 1), shape (f,); one value for each
+            material of an object, 0 until ``painted``.
     """
 
     vertices_m: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     material: Int[np.ndarray, " f"]
     reflectance: Float[np.ndarray, " f"]
+    tint: Float32[np.ndarray, " f"] = field(default_factory=lambda: _UNTINTED)
+
+    def __post_init__(self) -> None:
+        if self.tint is _UNTINTED:
+            object.__setattr__(self, "tint", np.zeros(len(self.faces), dtype=np.float32))
 
     @classmethod
     def of(
@@ -57,25 +65,34 @@ class Mesh:
             np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
             np.concatenate([part.material for part in parts]),
             np.concatenate([part.reflectance for part in parts]),
+            np.concatenate([part.tint for part in parts]),
         )
 
     def painted(self, rng: np.random.Generator) -> "Mesh":
-        """Draw this object's reflectances."""
-        return Mesh(self.vertices_m, self.faces, self.material, draw_reflectance(self.material, rng))
+        """Draw this object's reflectances and tints, one of each for every material."""
+        reflectance = draw_reflectance(self.material, rng)
+        tint = rng.random(len(Material), dtype=np.float32)[self.material]
+        return replace(self, reflectance=reflectance, tint=tint)
 
     def placed(self, x_m: float, y_m: float, z_m: float = 0.0, *, yaw_rad: float = 0.0) -> "Mesh":
         """Turn about z, then move."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         x, y, z = self.vertices_m.T
         vertices = np.stack([cos * x - sin * y + x_m, sin * x + cos * y + y_m, z + z_m], axis=1)
-        return Mesh(vertices, self.faces, self.material, self.reflectance)
+        return replace(self, vertices_m=vertices)
 
-    def fitted(self, size_m: Float[np.ndarray, " 3"]) -> "Mesh":
-        """Scale to a length, width and height exactly; the origin becomes the middle of the bottom."""
-        low, high = self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)
+    def fitted(self, size_m: Float[np.ndarray, " 3"], *, like: "Mesh | None" = None) -> "Mesh":
+        """Scale to a length, width and height exactly; the origin becomes the middle of the bottom.
+
+        Args:
+            size_m: Length, width, height, shape (3,).
+            like: Move and scale as this mesh would be, such as the same body in its widest pose.
+        """
+        frame = (self if like is None else like).vertices_m
+        low, high = frame.min(axis=0), frame.max(axis=0)
         middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
         vertices = (self.vertices_m - middle) * (size_m / (high - low))
-        return Mesh(vertices, self.faces, self.material, self.reflectance)
+        return replace(self, vertices_m=vertices)
 
 
 def box(size_m: Triple, centre_m: Triple, material: int) -> Mesh:
@@ -184,7 +201,7 @@ def wheel(x_m: float, outer_y_m: float, radius_m: float, width_m: float) -> Mesh
     unit = _unit_wheel()
     side = float(np.sign(outer_y_m))
     vertices = unit.vertices_m * [radius_m, side * width_m, radius_m] + [x_m, outer_y_m, radius_m]
-    return Mesh(vertices, unit.faces, unit.material, unit.reflectance)
+    return replace(unit, vertices_m=vertices)
 
 
 @cache

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box, loft, quads, tube, wheel
 
-TRUCK_STYLES = ("box", "semi", "flatbed", "tanker", "tipper")
+TRUCK_STYLES = ("box", "semi", "flatbed", "tanker", "tipper", "light_truck")
 
 
 def _section(width_m: float, low_m: float, high_m: float, *, shrink: float = 0.0) -> Float[np.ndarray, "8 2"]:
@@ -49,7 +49,7 @@ def _rear_marks(x_m: float, width_m: float, z_m: float) -> Mesh:
     """Tail lamps, plate and under-run bar as patches behind the body."""
     square = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) / 2
     marks = [[x_m, side * 0.42 * width_m, z_m] + square * [0, 0.3, 0.14] for side in (1, -1)]
-    marks.append([x_m, 0.0, z_m] + square * [0, 0.35, 0.18])
+    marks.append([x_m, 0.0, z_m] + square * [0, 0.45, 0.16])
     return quads(np.stack(marks), np.array([int(Material.LAMP)] * 2 + [int(Material.PLATE)]))
 
 
@@ -58,7 +58,9 @@ def _cargo(
 ) -> list[Mesh]:
     """What a truck carries between two positions along its length."""
     length, middle = front_m - rear_m, (front_m + rear_m) / 2
-    floor = rng.uniform(1.0, 1.25)
+    floor = rng.uniform(1.0, 1.25) if style != "light_truck" else 0.8
+    if style == "light_truck":
+        style = "flatbed" if rng.random() < 0.6 else "box"
     if style == "tanker":
         radius = min(width_m / 2, (high_m - floor) / 2) * 0.96
         axis = high_m - radius
@@ -68,6 +70,7 @@ def _cargo(
         parts.append(box([0.1, width_m, high_m - floor], [front_m, 0, (high_m + floor) / 2], int(Material.METAL)))
         for _ in range(int(rng.integers(1, 4))):
             size = np.array([rng.uniform(0.15, 0.4) * length, rng.uniform(0.4, 0.9) * width_m, rng.uniform(0.3, 1.2)])
+            size[2] = min(size[2], high_m - floor - 0.1)
             x = rng.uniform(rear_m + size[0] / 2, front_m - size[0] / 2)
             parts.append(box(size.tolist(), [x, 0, floor + 0.1 + size[2] / 2], int(Material.CARGO)))
         return parts
@@ -99,10 +102,12 @@ def build_truck(style: str, size_m: Float[np.ndarray, " 3"], rng: np.random.Gene
     gap = rng.uniform(0.1, 0.35) if style != "semi" else rng.uniform(0.6, 1.1)
     cab_high = height * rng.uniform(0.80, 0.98) if style in ("box", "semi") else height
     parts = [_cab(front, cab_length, 0.97 * width, 0.45, cab_high, rng)]
+    mirrors = [[front - 0.45, side * 0.475 * width, 0.45 + 0.62 * (cab_high - 0.45)] for side in (1, -1)]
+    parts += [box([0.12, 0.05 * width, 0.45], centre, int(Material.TRIM)) for centre in mirrors]
     parts += _cargo("box" if style == "semi" else style, rear, front - cab_length - gap, width, height, rng)
     parts.append(box([length - 1.2, 0.9, 0.25], [-0.3, 0, 0.85], int(Material.METAL)))
     parts.append(box([0.1, 0.9 * width, 0.18], [rear + 0.2, 0, 0.55], int(Material.METAL)))
-    radius = rng.uniform(0.44, 0.54)
+    radius = rng.uniform(0.44, 0.54) if style != "light_truck" else rng.uniform(0.33, 0.38)
     axles = [front - rng.uniform(1.0, 1.4), rear + rng.uniform(1.3, 2.2)]
     if length > 8:
         axles.append(axles[1] + 2.4 * radius)
