@@ -1,0 +1,247 @@
+"""Which triangle each pixel sees, and which of those places the sun reaches."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, Int32, UInt8
+
+from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert, transform_points
+from farfield.simulation.camera.appearance import looks_of
+from farfield.simulation.trace import Tracer
+from farfield.simulation.world.scene import Window, at_knots
+
+_NEAR_M = 0.1
+_EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)])
+
+
+@dataclass(frozen=True, eq=False)
+class RayGrid:
+    """The distorted rays of an image, in camera axes (x right, y down, z forward).
+
+    Args:
+        directions: Unit directions row by row, shape (h w, 3).
+        height: Rows of rays.
+        width: Rays a row.
+        column_reach: Least and greatest x / z of each column, shape (2, w).
+        row_reach: Least and greatest y / z of each row, shape (2, h).
+    """
+
+    directions: Float32[np.ndarray, "n 3"]
+    height: int
+    width: int
+    column_reach: Float[np.ndarray, "2 w"]
+    row_reach: Float[np.ndarray, "2 h"]
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """One body at the reference moment: its tracer, pose, road user (-1: fixed), and its first triangle among all."""
+
+    tracer: Tracer
+    world_T_body: Float[np.ndarray, "4 4"]
+    actor: int
+    first_face: int
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What every ray of a grid hit first.
+
+    Args:
+        range_m: Distance, inf where nothing was hit, shape (n,).
+        face: Triangle counted over all bodies, -1 where nothing was hit, shape (n,).
+        directions: Rays in the world, shape (n, 3).
+        origin_m: The camera in the world.
+    """
+
+    range_m: Float32[np.ndarray, " n"]
+    face: Int32[np.ndarray, " n"]
+    directions: Float32[np.ndarray, "n 3"]
+    origin_m: Float[np.ndarray, " 3"]
+
+
+def ray_grid(camera: Camera, supersample: int = 1) -> RayGrid:
+    """The rays of a camera's pixels; remembered for the last few intrinsics.
+
+    Args:
+        camera: The camera; its pose does not matter here.
+        supersample: Rays a pixel along each axis, evenly spread over the pixel.
+    """
+    shape = (camera.width_px, camera.height_px, supersample)
+    return _ray_grid(camera.matrix.tobytes(), camera.distortion.tobytes(), *shape)
+
+
+@lru_cache(maxsize=4)
+def _ray_grid(matrix: bytes, distortion: bytes, width_px: int, height_px: int, supersample: int) -> RayGrid:
+    lens = Camera(
+        matrix=np.frombuffer(matrix).reshape(3, 3), distortion=np.frombuffer(distortion), camera_T_lidar=np.eye(4)
+    )
+    height, width = height_px * supersample, width_px * supersample
+    u = (np.arange(width) + 0.5) / supersample - 0.5
+    directions = np.empty((height, width, 3), dtype=np.float32)
+    for row in range(0, height, 64):  # in slices: Newton's method takes some 200 bytes a ray
+        v = (np.arange(row, min(row + 64, height)) + 0.5) / supersample - 0.5
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        directions[row : row + len(v)] = lens.rays(pixels).reshape(len(v), width, 3)
+    np.nan_to_num(directions, copy=False)
+    flat = directions[..., :2] / np.maximum(directions[..., 2:], 1e-3)
+    columns, rows = flat[..., 0], flat[..., 1]
+    return RayGrid(
+        directions.reshape(-1, 3),
+        height,
+        width,
+        np.stack([columns.min(axis=0), columns.max(axis=0)]).astype(np.float64),
+        np.stack([rows.min(axis=1), rows.max(axis=1)]).astype(np.float64),
+    )
+
+
+def place(window: Window) -> list[Placed]:
+    """All bodies of a window at its reference moment, their triangles counted in this order."""
+    placed, first = [], 0
+    for body in window.bodies:
+        placed.append(
+            Placed(body.tracer, at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0], body.actor, first)
+        )
+        first += len(body.tracer.mesh.faces)
+    return placed
+
+
+def pixels_towards(grid: RayGrid, corners_m: Float[np.ndarray, "8 3"]) -> tuple[slice, slice, float]:
+    """Rows and columns whose rays may hit a box, and a distance that no hit falls below.
+
+    Args:
+        grid: The rays.
+        corners_m: The box's corners in camera axes, ordered by bits (x, y, z).
+
+    Returns:
+        Rows, columns (empty when the box lies outside the image), least distance in metres.
+    """
+    ahead = corners_m[:, 2] > _NEAR_M
+    if not ahead.any():
+        return slice(0, 0), slice(0, 0), np.inf
+    a, b = corners_m[_EDGES[:, 0]], corners_m[_EDGES[:, 1]]
+    crossing = ahead[_EDGES[:, 0]] != ahead[_EDGES[:, 1]]
+    a, b = a[crossing], b[crossing]
+    cut = a + (b - a) * ((_NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None]
+    points = np.concatenate([corners_m[ahead], cut])
+    flat = points[:, :2] / points[:, 2:]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    columns = np.flatnonzero((grid.column_reach[1] >= low[0]) & (grid.column_reach[0] <= high[0]))
+    rows = np.flatnonzero((grid.row_reach[1] >= low[1]) & (grid.row_reach[0] <= high[1]))
+    if columns.size == 0 or rows.size == 0:
+        return slice(0, 0), slice(0, 0), np.inf
+    middle = corners_m.mean(axis=0)
+    least = float(np.linalg.norm(middle) - np.linalg.norm(corners_m[0] - middle))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1), least
+
+
+def take_picture(placed: list[Placed], grid: RayGrid, world_T_camera: Float[np.ndarray, "4 4"]) -> Picture:
+    """Cast one ray a pixel: every ray at what is fixed, then at each road user within its bounds, nearest first."""
+    directions = grid.directions @ world_T_camera[:3, :3].astype(np.float32).T
+    picture = Picture(
+        np.full(len(directions), np.inf, dtype=np.float32),
+        np.full(len(directions), -1, dtype=np.int32),
+        directions,
+        world_T_camera[:3, 3],
+    )
+    numbers = np.arange(len(directions), dtype=np.int32).reshape(grid.height, grid.width)
+    camera_T_world = invert(world_T_camera)
+    waiting = []
+    for body in placed:
+        if body.actor < 0:
+            _cast_one(picture, body, None)
+            continue
+        corners = transform_points(camera_T_world @ body.world_T_body, body.tracer.corners_m)
+        rows, columns, least = pixels_towards(grid, corners)
+        if rows.stop > rows.start:
+            waiting.append((least, body, rows, columns))
+    for least, body, rows, columns in sorted(waiting, key=lambda item: item[0]):
+        chosen = numbers[rows, columns].reshape(-1)
+        _cast_one(picture, body, chosen[picture.range_m[chosen] > least])
+    return picture
+
+
+def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | None) -> None:
+    """Cast the chosen rays, or all, at one body and keep what is nearer than before."""
+    body_T_world = invert(body.world_T_body)
+    start = transform_points(body_T_world, picture.origin_m[None])[0]
+    rays = picture.directions if chosen is None else picture.directions[chosen]
+    hits = body.tracer.cast(start, rays @ body_T_world[:3, :3].T.astype(np.float32))
+    if chosen is None:
+        chosen = np.arange(len(rays), dtype=np.int32)
+    nearer = np.flatnonzero(hits.range_m < picture.range_m[chosen])
+    picture.range_m[chosen[nearer]] = hits.range_m[nearer]
+    picture.face[chosen[nearer]] = hits.face[nearer] + body.first_face
+
+
+def sunlit(
+    placed: list[Placed],
+    picture: Picture,
+    chosen: Int[np.ndarray, " k"],
+    sun: Float32[np.ndarray, " 3"],
+    normal: Float32[np.ndarray, "k 3"],
+) -> Float32[np.ndarray, " k"]:
+    """Whether the sun reaches the places that the chosen rays hit: 1 lit, 0 in shadow.
+
+    Args:
+        placed: All bodies.
+        picture: What the rays hit.
+        chosen: Rays that hit something.
+        sun: Unit vector towards the sun.
+        normal: Normals there, towards the camera.
+    """
+    away = picture.directions[chosen] * (picture.range_m[chosen] * np.float32(0.9998))[:, None]
+    away += normal * np.float32(0.01)
+    lit = np.ones(len(chosen), dtype=np.float32)
+    along = away @ sun
+    square = np.einsum("ij,ij->i", away, away) - along * along
+    for body in placed:
+        body_T_world = invert(body.world_T_body)
+        corners = transform_points(body.world_T_body, body.tracer.corners_m) - picture.origin_m
+        if body.actor < 0:
+            near = np.flatnonzero(lit > 0)
+        else:
+            middle = corners.mean(axis=0).astype(np.float32)
+            radius = float(np.linalg.norm(corners[0] - middle)) + 0.1
+            depth = along - middle @ sun
+            apart = square - 2 * (away @ (middle - sun * (middle @ sun))) + middle @ middle - (middle @ sun) ** 2
+            near = np.flatnonzero((apart < radius * radius) & (depth < radius) & (lit > 0))
+        if near.size:
+            start = transform_points(body_T_world, away[near] + picture.origin_m)
+            ray = np.broadcast_to(body_T_world[:3, :3].astype(np.float32) @ sun, (len(near), 3))
+            lit[near[body.tracer.cast_from(start, ray).face >= 0]] = 0.0
+    return lit
+
+
+@dataclass(frozen=True, eq=False)
+class FaceTable:
+    """Looks of all triangles of all bodies, normals in the world; triangles from ``moving_from`` on are road users'."""
+
+    normal: Float32[np.ndarray, "f 3"]
+    albedo: Float32[np.ndarray, "f 3"]
+    glow: Float32[np.ndarray, "f 3"]
+    material: UInt8[np.ndarray, " f"]
+    moving_from: int
+
+
+def face_table(placed: list[Placed], lit: list[bool]) -> FaceTable:
+    """Collect the looks of all bodies.
+
+    Args:
+        placed: The bodies, fixed ones first.
+        lit: Whether each one's lamps are on.
+    """
+    looks = [looks_of(body.tracer, moving=body.actor >= 0) for body in placed]
+    normal = [
+        look.normal @ body.world_T_body[:3, :3].T.astype(np.float32) for look, body in zip(looks, placed, strict=True)
+    ]
+    glow = [look.glow if on else np.zeros_like(look.glow) for look, on in zip(looks, lit, strict=True)]
+    return FaceTable(
+        np.concatenate(normal),
+        np.concatenate([look.albedo for look in looks]),
+        np.concatenate(glow),
+        np.concatenate([look.material for look in looks]),
+        sum(len(look.material) for look, body in zip(looks, placed, strict=True) if body.actor < 0),
+    )

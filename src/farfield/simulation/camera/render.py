@@ -1,0 +1,225 @@
+"""One picture of a scene: rays, light, air, window and sensor."""
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert, transform_points
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.camera.cast import (
+    FaceTable,
+    Picture,
+    Placed,
+    RayGrid,
+    face_table,
+    pixels_towards,
+    place,
+    ray_grid,
+    sunlit,
+    take_picture,
+)
+from farfield.simulation.camera.lens import Exposure, finish
+from farfield.simulation.camera.sky import Sky, make_sky
+from farfield.simulation.weather.conditions import Weather
+from farfield.simulation.world.scene import Window
+
+_MOVING_M_S = 0.3  # slower road users have their lamps off
+_HEAD_LIGHT, _STREET_LIGHT = 260.0, 7.0
+_CONE_COS = float(np.cos(np.radians(25.0)))
+_OTHERS_M, _STREET_M = 70.0, 90.0
+
+
+def render(
+    window: Window,
+    camera: Camera,
+    world_T_lidar: Float[np.ndarray, "4 4"],
+    weather: Weather,
+    rng: np.random.Generator,
+    *,
+    supersample: int = 1,
+    window_seed: np.random.SeedSequence | None = None,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Take one picture at the window's reference moment.
+
+    Args:
+        window: The scene.
+        camera: The camera; its ``camera_T_lidar`` places it relative to ``world_T_lidar``.
+        world_T_lidar: Pose of the frame that the camera is given in.
+        weather: Light, air, precipitation, what covers the road and the camera's window.
+        rng: Draws drops, flakes and noise of this picture.
+        supersample: Rays a pixel along each axis.
+        window_seed: Draws where ice covers the camera's window; give one a camera and sequence.
+
+    Returns:
+        sRGB picture.
+
+    Raises:
+        MissingExtraError: If numba or embreex is not installed.
+    """
+    image, range_m = radiance(window, camera, world_T_lidar, weather, supersample=supersample)
+    turn = camera.camera_T_lidar[:3, :3] @ world_T_lidar[:3, :3].T
+    exposure = Exposure(
+        camera, turn @ window.ego_velocity_m_s, turn @ np.array([0.0, 0.0, -1.0]), range_m, window.time_s
+    )
+    seed = np.random.SeedSequence(0) if window_seed is None else window_seed
+    return finish(image, exposure, weather, make_sky(weather), rng, seed)
+
+
+def radiance(
+    window: Window,
+    camera: Camera,
+    world_T_lidar: Float[np.ndarray, "4 4"],
+    weather: Weather,
+    *,
+    supersample: int = 1,
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+    """The light that reaches each pixel, and how far what it sees is (inf: sky); see ``render``."""
+    sky = make_sky(weather)
+    grid = ray_grid(camera, supersample)
+    world_T_camera = world_T_lidar @ invert(camera.camera_T_lidar)
+    placed = place(window)
+    picture = take_picture(placed, grid, world_T_camera)
+    image = _shade(window, placed, picture, grid, world_T_camera, sky)
+    range_m = picture.range_m.reshape(grid.height, grid.width)
+    if supersample > 1:
+        shape = (camera.height_px, supersample, camera.width_px, supersample)
+        return image.reshape(*shape, 3).mean(axis=(1, 3)), range_m.reshape(shape).min(axis=(1, 3))
+    return image, range_m
+
+
+def _shade(
+    window: Window,
+    placed: list[Placed],
+    picture: Picture,
+    grid: RayGrid,
+    world_T_camera: Float[np.ndarray, "4 4"],
+    sky: Sky,
+) -> Float32[np.ndarray, "h w 3"]:
+    from farfield.simulation.camera import kernels
+
+    speed = np.linalg.norm(window.velocity_m_s, axis=1)
+    on = [body.actor < 0 or bool(speed[body.actor] > _MOVING_M_S) for body in placed]
+    table = face_table(placed, on)
+    lit = _sunlight(placed, picture, table, grid, sky)
+    dimmed = _contact_shadows(placed, picture, table, grid, world_T_camera)
+    lamps, own = _lamps(window, placed, table, on, picture) if sky.night else (np.zeros((0, 12), np.float32), 0)
+    image = np.empty((len(picture.face), 3), dtype=np.float32)
+    floor_m = float(picture.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
+    pixel_rad = float(grid.column_reach[1, -1] - grid.column_reach[0, 0]) / grid.width
+    kernels.shade(
+        picture.directions, picture.range_m, picture.face, lit, dimmed, picture.origin_m, np.float32(pixel_rad),
+        table.normal, table.albedo, table.glow, table.material, table.moving_from, lamps, own, floor_m, sky, image,
+    )  # fmt: skip
+    return image.reshape(grid.height, grid.width, 3)
+
+
+def _sunlight(
+    placed: list[Placed], picture: Picture, table: FaceTable, grid: RayGrid, sky: Sky
+) -> Float32[np.ndarray, " n"]:
+    """Whether the sun reaches what each ray hit, cast at every second row and column and spread from there."""
+    from farfield.simulation.camera import kernels
+
+    lit = np.ones(len(picture.face), dtype=np.float32)
+    if not sky.sun_rgb.any():
+        return lit
+    chosen = np.arange(len(lit)).reshape(grid.height, grid.width)[::2, ::2].reshape(-1)
+    chosen = chosen[picture.face[chosen] >= 0]
+    normal = table.normal[picture.face[chosen]]
+    facing = np.einsum("ij,ij->i", normal, picture.directions[chosen])
+    normal = np.where(facing[:, None] > 0, -normal, normal)
+    lit[chosen] = sunlit(placed, picture, chosen, sky.sun, normal)
+    known = np.zeros(len(lit), dtype=np.bool_)
+    known[chosen] = True
+    out = np.empty_like(lit)
+    kernels.fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
+    return out
+
+
+def _contact_shadows(
+    placed: list[Placed],
+    picture: Picture,
+    table: FaceTable,
+    grid: RayGrid,
+    world_T_camera: Float[np.ndarray, "4 4"],
+) -> Float32[np.ndarray, " n"]:
+    """Share of the sky's light that reaches each place: less on the ground under and beside road users."""
+    from farfield.simulation.camera import kernels
+
+    dimmed = np.ones(len(picture.face), dtype=np.float32)
+    camera_T_world = invert(world_T_camera)
+    for body in placed:
+        if body.actor < 0:
+            continue
+        corners = body.tracer.corners_m
+        half = np.abs(corners).max(axis=0)
+        skirt = np.sign(corners) * [*(half[:2] + 0.8), 0.3]
+        skirt[:, 2] = np.where(corners[:, 2] > corners[:, 2].mean(), 0.3, -0.3)
+        rows, columns, least = pixels_towards(grid, transform_points(camera_T_world @ body.world_T_body, skirt))
+        if rows.stop > rows.start and least < 120.0:
+            body_T_world = invert(body.world_T_body)
+            shift = picture.origin_m - body.world_T_body[:3, 3]
+            kernels.contact(
+                dimmed, picture.range_m, picture.directions, picture.face, table.moving_from,
+                (rows.start, rows.stop), (columns.start, columns.stop), grid.width, body_T_world[:3, :3], shift, half,
+            )  # fmt: skip
+    return dimmed
+
+
+def _lamps(
+    window: Window, placed: list[Placed], table: FaceTable, on: list[bool], picture: Picture
+) -> tuple[Float32[np.ndarray, "m 12"], int]:
+    """Lamps that light the scene at night: the ego vehicle's own two first, then others' and the street's nearest.
+
+    Columns: place relative to the camera, direction, cosine of the cone's edge, RGB, square of its reach, and 1 for a
+    head lamp with its cut-off.
+    """
+    ego = window.world_T_ego_now
+    rows = []
+    ahead = ego[:3, 0] - 0.02 * ego[:3, 2]
+    for side in (0.7, -0.7):
+        spot = ego[:3, 3] + ego[:3, :3] @ np.array([2.2, side, 0.7]) - picture.origin_m
+        rows.append(_lamp(spot, ahead, _CONE_COS, _HEAD_LIGHT, (1.0, 0.93, 0.82), 150.0, 1.0))
+    others = []
+    for body, lit in zip(placed, on, strict=True):
+        away = body.world_T_body[:3, 3] - picture.origin_m
+        if body.actor >= 0 and lit and np.linalg.norm(away) < _OTHERS_M:
+            lamp = body.tracer.mesh.material == Material.LAMP
+            corners = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[lamp, 0]]
+            front = corners[corners[:, 0] > 0]
+            if len(front):
+                spot = away + body.world_T_body[:3, :3] @ (front.mean(axis=0) + [0.1, 0.0, 0.0])
+                direction = body.world_T_body[:3, 0] - 0.02 * body.world_T_body[:3, 2]
+                others.append(_lamp(spot, direction, _CONE_COS, 2 * _HEAD_LIGHT, (1.0, 0.93, 0.82), 50.0, 1.0))
+    rows += sorted(others, key=lambda row: float(row[:3] @ row[:3]))[:8]
+    rows += _street_lamps(placed, picture)
+    return np.stack(rows).astype(np.float32), 2
+
+
+def _lamp(
+    place_m: Float[np.ndarray, " 3"],
+    direction: Float[np.ndarray, " 3"],
+    cone_cos: float,
+    power: float,
+    rgb: tuple[float, float, float],
+    reach_m: float,
+    head: float,
+) -> Float[np.ndarray, " 12"]:
+    unit = direction / np.linalg.norm(direction)
+    return np.concatenate([place_m, unit, [cone_cos], power * np.array(rgb), [reach_m**2, head]])
+
+
+def _street_lamps(placed: list[Placed], picture: Picture) -> list[Float[np.ndarray, " 12"]]:
+    """The nearest lamps of the fixed world, one for all lamp triangles within the same 2 m."""
+    found = []
+    for body in placed:
+        lamp = np.flatnonzero(body.tracer.mesh.material == Material.LAMP)
+        if body.actor >= 0 or lamp.size == 0:
+            continue
+        middle = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[lamp]].mean(axis=1)
+        away = transform_points(body.world_T_body, middle) - picture.origin_m
+        away = away[np.linalg.norm(away, axis=1) < _STREET_M]
+        _, first = np.unique(np.round(away / 2.0), axis=0, return_index=True)
+        found += [
+            _lamp(away[i], np.array([0.0, 0.0, -1.0]), 0.25, _STREET_LIGHT, (1.0, 0.72, 0.38), 40.0, 0.0) for i in first
+        ]
+    return sorted(found, key=lambda row: float(row[:3] @ row[:3]))[:8]
