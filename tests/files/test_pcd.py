@@ -348,3 +348,31 @@ def test_lzf_copies_reach_exactly_8192_bytes_back(rng: np.random.Generator) -> N
 def test_lzf_expands_at_most_88_times() -> None:
     stream = lzf.compress(bytes(1_000_000))
     assert 80 < 1_000_000 / len(stream) <= lzf.MAX_EXPANSION
+
+
+def test_an_organised_cloud_has_pcls_eleven_header_lines(tmp_path: Path, rng: np.random.Generator) -> None:
+    fields = {
+        "x": rng.normal(0, 50, 12).astype(np.float32),
+        "t": rng.integers(0, 1 << 32, 12, dtype=np.uint32),
+        "ring": np.arange(12, dtype=np.uint8),
+    }
+    write_pcd(tmp_path / "a.pcd", fields, encoding="ascii", height=3)
+    lines = (tmp_path / "a.pcd").read_text("ascii").splitlines()
+    assert lines[:11] == [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS x t ring",
+        "SIZE 4 4 1",
+        "TYPE F U U",
+        "COUNT 1 1 1",
+        "WIDTH 4",
+        "HEIGHT 3",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        "POINTS 12",
+        "DATA ascii",
+    ]
+    assert len(lines) == 11 + 12
+    back = read_pcd(tmp_path / "a.pcd")
+    assert all(back[name].dtype == fields[name].dtype and (back[name] == fields[name]).all() for name in fields)
+    with pytest.raises(ValueError, match="a height that divides 12 points, got 5"):
+        write_pcd(tmp_path / "b.pcd", fields, height=5)

@@ -4,14 +4,13 @@ Nothing is allocated from the header alone: the numbers of points and bytes that
 that the file really has.
 """
 
-from collections.abc import Mapping
-from itertools import chain
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from farfield.errors import FileFormatError
-from farfield.files import lzf
+from farfield.files import lzf, text_table
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
 from farfield.files.pcd_header import ENCODINGS, PcdHeader, format_header, parse_header
 from farfield.files.table import parse_table
@@ -128,17 +127,19 @@ def _nothing(header: PcdHeader) -> list[np.ndarray]:
     return [np.zeros(shape, dtype=dtype) for shape, dtype in zip(shapes, header.dtypes, strict=True)]
 
 
-def write_pcd(path: Path | str, fields: Mapping[str, np.ndarray], *, encoding: str = "binary") -> None:
-    """Write a PCD file (v0.7, unorganised), all or nothing.
+def write_pcd(path: Path | str, fields: Mapping[str, np.ndarray], *, encoding: str = "binary", height: int = 1) -> None:
+    """Write a PCD file (v0.7), all or nothing.
 
     Args:
         path: The file to write.
         fields: Arrays of one length by field name, each of shape (n,) or (n, count): integers, float32, float64 or
             booleans (written as bytes).
         encoding: ``"ascii"``, ``"binary"`` or ``"binary_compressed"``.
+        height: Rows of an organised cloud, whose points come row by row; 1 for an unorganised one.
 
     Raises:
-        ValueError: If the encoding is unknown or an array or a name does not fit the format.
+        ValueError: If the encoding is unknown, the height does not divide the number of points, or an array or a name
+            does not fit the format.
     """
     if encoding not in ENCODINGS:
         raise ValueError(f"write_pcd: expected encoding to be one of {', '.join(ENCODINGS)}, got {encoding!r}")
@@ -147,11 +148,13 @@ def write_pcd(path: Path | str, fields: Mapping[str, np.ndarray], *, encoding: s
     if len(lengths) != 1:
         raise ValueError(f"write_pcd: expected at least one field, all of one length, got lengths {sorted(lengths)}")
     points = lengths.pop()
+    if height < 1 or points % height:
+        raise ValueError(f"write_pcd: expected a height that divides {points} points, got {height}")
     flat = [array.reshape(points, array.size // max(points, 1)) for array in columns.values()]
     with open_atomic(path) as handle:
-        handle.write(format_header(columns, points, encoding))
+        handle.write(format_header(columns, points, encoding, height))
         if encoding == "ascii":
-            handle.write(_format_ascii(flat))
+            handle.writelines(_format_ascii(flat))
         elif encoding == "binary":
             handle.write(np.concatenate([array.view(np.uint8) for array in flat], axis=1).tobytes() if points else b"")
         else:
@@ -170,8 +173,9 @@ def _as_column(name: str, values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
 
 
-def _format_ascii(columns: list[np.ndarray]) -> bytes:
-    formats = {"f4": "%.9g", "f8": "%.17g"}  # enough digits to read back the same number
-    line = " ".join(formats.get(array.dtype.str[1:], "%d") for array in columns for _ in range(array.shape[1])) + "\n"
-    rows = zip(*(column.tolist() for array in columns for column in array.T), strict=True)
-    return ((line * len(columns[0])) % tuple(chain.from_iterable(rows))).encode("ascii")
+def _format_ascii(columns: list[np.ndarray]) -> Iterator[bytes]:
+    flat = [column for array in columns for column in array.T]
+    for start in range(0, len(columns[0]), text_table.ROWS_AT_ONCE):
+        parts = [column[start : start + text_table.ROWS_AT_ONCE] for column in flat]
+        texts = [text_table.floats(part) if part.dtype.kind == "f" else text_table.integers(part) for part in parts]
+        yield text_table.join(texts, " ")

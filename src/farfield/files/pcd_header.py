@@ -139,8 +139,8 @@ def _natural(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
 
 
-def format_header(fields: Mapping[str, np.ndarray], points: int, encoding: str) -> bytes:
-    """Write a v0.7 header for fields of shape (n,) or (n, count), all of a kind that PCD knows."""
+def format_header(fields: Mapping[str, np.ndarray], points: int, encoding: str, height: int = 1) -> bytes:
+    """Write a v0.7 header as PCL does for fields of shape (n,) or (n, count), all of a kind that PCD knows."""
     columns = {
         "FIELDS": list(fields),
         "SIZE": [str(array.dtype.itemsize) for array in fields.values()],
@@ -148,5 +148,6 @@ def format_header(fields: Mapping[str, np.ndarray], points: int, encoding: str) 
         "COUNT": [str(array.shape[1] if array.ndim == 2 else 1) for array in fields.values()],
     }
     rows = [f"{key} {' '.join(column)}" for key, column in columns.items()]
-    shape = [f"WIDTH {points}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {points}", f"DATA {encoding}"]
+    shape = [f"WIDTH {points // height}", f"HEIGHT {height}", "VIEWPOINT 0 0 0 1 0 0 0"]
+    shape += [f"POINTS {points}", f"DATA {encoding}"]
     return "\n".join(["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", *rows, *shape, ""]).encode("ascii")

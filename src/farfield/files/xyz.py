@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from farfield.errors import FileFormatError
+from farfield.files import text_table
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
 from farfield.files.table import parse_table
 
 KNOWN_COLUMNS = (5, 8)
 _LINE_BYTES = 4096  # longer than any line of numbers
-_EXACT = float(1 << 53)  # integers below are exact in float64
 
 
 def read_xyz(
@@ -109,34 +109,12 @@ def write_xyz(path: Path | str, rows: Float[np.ndarray, "n c"], *, decimals: int
     if len(places) != rows.shape[1] or not all(0 <= place <= 15 for place in places):
         raise ValueError(f"write_xyz: expected 0..15 decimals for {rows.shape[1]} columns, got {decimals!r}")
     with open_atomic(path) as handle:
-        for start in range(0, len(rows), 1 << 16):
-            handle.write(_format(rows[start : start + (1 << 16)], places))
+        for start in range(0, len(rows), text_table.ROWS_AT_ONCE):
+            handle.write(_format(rows[start : start + (text_table.ROWS_AT_ONCE)], places))
 
 
 def _format(rows: Float[np.ndarray, "n c"], places: list[int]) -> bytes:
-    if any(np.abs(rows[:, j]).max() * 10.0**place >= _EXACT for j, place in enumerate(places)):
+    if any(np.abs(rows[:, j]).max() * 10.0**place >= text_table.EXACT for j, place in enumerate(places)):
         line = ",".join(f"%.{place}f" for place in places) + "\n"  # huge values: slow and exact
         return ((line * len(rows)) % tuple(rows.ravel().tolist())).encode("ascii")
-    texts = [_format_column(rows[:, j], place) for j, place in enumerate(places)]
-    texts[-1][:, -1] = ord("\n")
-    table = np.concatenate(texts, axis=1)
-    return table[table != 0].tobytes()
-
-
-def _format_column(values: Float[np.ndarray, " n"], places: int) -> UInt8[np.ndarray, "n width"]:
-    """Digits of fixed-point numbers and a comma as ASCII codes, right-aligned; 0 stands for no character."""
-    scaled = np.rint(values * 10.0**places).astype(np.int64)
-    rest = np.abs(scaled)
-    digits = max(len(str(int(rest.max()))), places + 1)
-    text = np.zeros((len(values), digits + (places > 0) + 2), dtype=np.uint8)
-    text[:, -1], text[:, 0] = ord(","), np.where(scaled < 0, ord("-"), 0)
-    position = text.shape[1] - 2
-    for digit in range(digits):
-        if digit == places > 0:
-            text[:, position] = ord(".")
-            position -= 1
-        tenth = rest // 10
-        shown = (rest > 0) | (digit <= places)
-        text[:, position] = np.where(shown, rest - tenth * 10 + ord("0"), 0)
-        rest, position = tenth, position - 1
-    return text
+    return text_table.join([text_table.fixed_point(rows[:, j], place) for j, place in enumerate(places)], ",")
