@@ -29,6 +29,7 @@ HEAVY = (
     "PIL",
     "jinja2",
     "embreex",
+    "numba",
     "pyarrow",
     "yaml",
 )
