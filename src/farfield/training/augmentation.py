@@ -7,7 +7,7 @@ from jaxtyping import Float32
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import points_in_boxes
+from farfield.geometry.points import count_points_in_boxes, points_in_boxes
 from farfield.training.config import AugmentationConfig
 
 Points = Float32[np.ndarray, "_ 4"]
@@ -84,8 +84,17 @@ def augment(
     side = -1.0 if mirror else 1.0
     cos, sin = np.cos(turn), np.sin(turn)
     linear = factor * np.array([[cos, -sin * side, 0], [sin, cos * side, 0], [0, 0, 1]])
+    rise = np.array([0.0, 0.0, rng.uniform(-config.height_m, config.height_m)])
     moved = points.copy()
-    moved[:, :3] = points[:, :3] @ linear.T.astype(np.float32)
-    return moved, boxes.replace(
-        centre_m=boxes.centre_m @ linear.T, size_m=boxes.size_m * factor, yaw_rad=boxes.yaw_rad * side + turn
+    moved[:, :3] = points[:, :3] @ linear.T.astype(np.float32) + rise.astype(np.float32)
+    boxes = boxes.replace(
+        centre_m=boxes.centre_m @ linear.T + rise, size_m=boxes.size_m * factor, yaw_rad=boxes.yaw_rad * side + turn
     )
+    return _thinned(moved, boxes, config.thinning, rng) if config.thinning else (moved, boxes)
+
+
+def _thinned(points: Points, boxes: Boxes, most: float, rng: np.random.Generator) -> tuple[Points, Boxes]:
+    """Drop a random share of the points, and the boxes that had points and have none any more."""
+    kept = points[rng.random(len(points)) >= rng.uniform(0, most)]
+    before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=0.05) for part in (points, kept))
+    return kept, boxes[(after > 0) | (before == 0)]

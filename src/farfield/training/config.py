@@ -15,6 +15,10 @@ class AugmentationConfig(_Settings):
     flip_probability: float = Field(0.5, ge=0, le=1, description="mirror left and right")
     rotation_rad: float = Field(0.1, ge=0, description="turn about the sensor by up to this; more leaves a long window")
     scale: float = Field(0.05, ge=0, lt=1, description="scale the scene by up to this share")
+    height_m: float = Field(
+        0.0, ge=0, description="raise or lower the scene by up to this: sensors stand at other heights"
+    )
+    thinning: float = Field(0.0, ge=0, lt=1, description="drop up to this share of a frame's points: sparser sensors")
     pasted: dict[str, int] = Field(default_factory=dict, description="objects of each class pasted from other frames")
     pasted_min_points: int = Field(5, ge=1, description="pasted objects have at least this many points")
     bank_size: int = Field(4000, ge=1, description="objects of each class kept for pasting")
