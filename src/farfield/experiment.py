@@ -21,8 +21,9 @@ class SimulationConfig(BaseModel):
 
     preset: str
     sequences: int = Field(ge=1)
-    frames: int = Field(ge=1)
+    frames: int = Field(ge=1, description="frames of each sequence")
     seed: int = 0
+    sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
 
 
 class DataConfig(BaseModel):

@@ -1,39 +1,22 @@
-"""``farfield simulate``: write a simulated data set in the layout of Cirrus."""
+"""``farfield simulate``: write a simulated data set in the layout of Cirrus or of K-Radar."""
 
 import json
 import os
-import shutil
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
 from farfield.errors import ConfigError, DatasetError
 
 if TYPE_CHECKING:
-    from farfield.frame import Frame
     from farfield.simulation import Preset
 
 _SETTINGS_FILE = "simulation.json"
-_BLOCK = 10  # frames a job of a worker
 _MAX_STRIDE_S = 1.0  # readers begin a new segment after a longer pause
 
-
-@dataclass(frozen=True)
-class _Job:
-    """Frames of one sequence for one worker."""
-
-    preset: "Preset"
-    seed: int
-    sequence: int
-    indices: tuple[int, ...]
-    out: str
-    cache: bool
-    check: bool
+Condition = Literal["normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"]
 
 
 def run(
@@ -43,200 +26,205 @@ def run(
     *,
     frames: int | None = None,
     sequences: int | None = None,
+    sensors: str | None = None,
+    weather: Condition | None = None,
+    time: Literal["day", "night"] | None = None,
     seed: int | None = None,
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,
     workers: int = 0,
     cache: bool = False,
 ) -> int:
-    """Write a simulated data set in the layout of Cirrus: two scan patterns, boxes of the visible parts.
+    """Write a simulated data set in the layout of Cirrus or of K-Radar.
 
     examples:
       farfield simulate cirrus-sim data/sim --frames 100
+      farfield simulate cirrus-sim data/snow --frames 100 --weather heavy_snow --sensors gaussian,uniform
       farfield simulate cirrus-sim-highway data/highway --frames 200 --sequences 40 --seed 3 --workers 4 --cache
-      farfield simulate cirrus-sim-val-v1 data/val
+      farfield simulate kradar-sim data/kradar --frames 116 --sensors os2-64,sparse,cam-front
+      farfield simulate kradar-sim-mini data/mini
+      farfield simulate cirrus-sim-val-v2 data/val
 
-    Run again, it goes on where it stopped. A frozen preset (cirrus-sim-val-v1) is compared with its recorded
-    checksums; exit status 1 if a frame differs. The bytes do not depend on the number of workers.
+    Run again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on the
+    number of workers. A frozen preset (cirrus-sim-val-v2) is compared with its recorded checksums; exit status 1 if a
+    frame differs.
 
     Args:
-        preset: cirrus-sim (highway and town in turn), cirrus-sim-highway, cirrus-sim-urban, mini, cirrus-sim-val-v1.
-        out: Folder to write into; made if absent. Frames go to Cirrus_dataset1 below it.
+        preset: cirrus-sim (two scan patterns and a camera, highway and town in turn), cirrus-sim-ideal (patterns taken
+            at the same moment), cirrus-sim-highway, cirrus-sim-urban, cirrus-sim-varied (many roads, sensor mountings
+            and size priors, to train on), cirrus-sim-val-v2 (frozen), kradar-sim (58 sequences in seven weathers: two
+            Ousters, 4D radar, stereo cameras), cirrus-sim-mini, kradar-sim-mini.
+        out: Folder to write into; made if absent. Cirrus frames go to Cirrus_dataset1 below it, K-Radar's to 1, 2, ...
         frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
         sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
+        sensors: What to write, separated by commas. Cirrus: gaussian, uniform, camera. K-Radar: os2-64, os1-128,
+            cam-front, cam-left, cam-right, cam-rear, sparse, polar3d, cube, tesseract (260 MB a frame).
+        weather: Put every sequence into this weather.
+        time: Put every sequence into this time of day.
         seed: Another seed gives another world; the preset's own unless given.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own unless given.
-        uniform_offset_ms: How much later the uniform pattern is taken.
+        uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
         workers: Processes; 0 takes as many as there are cores.
-        cache: Also write the binary cache that makes reading fast.
+        cache: Also write the binary cache that makes reading fast (Cirrus).
     """
+    from farfield.cli import _simulating
     from farfield.simulation import find_preset
     from farfield.simulation.frozen import FROZEN
+    from farfield.simulation.presets import check_sensors
 
-    asked = {"stride_s": stride_s, "uniform_offset_ms": uniform_offset_ms}
-    changes = {name: value for name, value in asked.items() if value is not None}
+    changes: dict[str, Any] = {"weather": weather, "time": time, "stride_s": stride_s}
+    if uniform_offset_ms is not None:
+        changes["uniform_offset_ms"] = (uniform_offset_ms, uniform_offset_ms)
+    changes = {name: value for name, value in changes.items() if value is not None}
     chosen = find_preset(preset, **changes)
     frozen = preset in FROZEN
-    if frozen and (changes or seed not in (None, chosen.seed)):
+    if frozen and (changes or sensors or seed not in (None, chosen.seed)):
         raise ConfigError(f"{preset} is frozen: expected its own seed and settings. Use cirrus-sim for others.")
     if chosen.stride_s > _MAX_STRIDE_S or chosen.stride_s <= 0:
         raise ConfigError(f"--stride-s: expected more than 0 and at most {_MAX_STRIDE_S:g} s, got {chosen.stride_s:g}")
+    if cache and chosen.rig != "cirrus":
+        raise ConfigError("--cache: expected a Cirrus preset; K-Radar's files have no such cache")
+    named = check_sensors(chosen, tuple(sensors.replace(" ", "").split(",")) if sensors else chosen.sensors)
     plan = _plan(chosen, frames, sequences, frozen=frozen)
     used_seed = chosen.seed if seed is None else seed
-    _settle(out, chosen, used_seed)
-    jobs = list(_jobs(plan, chosen, used_seed, out, cache=cache, check=frozen))
+    _settle(out, chosen, used_seed, named, plan)
+    _simulating.sweep_out(out)
+    jobs = list(_simulating.jobs_for(plan, chosen, used_seed, named, out, cache=cache, check=frozen))
     count = sum(len(job.indices) for job in jobs)
-    _check_disk(out, chosen, count, cache=cache)
+    needed = count * _simulating.frame_bytes(chosen, named) * (1.6 if cache else 1.0)
     processes = min(workers if workers > 0 else os.cpu_count() or 1, max(len(jobs), 1))
-    _announce(chosen, used_seed, plan, count, processes, out)
-    verdicts = _work(jobs, processes, count)
+    _announce(chosen, used_seed, named, plan, count, processes, needed, out)
+    _simulating.check_disk(out, round(needed), count)
+    verdicts = _simulating.work(jobs, processes, count)
+    _finish(chosen, used_seed, named, plan, out)
     return _conclude(verdicts, out, frozen=frozen)
 
 
 def _plan(preset: "Preset", frames: int | None, sequences: int | None, *, frozen: bool) -> list[int]:
     """Number of frames of each sequence."""
-    count = preset.sequences if sequences is None else sequences
-    total = preset.frames * count if frames is None else frames
-    for flag, value in (("--sequences", count), ("--frames", total)):
-        if value < 1:
-            raise ConfigError(f"{flag}: expected at least 1, got {value}")
-    count = min(count, total)
-    plan = [total // count + (index < total % count) for index in range(count)]
-    if frozen and (count > preset.sequences or max(plan) > preset.frames):
-        raise ConfigError(f"{preset.name} is frozen: expected at most {preset.sequences} x {preset.frames} frames")
-    longest = int((preset.duration_s - preset.uniform_offset_ms / 1000) / preset.stride_s + 1e-9) + 1
-    if max(plan) > longest:
-        raise ConfigError(
-            f"--frames: a sequence lasts {preset.duration_s:g} s, so expected at most {longest} frames each, got "
-            f"{max(plan)}. Ask for more --sequences or a smaller --stride-s."
-        )
+    count = len(preset.segments) if sequences is None else sequences
+    if count < 1:
+        raise ConfigError(f"--sequences: expected at least 1, got {count}")
+    if frames is None:
+        plan = [preset.segment(sequence).frames for sequence in range(count)]
+    elif frames < 1:
+        raise ConfigError(f"--frames: expected at least 1, got {frames}")
+    else:
+        plan = _spread(frames, [preset.longest(sequence) for sequence in range(min(count, frames))])
+    if frozen and (count > len(preset.segments) or max(plan) > preset.segments[0].frames):
+        most = f"{len(preset.segments)} x {preset.segments[0].frames}"
+        raise ConfigError(f"{preset.name} is frozen: expected at most {most} frames")
+    for sequence, planned in enumerate(plan):
+        if planned > preset.longest(sequence):
+            raise ConfigError(
+                f"--stride-s: sequence {sequence} lasts {preset.segment(sequence).duration_s:g} s and has room for "
+                f"{preset.longest(sequence)} frames, expected {planned}. Take a smaller --stride-s or fewer --frames."
+            )
     return plan
 
 
-def _settle(out: Path, preset: "Preset", seed: int) -> None:
-    """Claim the folder for these settings, or make sure that it was claimed for the same ones."""
+def _spread(total: int, longest: list[int]) -> list[int]:
+    """Spread frames evenly over sequences, none beyond its length."""
+    if total > sum(longest):
+        raise ConfigError(
+            f"--frames: {len(longest)} sequences have room for {sum(longest)} frames, got {total}. Ask for more "
+            "--sequences or a smaller --stride-s."
+        )
+    plan = [0] * len(longest)
+    while (left := total - sum(plan)) > 0:
+        open_ones = [i for i, most in enumerate(longest) if plan[i] < most]
+        for rank, i in enumerate(open_ones):
+            share = left // len(open_ones) + (rank < left % len(open_ones))
+            plan[i] = min(plan[i] + share, longest[i])
+    return plan
+
+
+def _settle(out: Path, preset: "Preset", seed: int, sensors: tuple[str, ...], plan: list[int]) -> None:
+    """Claim the folder for these settings, or make sure that it was claimed for the same ones.
+
+    Sensors and frames may be added later: what a sensor measures does not depend on the others.
+    """
     from farfield.files.atomic import write_text
 
     settings = json.loads(json.dumps({"seed": seed, "preset": asdict(preset)}))
+    before: set[str] = set()
     record = out / _SETTINGS_FILE
     if record.is_file():
         try:
             found = json.loads(record.read_text("utf-8"))
-        except ValueError as error:
+            drawn, before = found.pop("sequences", []), set(found.pop("sensors", []))
+        except (ValueError, AttributeError, TypeError) as error:
             raise DatasetError(f"{record}: expected the settings of a simulation, found: {error}") from error
         if found != settings:
+            differ = sorted(key for key in settings if found.get(key) != settings[key])
             raise DatasetError(
                 f"{out}: expected a data set of preset {preset.name}, seed {seed}, with the same settings; "
-                f"{record.name} there says otherwise. Name another folder, or remove this one."
+                f"{record.name} there differs in: {', '.join(differ) or 'its keys'}. Name another folder, or remove "
+                "this one."
             )
-        return
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if len(drawn) >= len(plan) and before >= set(sensors):
+            return
+    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise DatasetError(f"{out}: expected an empty or absent folder, or one that farfield simulate began")
     out.mkdir(parents=True, exist_ok=True)
+    settings["sensors"] = sorted(before | set(sensors))
+    settings["sequences"] = [_drawn(preset, seed, sequence) for sequence in range(len(plan))]
     write_text(record, json.dumps(settings, indent=1) + "\n")
 
 
-def _jobs(plan: list[int], preset: "Preset", seed: int, out: Path, *, cache: bool, check: bool) -> Iterator[_Job]:
-    """Blocks of frames that are not complete yet."""
-    for sequence, frames in enumerate(plan):
-        missing = [index for index in range(frames) if not _complete(preset, seed, sequence, index, out, cache=cache)]
-        for first in range(0, len(missing), _BLOCK):
-            yield _Job(preset, seed, sequence, tuple(missing[first : first + _BLOCK]), str(out), cache, check)
+def _drawn(preset: "Preset", seed: int, sequence: int) -> dict[str, Any]:
+    """What was drawn for a sequence: its weather with all rates and coverages, its sensors' offsets."""
+    from farfield.simulation.rigs.drive import drive_of
+
+    drive = drive_of(preset, seed, sequence)
+    mounted = drive.mounted
+    return {
+        "name": drive.segment.name,
+        "road": drive.segment.road,
+        "weather": {k: round(v, 6) if isinstance(v, float) else v for k, v in asdict(drive.weather).items()},
+        "lidar_height_m": round(float(mounted.ego_T_lidar[2, 3]), 6),
+        "uniform_offset_ms": round(1000 * mounted.uniform_offset_s, 6),
+        "radar_offset_ms": round(1000 * mounted.radar_offset_s, 6),
+    }
 
 
-def _complete(preset: "Preset", seed: int, sequence: int, index: int, out: Path, *, cache: bool) -> bool:
-    """Whether all files of a frame are there; each was written at once or not at all."""
-    from farfield.datasets.cirrus import CirrusWriter
-    from farfield.datasets.cloud_files import cache_path, is_fresh
-    from farfield.frame import Boxes, Frame, Lazy
-    from farfield.simulation.sequence import frame_times_ns
+def _announce(
+    preset: "Preset",
+    seed: int,
+    sensors: tuple[str, ...],
+    plan: list[int],
+    count: int,
+    processes: int,
+    needed: float,
+    out: Path,
+) -> None:
+    from farfield.simulation.rigs.drive import drive_of
 
-    times = frame_times_ns(preset, seed, sequence, index)
-    clouds: Any = Lazy(dict.fromkeys(times, dict))
-    frame = Frame(
-        sequence="", frame_id="", time_ns=times["gaussian"], times_ns=times, clouds=clouds, annotation=Boxes.empty
-    )
-    writer = CirrusWriter(out)
-    paths = writer.paths(frame)
-    if not all(path.is_file() for path in paths.values()):
-        return False
-    return not cache or all(is_fresh(cache_path(paths[name], writer.root), paths[name]) for name in times)
-
-
-def _check_disk(out: Path, preset: "Preset", count: int, *, cache: bool) -> None:
-    """Refuse to begin what cannot be finished."""
-    shots = preset.lidar.lines * preset.lidar.columns
-    needed = count * shots * (70 + (40 if cache else 0))
-    free = shutil.disk_usage(out).free
-    if needed > free:
-        raise DatasetError(f"{out}: {count} frames need about {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free")
-
-
-def _announce(preset: "Preset", seed: int, plan: list[int], count: int, processes: int, out: Path) -> None:
-    lidar = preset.lidar
     print(f"preset {preset.name}, seed {seed}: {sum(plan)} frames in {len(plan)} sequences, {count} still to write")
-    print(
-        f"  every {preset.stride_s:g} s; uniform pattern {preset.uniform_offset_ms:g} ms later; {lidar.lines} lines x "
-        f"{lidar.columns} shots over {2 * lidar.azimuth_deg:g} x {2 * lidar.elevation_deg:g} degrees"
-    )
-    print(
-        f"  Gaussian sigma {lidar.sigma_deg:g} degrees around {lidar.focus_deg:g}; a 10 % target is seen with "
-        f"probability 0.5 at {lidar.reference_range_m:g} m; nothing beyond {lidar.max_range_m:g} m"
-    )
+    print(f"  {', '.join(sensors)}; every {preset.stride_s:g} s; at most {needed / 1e9:.2f} GB")
+    shown = list(range(len(plan)))[:6]
+    for sequence in shown:
+        drive = drive_of(preset, seed, sequence)
+        print(f"  {drive.segment.name}: {drive.segment.road}; {drive.weather.describe()}")
+    if len(plan) > len(shown):
+        print(f"  ... {len(plan) - len(shown)} more, all in {out / _SETTINGS_FILE}")
     print(f"  {processes} process{'es' if processes > 1 else ''}, into {out}")
 
 
-def _work(jobs: list[_Job], processes: int, count: int) -> list[str]:
-    """Do all jobs and return one verdict a frame."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def _finish(preset: "Preset", seed: int, sensors: tuple[str, ...], plan: list[int], out: Path) -> None:
+    """Write what belongs to whole sequences, once all of their frames are there."""
+    if preset.rig != "kradar":
+        return
+    from farfield.cli._simulating import writer_for
+    from farfield.simulation.sequence import posed_frame
 
-    verdicts: list[str] = []
-    columns = (TextColumn("simulating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("simulating", total=count)
-        if processes <= 1:
-            for job in jobs:
-                for verdict in _frames(job):
-                    verdicts.append(verdict)
-                    bar.advance(task)
-            return verdicts
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            for done in pool.map(_do, jobs):
-                verdicts += done
-                bar.advance(task, len(done))
-    return verdicts
-
-
-def _do(job: _Job) -> list[str]:
-    return list(_frames(job))
-
-
-def _frames(job: _Job) -> Iterator[str]:
-    """Simulate and write the frames of one job; yields what the checksum says of each ("written" if there is none)."""
-    from farfield.datasets.cirrus import CirrusWriter
-    from farfield.simulation import simulate_frame
-
-    writer = CirrusWriter(job.out)
-    for index in job.indices:
-        frame = simulate_frame(job.preset, seed=job.seed, sequence=job.sequence, index=index)
-        _write(writer, frame, cache=job.cache)
-        yield _verdict(job, frame, index) if job.check else "written"
-
-
-def _write(writer: Any, frame: "Frame", *, cache: bool) -> None:
-    from farfield.datasets.cloud_files import write_rows_cache
-
-    paths = writer.write(frame)
-    if cache:
-        for name in frame.clouds:
-            write_rows_cache(paths[name], writer.root)
-
-
-def _verdict(job: _Job, frame: "Frame", index: int) -> str:
-    from farfield.simulation.frozen import compare, frame_record, frozen_records
-
-    return compare(frame_record(frame), frozen_records(job.preset.name)[job.sequence, index])
+    writer = writer_for(preset, out)
+    for sequence, frames in enumerate(plan):
+        every = [
+            posed_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors) for index in range(frames)
+        ]
+        writer.finish_sequence(every)
+    writer.finish()
 
 
 def _conclude(verdicts: list[str], out: Path, *, frozen: bool) -> int:

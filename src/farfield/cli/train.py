@@ -65,7 +65,15 @@ def _simulate_if_absent(data: "DataConfig") -> None:
 
     wanted = data.simulate
     frames = wanted.sequences * wanted.frames
-    simulate.run(wanted.preset, data.path, frames=frames, sequences=wanted.sequences, seed=wanted.seed, cache=True)
+    simulate.run(
+        wanted.preset,
+        data.path,
+        frames=frames,
+        sequences=wanted.sequences,
+        sensors=wanted.sensors,
+        seed=wanted.seed,
+        cache=True,
+    )
 
 
 def _train(training: "Training", console: "Console") -> Path:

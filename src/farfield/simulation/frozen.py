@@ -18,7 +18,7 @@ import numpy as np
 from farfield.errors import ConfigError
 from farfield.frame import Boxes, Frame
 
-FROZEN = ("cirrus-sim-val-v1",)
+FROZEN = ("cirrus-sim-val-v2",)
 _COUNT_TOLERANCE = 0.002
 
 

@@ -7,6 +7,7 @@ outside the full body grown by the margin.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +20,23 @@ MIN_POINTS_GAUSSIAN = 3
 MARGIN_M = 0.05
 MIN_SIZE_M = {"vehicle": 0.3, "large_vehicle": 0.3, "trailer": 0.3}
 _MIN_OTHER_M = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Annotation:
+    """What the annotators of one frame would draw.
+
+    Args:
+        visible: Boxes of the visible parts.
+        full: Boxes of the whole bodies, in the same order.
+        gaussian_points: Points of the Gaussian pattern on each.
+        uniform_points: Points of the uniform pattern on each.
+    """
+
+    visible: Boxes
+    full: Boxes
+    gaussian_points: Int[np.ndarray, " n"]
+    uniform_points: Int[np.ndarray, " n"]
 
 
 def full_boxes(

@@ -1,20 +1,17 @@
-"""Frames of simulated sequences: the same bytes for the same (preset, seed, sequence, index), in whatever order."""
+"""Frames of simulated sequences: the same bytes for the same (preset, seed, sequence, index), in whatever order.
+
+A frame's clouds, images, radar products and boxes are computed when they are first read, each sensor from a random
+stream of its own.
+"""
 
 from collections.abc import Iterator
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from jaxtyping import Int
-
 from farfield.errors import ConfigError
-from farfield.frame import Boxes, Frame
-from farfield.geometry.poses import invert
-from farfield.simulation import labels
-from farfield.simulation.lidar.model import PATTERNS, Scan
-from farfield.simulation.presets import Preset, find_preset
-from farfield.simulation.world.scene import Scene, State
-from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.frame import Frame
+from farfield.simulation.presets import Preset, check_sensors, find_preset
+from farfield.simulation.rigs.drive import Drive, drive_of
 
 _EPOCH_NS = 1_600_000_000_000_000_000
 
@@ -25,122 +22,70 @@ def frame_time_ns(preset: Preset, seed: int, sequence: int, index: int) -> int:
     return start + round(index * preset.stride_s * 1e9)
 
 
-def frame_times_ns(preset: Preset, seed: int, sequence: int, index: int) -> dict[str, int]:
-    """The time of each pattern's sweep."""
-    stem = frame_time_ns(preset, seed, sequence, index)
-    return {"gaussian": stem, "uniform": stem + round(preset.uniform_offset_ms * 1e6)}
+def planned_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors: tuple[str, ...]) -> Frame:
+    """A frame with its names and times; whatever else it has is computed when it is read, its pose is left out."""
+    drive = drive_of(preset, seed, sequence)
+    time_ns = frame_time_ns(preset, seed, sequence, index)
+    if preset.rig == "cirrus":
+        from farfield.simulation.rigs.cirrus_frame import cirrus_frame
+
+        return cirrus_frame(drive, index, sensors, time_ns)
+    from farfield.simulation.rigs.kradar_frame import kradar_frame
+
+    return kradar_frame(drive, index, sensors, time_ns)
 
 
-def road_of(preset: Preset, sequence: int) -> str:
-    """The template of a sequence: mixed presets alternate highway and urban."""
-    return ("highway", "urban")[sequence % 2] if preset.road == "mixed" else preset.road
+def posed_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors: tuple[str, ...]) -> Frame:
+    """A planned frame with the pose of its reference sensor, which needs the sequence's world but no ray."""
+    frame = planned_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors)
+    drive = drive_of(preset, seed, sequence)
+    return replace(frame, world_T_lidar=_world_T_lidar(drive, index))
 
 
-@lru_cache(maxsize=2)
-def _scene(preset: Preset, seed: int, sequence: int) -> Scene:
-    source = np.random.SeedSequence((seed, sequence))
-    scene_seed, sensor_seed = source.spawn(2)
-    height = np.random.default_rng(sensor_seed).uniform(*preset.sensor_height_m)
-    return Scene(road_of(preset, sequence), scene_seed, duration_s=preset.duration_s, sensor_height_m=float(height))
-
-
-def _sweep(preset: Preset, state: State, pattern: str, seeds: np.random.SeedSequence, later: State) -> Sweep:
-    """Cast one pattern; its cloud is given in the Gaussian sensor's frame of ``state``."""
-    rng = np.random.default_rng(seeds)
-    origin = (0.0, 0.0, 0.0) if pattern == "gaussian" else preset.uniform_origin_m
-    scan = Scan.draw(pattern, preset.lidar, rng, origin_m=origin)
-    result = sweep(scan, preset.lidar, later.bodies, later.world_T_lidar, rng)
-    if later is state:
-        return result
-    moved = result.cloud.transform(invert(state.world_T_lidar) @ later.world_T_lidar)
-    return Sweep(moved, result.actor)
-
-
-def _annotate(state: State, sweeps: dict[str, Sweep], later: State) -> tuple[Boxes, Boxes]:
-    """Visible and full boxes of the road users with enough points, in the same order."""
-    full = labels.full_boxes(state.actors, state.bottom_m, state.yaw_rad, invert(state.world_T_lidar))
-    owners = {"gaussian": sweeps["gaussian"].actor, "uniform": _renumber(sweeps["uniform"].actor, later, state)}
-    counts = {name: np.bincount(owner[owner >= 0], minlength=len(full)) for name, owner in owners.items()}
-    both = counts["gaussian"] + counts["uniform"]
-    kept = (both >= labels.MIN_POINTS_BOTH) & (counts["gaussian"] >= labels.MIN_POINTS_GAUSSIAN)
-    kept &= full.centre_m[:, 0] > 0
-    row = np.full(len(full) + 1, -1)
-    row[np.flatnonzero(kept)] = np.arange(kept.sum())
-    owner = row[np.concatenate([owners["gaussian"], owners["uniform"] if later is state else np.full(0, -1)])]
-    points = [sweeps["gaussian"].cloud.points_m] + ([sweeps["uniform"].cloud.points_m] if later is state else [])
-    joined = np.concatenate(points)[owner >= 0]
-    chosen = full[kept].replace(point_count=counts["gaussian"][kept])
-    visible = labels.visible_boxes(chosen, joined, owner[owner >= 0]) if len(chosen) else chosen
-    return visible, full[kept].replace(point_count=counts["uniform"][kept])
-
-
-def _renumber(actor: Int[np.ndarray, " n"], source: State, target: State) -> Int[np.ndarray, " n"]:
-    """Translate rows of one state's road users to those of another state; -1 where it lacks them."""
-    if source is target:
-        return actor
-    rows = {item.track_id: row for row, item in enumerate(target.actors)}
-    table = np.array([rows.get(item.track_id, -1) for item in source.actors] + [-1])
-    return table[actor]
+def _world_T_lidar(drive: Drive, index: int) -> Any:
+    return drive.scene.ego_pose(drive.time_s(index)) @ drive.mounted.ego_T_lidar
 
 
 def simulate_frame(
-    preset: str | Preset, *, seed: int | None = None, sequence: int, index: int, **changes: Any
+    preset: str | Preset,
+    *,
+    seed: int | None = None,
+    sequence: int,
+    index: int,
+    sensors: tuple[str, ...] | None = None,
+    **changes: Any,
 ) -> Frame:
-    """Simulate one frame with both patterns.
+    """Simulate one frame.
 
     Args:
         preset: A preset or its name.
         seed: Seed of the whole data set; the preset's own unless given.
         sequence: Number of the sequence; any number gives another world.
         index: Number of the frame within it.
-        changes: Settings of the preset to change, by name.
+        sensors: Which of the rig's sensors the frame has; the preset's own unless given.
+        changes: Settings of the preset to change, by name, such as ``weather="fog"``.
 
     Returns:
-        Clouds "gaussian" and "uniform" in the Gaussian sensor's frame (x forward, y left, z up, ground near z = -2),
-        annotated with the boxes of the visible parts; ``metadata`` holds ``full_boxes`` (the whole bodies, in the
-        same order), ``point_count_gaussian`` and ``point_count_uniform``.
+        The Cirrus rig gives clouds "gaussian" and "uniform" in the Gaussian sensor's frame (x forward, y left, z up,
+        ground near z = -2), image "camera", and the boxes of the visible parts; ``metadata`` holds ``full_boxes`` (the
+        whole bodies, in the same order), ``point_count_gaussian`` and ``point_count_uniform``. The K-Radar rig gives
+        clouds "os2-64" (the reference frame) and "os1-128", images "cam-front" and "cam-front-right"..., radar products
+        in the radar's frame, and full boxes.
 
     Raises:
         ConfigError: If the preset is unknown or the frame lies beyond the sequence's duration.
-        MissingExtraError: If embreex is not installed.
+        MissingExtraError: If embreex or numba is not installed (raised when a sensor is first read).
     """
     chosen = find_preset(preset, **changes) if isinstance(preset, str) else preset
-    seed = chosen.seed if seed is None else seed
-    time_s = index * chosen.stride_s
-    later_s = time_s + chosen.uniform_offset_ms / 1000
-    if sequence < 0 or index < 0 or later_s > chosen.duration_s:
+    if sequence < 0 or index < 0 or index >= chosen.longest(sequence):
+        lasts = chosen.segment(max(sequence, 0)).duration_s
         raise ConfigError(
-            f"simulate: expected sequence >= 0 and a frame within 0..{chosen.duration_s:g} s, got sequence {sequence}, "
-            f"frame {index} at {later_s:g} s. Ask for fewer frames, a smaller stride_s, or a longer duration_s."
+            f"simulate: expected sequence >= 0 and a frame within 0..{lasts:g} s, got sequence {sequence}, frame "
+            f"{index} at {index * chosen.stride_s:g} s. Ask for fewer frames or a smaller stride_s."
         )
-    scene = _scene(chosen, seed, sequence)
-    state = scene.at(time_s)
-    later = state if later_s == time_s else scene.at(later_s)
-    frame_seed = np.random.SeedSequence((seed, sequence, index), spawn_key=(7,)).spawn(2)
-    sweeps = {
-        name: _sweep(chosen, state, name, child, later if name == "uniform" else state)
-        for name, child in zip(PATTERNS, frame_seed, strict=True)
-    }
-    visible, full = _annotate(state, sweeps, later)
-    stem = frame_time_ns(chosen, seed, sequence, index)
-    return Frame(
-        sequence=f"segment_{sequence:02d}",
-        frame_id=str(stem),
-        time_ns=stem,
-        times_ns=frame_times_ns(chosen, seed, sequence, index),
-        clouds={name: result.cloud for name, result in sweeps.items()},
-        annotation=lambda: visible,
-        world_T_lidar=state.world_T_lidar,
-        conditions={"road": scene.template, "weather": "normal", "time": "day"},
-        metadata={
-            "full_boxes": full.replace(point_count=visible.point_count),
-            "point_count_gaussian": visible.point_count,
-            "point_count_uniform": full.point_count,
-            "box_protocol": "visible",
-            "preset": chosen.name,
-            "seed": seed,
-        },
-    )
+    used = chosen.seed if seed is None else seed
+    named = check_sensors(chosen, chosen.sensors if sensors is None else sensors)
+    return posed_frame(chosen, seed=used, sequence=sequence, index=index, sensors=named)
 
 
 def simulate_sequence(
@@ -150,6 +95,7 @@ def simulate_sequence(
     sequence: int,
     frames: int | None = None,
     start: int = 0,
+    sensors: tuple[str, ...] | None = None,
     **changes: Any,
 ) -> Iterator[Frame]:
     """Simulate consecutive frames of one sequence.
@@ -160,12 +106,13 @@ def simulate_sequence(
         sequence: Number of the sequence.
         frames: How many frames; the preset's own count unless given.
         start: Number of the first frame.
-        changes: Settings of the preset to change, by name, such as ``stride_s=1.0``.
+        sensors: Which of the rig's sensors the frames have; the preset's own unless given.
+        changes: Settings of the preset to change, by name, such as ``stride_s=1.0`` or ``weather="rain"``.
 
     Yields:
         Frames as ``simulate_frame`` makes them.
     """
     chosen = find_preset(preset, **changes) if isinstance(preset, str) else preset
-    count = chosen.frames if frames is None else frames
+    count = chosen.segment(sequence).frames if frames is None else frames
     for index in range(start, start + count):
-        yield simulate_frame(chosen, seed=seed, sequence=sequence, index=index)
+        yield simulate_frame(chosen, seed=seed, sequence=sequence, index=index, sensors=sensors)

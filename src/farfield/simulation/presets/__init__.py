@@ -1,10 +1,74 @@
-"""Named settings of the simulator."""
+"""Named settings of the simulator: which rig, which roads in which weather, how many frames."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.simulation.lidar.model import LidarModel
+from farfield.simulation.presets.kradar_table import KRADAR_SEQUENCES
+from farfield.simulation.weather.conditions import CONDITIONS, TIMES
+
+CIRRUS_SENSORS = ("gaussian", "uniform", "camera")
+KRADAR_SENSORS = (
+    "os2-64",
+    "os1-128",
+    "cam-front",
+    "cam-left",
+    "cam-right",
+    "cam-rear",
+    "sparse",
+    "polar3d",
+    "cube",
+    "tesseract",
+)
+Number = float | int
+Span = tuple[Number, Number]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One sequence: where and when it is driven.
+
+    Args:
+        name: Its name; K-Radar numbers its sequences.
+        road: One of the simulator's roads.
+        condition: The weather, one of ``CONDITIONS``.
+        time: "day" or "night".
+        frames: How many frames are written unless asked otherwise.
+        duration_s: How long its traffic lasts.
+        radar_lead: Index of the radar's frame minus that of the LiDAR's (K-Radar).
+    """
+
+    name: str
+    road: str
+    condition: str = "normal"
+    time: str = "day"
+    frames: int = 20
+    duration_s: Number = 60.0
+    radar_lead: int = 0
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the sensors of each sequence are mounted and set; every span is drawn from once a sequence.
+
+    Args:
+        height_m: Height of the (Gaussian, or os2-64) LiDAR above the road.
+        facing_deg: Directions that the Luminars may face; one is drawn.
+        focus_deg: Elevation of the Gaussian pattern's densest lines.
+        sigma_deg: Width of the Gaussian pattern.
+        uniform_origin_m: Where the second Luminar sits, in the Gaussian one's frame.
+        uniform_offset_ms: How much later the uniform pattern is taken. Cirrus' two patterns are not simultaneous (68 ms
+            apart in the one public pair); (0, 0) is the ideal pair.
+        radar_offset_ms: How much later the radar measures than the os2-64; K-Radar matches them to half a frame.
+    """
+
+    height_m: Span = (1.9, 2.1)
+    facing_deg: tuple[Number, ...] = (0.0,)
+    focus_deg: Span = (-2.0, -2.0)
+    sigma_deg: Span = (5.0, 5.0)
+    uniform_origin_m: tuple[Number, Number, Number] = (0.0, -0.5, 0.0)
+    uniform_offset_ms: Span = (0.0, 100.0)
+    radar_offset_ms: Span = (-50.0, 50.0)
 
 
 @dataclass(frozen=True)
@@ -13,49 +77,189 @@ class Preset:
 
     Args:
         name: Its name.
-        road: "highway", "urban", or "mixed" (sequences take turns).
-        sequences: How many sequences are written unless asked otherwise.
-        frames: How many frames a sequence has unless asked otherwise.
-        stride_s: Time between written frames; the sensor itself turns at 10 Hz.
-        duration_s: How long the traffic of a sequence lasts.
+        rig: "cirrus" or "kradar".
+        segments: Its sequences; further ones repeat them in turn, each with another world.
+        sensors: What is written unless asked otherwise.
+        stride_s: Time between frames; the sensors themselves turn at 10 Hz.
         seed: Seed unless another is given.
-        uniform_offset_ms: How much later the uniform pattern is taken; Cirrus' patterns are not simultaneous.
-        uniform_origin_m: Where the second sensor sits, in the Gaussian sensor's frame.
-        sensor_height_m: Range of the sensor's height above the road; each sequence draws one.
-        lidar: The sensor.
+        sizes: Priors of the road users' sizes ("us", "korea", "kitti"); each sequence draws one.
+        mountings: How the sensors are mounted and set; each sequence draws one.
+        lines: Lines of a Luminar.
+        columns: Shots a line of a Luminar, or columns of an Ouster.
+        box_scale: Factor on the sizes of annotated full boxes; K-Radar's enclose the bodies loosely.
     """
 
     name: str
-    road: str = "mixed"
-    sequences: int = 12
-    frames: int = 20
-    stride_s: float | int = 0.5
-    duration_s: float | int = 60.0
+    rig: str
+    segments: tuple[Segment, ...]
+    sensors: tuple[str, ...]
+    stride_s: Number = 0.5
     seed: int = 0
-    uniform_offset_ms: float | int = 0.0
-    uniform_origin_m: tuple[float | int, float | int, float | int] = (0.0, -0.5, 0.0)
-    sensor_height_m: tuple[float, float] = (1.9, 2.1)
-    lidar: LidarModel = field(default_factory=LidarModel)
+    sizes: tuple[str, ...] = ("us",)
+    mountings: tuple[Mounting, ...] = (Mounting(),)
+    lines: int = 64
+    columns: int = 938
+    box_scale: Number = 1.0
 
+    def segment(self, sequence: int) -> Segment:
+        """The segment of a sequence of any number."""
+        segment = self.segments[sequence % len(self.segments)]
+        return segment if sequence < len(self.segments) else replace(segment, name=segment_name(self.rig, sequence))
+
+    def longest(self, sequence: int) -> int:
+        """How many frames fit into a sequence, the sensors' offsets included."""
+        return int((self.segment(sequence).duration_s - 0.2) / self.stride_s + 1e-9) + 1
+
+
+def segment_name(rig: str, sequence: int) -> str:
+    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar."""
+    return f"segment_{sequence:02d}" if rig == "cirrus" else str(sequence + 1)
+
+
+def _cirrus(roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0) -> tuple[Segment, ...]:
+    return tuple(
+        Segment(segment_name("cirrus", i), roads[i % len(roads)], frames=frames, duration_s=duration_s)
+        for i in range(count)
+    )
+
+
+def _kradar() -> tuple[Segment, ...]:
+    return tuple(
+        Segment(str(i + 1), road, weather, time, frames, duration_s=frames * 0.1 + 1.0, radar_lead=lead)
+        for i, (frames, road, weather, time, lead) in enumerate(KRADAR_SEQUENCES)
+    )
+
+
+_SEGMENT_FIELDS = ("road", "frames", "duration_s")
+_BOTH = ("highway", "urban")
+_MANY = (
+    "highway",
+    "urban",
+    "suburban",
+    "highway",
+    "urban",
+    "alleyway",
+    "highway",
+    "university",
+    "parking_lot",
+    "shoulder",
+)
+_VARIED = Mounting(
+    height_m=(1.5, 2.2),
+    facing_deg=(0.0, 0.0, 180.0),
+    focus_deg=(-4.0, 0.0),
+    sigma_deg=(3.5, 7.0),
+    uniform_offset_ms=(0, 0),
+)
+_IDEAL = Mounting(uniform_offset_ms=(0.0, 0.0))
+_KRADAR_RIG = Mounting(height_m=(1.55, 1.65))
+_KRADAR_DEFAULT = ("os2-64", "os1-128", "cam-front", "sparse", "cube")
 
 PRESETS: dict[str, Preset] = {
     preset.name: preset
     for preset in (
-        Preset("cirrus-sim"),
-        Preset("cirrus-sim-highway", road="highway"),
-        Preset("cirrus-sim-urban", road="urban"),
-        Preset("mini", sequences=2, frames=3, lidar=LidarModel(lines=32, columns=235), duration_s=10.0),
-        Preset("cirrus-sim-val-v1", sequences=20, frames=20, stride_s=1.0, duration_s=20.0, seed=731_001),
+        Preset("cirrus-sim", "cirrus", _cirrus(_BOTH, 12), CIRRUS_SENSORS),
+        Preset("cirrus-sim-ideal", "cirrus", _cirrus(_BOTH, 12), CIRRUS_SENSORS, mountings=(_IDEAL,)),
+        Preset("cirrus-sim-highway", "cirrus", _cirrus(("highway",), 12), CIRRUS_SENSORS),
+        Preset("cirrus-sim-urban", "cirrus", _cirrus(("urban",), 12), CIRRUS_SENSORS),
+        Preset(
+            "cirrus-sim-varied",
+            "cirrus",
+            _cirrus(_MANY, 40),
+            ("gaussian", "uniform"),
+            sizes=("us", "us", "kitti", "korea"),
+            mountings=(_IDEAL, _VARIED),
+        ),
+        Preset(
+            "cirrus-sim-mini",
+            "cirrus",
+            _cirrus(_BOTH, 2, frames=3, duration_s=10.0),
+            ("gaussian", "uniform"),
+            lines=32,
+            columns=235,
+        ),
+        Preset(
+            "cirrus-sim-val-v2",
+            "cirrus",
+            _cirrus(_BOTH, 20, duration_s=20.5),
+            ("gaussian", "uniform"),
+            stride_s=1.0,
+            seed=731_002,
+        ),
+        Preset(
+            "kradar-sim",
+            "kradar",
+            _kradar(),
+            _KRADAR_DEFAULT,
+            stride_s=0.1,
+            sizes=("korea",),
+            mountings=(_KRADAR_RIG,),
+            columns=2048,
+            box_scale=1.15,
+        ),
+        Preset(
+            "kradar-sim-mini",
+            "kradar",
+            tuple(
+                Segment(str(i + 1), road, weather, time, frames=2, duration_s=6.0, radar_lead=lead)
+                for i, (road, weather, time, lead) in enumerate(
+                    (
+                        ("urban", "normal", "day", 31),
+                        ("highway", "heavy_snow", "night", 5),
+                        ("mountain", "fog", "day", 8),
+                    )
+                )
+            ),
+            ("os2-64", "sparse", "polar3d"),
+            stride_s=0.1,
+            sizes=("korea",),
+            mountings=(_KRADAR_RIG,),
+            columns=512,
+            box_scale=1.15,
+        ),
     )
 }
 
 
-def find_preset(name: str, **changes: Any) -> Preset:
+def find_preset(name: str, *, weather: str | None = None, time: str | None = None, **changes: Any) -> Preset:
     """Look a preset up by name and change some of its settings.
 
+    Args:
+        name: One of ``PRESETS``.
+        weather: Put every sequence into this weather.
+        time: Put every sequence into this time of day.
+        **changes: Fields of :class:`Preset` to replace; fields of :class:`Mounting`, and ``road``, ``frames`` and
+            ``duration_s`` of :class:`Segment`, may be named too and go to every sequence.
+
     Raises:
-        ConfigError: If there is no such preset.
+        ConfigError: If there is no such preset, weather, or setting.
     """
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}; got {name!r}")
-    return replace(PRESETS[name], **changes)
+    preset = PRESETS[name]
+    for what, value, known in (("weather", weather, CONDITIONS), ("time of day", time, TIMES)):
+        if value is not None and value not in known:
+            raise ConfigError(f"{what}: expected one of {', '.join(known)}; got {value!r}")
+    wanted = {"condition": weather, "time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}
+    wanted = {name: value for name, value in wanted.items() if value is not None}
+    mounting = {name: changes.pop(name) for name in list(changes) if name in Mounting.__dataclass_fields__}
+    unknown = set(changes) - set(Preset.__dataclass_fields__)
+    if unknown:
+        known_ones = [*Preset.__dataclass_fields__, *_SEGMENT_FIELDS, *Mounting.__dataclass_fields__]
+        raise ConfigError(f"preset: expected settings among {', '.join(known_ones)}; got {', '.join(sorted(unknown))}")
+    changes.setdefault("segments", tuple(replace(segment, **wanted) for segment in preset.segments))
+    changes.setdefault("mountings", tuple(replace(each, **mounting) for each in preset.mountings))
+    return replace(preset, **changes)
+
+
+def check_sensors(preset: Preset, sensors: tuple[str, ...]) -> tuple[str, ...]:
+    """The named sensors in the rig's own order.
+
+    Raises:
+        ConfigError: If the rig lacks one of them, or none is named.
+    """
+    known = CIRRUS_SENSORS if preset.rig == "cirrus" else KRADAR_SENSORS
+    unknown = [name for name in sensors if name not in known]
+    if unknown or not sensors:
+        raise ConfigError(f"sensors: expected some of {', '.join(known)}; got {', '.join(unknown) or 'none'}")
+    return tuple(name for name in known if name in sensors)

@@ -1,0 +1,1 @@
+"""The two measuring cars: which sensors stand where, and the frame they give together."""

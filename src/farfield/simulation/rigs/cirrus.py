@@ -1,0 +1,151 @@
+"""The Cirrus car: two Luminars with different patterns on the roof, and a front camera.
+
+Coordinates of a frame are the Gaussian sensor's at its reference moment; that moment names the frame.
+"""
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from farfield.frame import Camera, Cloud
+from farfield.geometry.poses import invert, pose
+from farfield.simulation import labels
+from farfield.simulation.camera.render import render
+from farfield.simulation.camera.rig import rig_cameras
+from farfield.simulation.lidar.model import LUMINAR_H2, LidarModel
+from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
+from farfield.simulation.world.scene import Window
+
+_RACK_M = 2.0  # height of the LiDAR at which the camera's place on the rack was chosen
+
+
+class CirrusMoment:
+    """One frame of the Cirrus car; everything is measured when it is first asked for.
+
+    Args:
+        drive: The sequence.
+        index: Number of the frame.
+    """
+
+    def __init__(self, drive: Drive, index: int) -> None:
+        self.drive, self.index = drive, index
+        self.time_s = drive.time_s(index)
+
+    @cached_property
+    def window(self) -> Window:
+        """The scene while the Gaussian sensor sweeps."""
+        return self.drive.scene.window(self.time_s, half_span_s=HALF_SWEEP_S, behind_m=self._behind_m)
+
+    @cached_property
+    def later(self) -> Window:
+        """The scene while the uniform sensor sweeps."""
+        offset_s = self.drive.mounted.uniform_offset_s
+        if offset_s == 0:
+            return self.window
+        return self.drive.scene.window(self.time_s + offset_s, half_span_s=HALF_SWEEP_S, behind_m=self._behind_m)
+
+    @property
+    def _behind_m(self) -> float:
+        return 20.0 if self.drive.mounted.ego_T_lidar[0, 0] > 0 else 260.0
+
+    @cached_property
+    def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the Gaussian sensor."""
+        return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
+
+    def _sweep(self, pattern: str, window: Window, origin_m: tuple[float | int, float | int, float | int]) -> Sweep:
+        drive = self.drive
+        ego_T_sensor = drive.mounted.ego_T_lidar @ pose(np.eye(3), np.asarray(origin_m, dtype=np.float64))
+        model = self.model
+        rng = drive.rng(pattern, self.index)
+        scan = Scan.draw(model, rng, pattern=pattern)
+        return sweep(
+            scan, model, window, ego_T_sensor, rng, weather=drive.weather, window_seed=drive.window_seed(pattern)
+        )
+
+    @cached_property
+    def model(self) -> LidarModel:
+        """The Luminars' model in this sequence."""
+        preset, mounted = self.drive.preset, self.drive.mounted
+        return replace(
+            LUMINAR_H2,
+            lines=preset.lines,
+            columns=preset.columns,
+            focus_deg=mounted.focus_deg,
+            sigma_deg=mounted.sigma_deg,
+        )
+
+    @cached_property
+    def gaussian(self) -> Sweep:
+        """The Gaussian sensor's sweep."""
+        return self._sweep("gaussian", self.window, (0.0, 0.0, 0.0))
+
+    @cached_property
+    def uniform(self) -> Sweep:
+        """The uniform sensor's sweep, in the Gaussian sensor's frame of this moment."""
+        origin_m = self.drive.mounted.uniform_origin_m
+        swept = self._sweep("uniform", self.later, origin_m)
+        offset = pose(np.eye(3), np.asarray(origin_m, dtype=np.float64))
+        world_T_uniform = self.later.world_T_ego_now @ self.drive.mounted.ego_T_lidar @ offset
+        return Sweep(swept.cloud.transform(invert(self.world_T_lidar) @ world_T_uniform), swept.actor, swept.kind)
+
+    def cloud(self, pattern: str) -> Cloud:
+        """One pattern's cloud."""
+        return self.gaussian.cloud if pattern == "gaussian" else self.uniform.cloud
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The front camera; it stands on the LiDARs' rack, so that one calibration holds for all sequences."""
+        (camera,) = rig_cameras("cirrus", pose(np.eye(3), np.array([0.0, 0.0, _RACK_M]))).values()
+        return camera
+
+    @cached_property
+    def image(self) -> UInt8[np.ndarray, "height width 3"]:
+        """What it sees."""
+        rng = self.drive.rng("camera", self.index)
+        return render(
+            self.window,
+            self.camera,
+            self.world_T_lidar,
+            self.drive.weather,
+            rng,
+            window_seed=self.drive.window_seed("camera"),
+        )
+
+    @cached_property
+    def annotation(self) -> labels.Annotation:
+        """Boxes of the road users that the two patterns see."""
+        window = self.window
+        full = labels.full_boxes(window.actors, window.bottom_m, window.yaw_rad, invert(self.world_T_lidar))
+        owner = self._owners()
+        counts = {name: np.bincount(rows[rows >= 0], minlength=len(full)) for name, rows in owner.items()}
+        both = counts["gaussian"] + counts["uniform"]
+        kept = (both >= labels.MIN_POINTS_BOTH) & (counts["gaussian"] >= labels.MIN_POINTS_GAUSSIAN)
+        kept &= full.centre_m[:, 0] > 0
+        row = np.full(len(full) + 1, -1)
+        row[np.flatnonzero(kept)] = np.arange(kept.sum())
+        points = np.concatenate([self.gaussian.cloud.points_m.astype(np.float64), self._moved_back(owner["uniform"])])
+        rows = row[np.concatenate([owner["gaussian"], owner["uniform"]])]
+        chosen = full[kept].replace(point_count=counts["gaussian"][kept])
+        visible = labels.visible_boxes(chosen, points[rows >= 0], rows[rows >= 0]) if len(chosen) else chosen
+        return labels.Annotation(visible, chosen, counts["gaussian"][kept], counts["uniform"][kept])
+
+    def _owners(self) -> dict[str, Int[np.ndarray, " _"]]:
+        """Row of this moment's road user that each point lies on; -1 for none."""
+        rows = {actor.track_id: row for row, actor in enumerate(self.window.actors)}
+        table = np.array([rows.get(actor.track_id, -1) for actor in self.later.actors] + [-1])
+        return {"gaussian": self.gaussian.actor, "uniform": table[self.uniform.actor]}
+
+    def _moved_back(self, owner: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """The uniform pattern's points where they were on their road users at this moment."""
+        points = self.uniform.cloud.points_m.astype(np.float64)
+        offset_s = self.drive.mounted.uniform_offset_s
+        if offset_s == 0 or not self.window.actors:
+            return points
+        rotation = self.world_T_lidar[:3, :3]
+        velocity = np.concatenate([self.window.velocity_m_s @ rotation, np.zeros((1, 3))])
+        return points - velocity[owner] * offset_s

@@ -1,0 +1,131 @@
+"""One sequence at work: its world, its weather, how its sensors are mounted; drawn once, the same for every sensor."""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.geometry.poses import pose_from_yaw
+from farfield.simulation.presets import Mounting, Number, Preset, Segment
+from farfield.simulation.weather.conditions import Weather, draw_weather
+from farfield.simulation.world.scene import Scene
+
+HALF_SWEEP_S = 0.05  # every LiDAR turns at 10 Hz, half before and half after a frame's moment
+
+# Each sensor draws from a stream of its own: adding one changes no other, and no traffic.
+_STREAMS = {
+    name: number
+    for number, name in enumerate(
+        (
+            "gaussian",
+            "uniform",
+            "camera",
+            "os2-64",
+            "os1-128",
+            "radar",
+            "cam-front",
+            "cam-front-right",
+            "cam-left",
+            "cam-left-right",
+            "cam-right",
+            "cam-right-right",
+            "cam-rear",
+            "cam-rear-right",
+        )
+    )
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """What was drawn from a preset's :class:`~farfield.simulation.presets.Mounting` for one sequence."""
+
+    ego_T_lidar: Float[np.ndarray, "4 4"]
+    focus_deg: float
+    sigma_deg: float
+    uniform_origin_m: tuple[Number, Number, Number]
+    uniform_offset_s: float
+    radar_offset_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One sequence.
+
+    Args:
+        preset: What is simulated.
+        seed: Seed of the whole data set.
+        sequence: Number of the sequence.
+    """
+
+    preset: Preset
+    seed: int
+    sequence: int
+
+    @cached_property
+    def segment(self) -> Segment:
+        """Its name, road, weather and length."""
+        return self.preset.segment(self.sequence)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Its world."""
+        return Scene(self.segment.road, self._seeds[0], duration_s=self.segment.duration_s, sizes=self._choices[0])
+
+    @cached_property
+    def weather(self) -> Weather:
+        """Its weather."""
+        return draw_weather(self.segment.condition, self.segment.time, np.random.default_rng(self._seeds[1]))
+
+    @cached_property
+    def mounted(self) -> Mounted:
+        """How its sensors are mounted."""
+        return self._choices[1]
+
+    @cached_property
+    def _choices(self) -> tuple[str, Mounted]:
+        rng = np.random.default_rng(self._seeds[2])
+        sizes = self.preset.sizes[int(rng.random() * len(self.preset.sizes))]
+        mounting = self.preset.mountings[int(rng.random() * len(self.preset.mountings))]
+        return sizes, _mount(mounting, rng)
+
+    @cached_property
+    def _seeds(self) -> list[np.random.SeedSequence]:
+        return np.random.SeedSequence((self.seed, self.sequence)).spawn(3)
+
+    def time_s(self, index: int) -> float:
+        """The moment of a frame within the sequence; the first sweep begins at 0."""
+        return HALF_SWEEP_S + float(index * self.preset.stride_s)
+
+    def rng(self, sensor: str, index: int) -> np.random.Generator:
+        """The stream of one sensor in one frame."""
+        return np.random.default_rng(self.seeds(sensor, index))
+
+    def seeds(self, sensor: str, index: int) -> np.random.SeedSequence:
+        """The seed of one sensor in one frame."""
+        return np.random.SeedSequence((self.seed, self.sequence, index), spawn_key=(7, _STREAMS[sensor]))
+
+    def window_seed(self, sensor: str) -> np.random.SeedSequence:
+        """The seed of what grows on one sensor's window over the whole sequence."""
+        return np.random.SeedSequence((self.seed, self.sequence), spawn_key=(8, _STREAMS[sensor]))
+
+
+def _draw(span: tuple[Number, Number], rng: np.random.Generator) -> float:
+    return float(span[0] + (span[1] - span[0]) * rng.random())
+
+
+def _mount(mounting: Mounting, rng: np.random.Generator) -> Mounted:
+    height_m, focus_deg, sigma_deg = (
+        _draw(span, rng) for span in (mounting.height_m, mounting.focus_deg, mounting.sigma_deg)
+    )
+    facing = mounting.facing_deg[int(rng.random() * len(mounting.facing_deg))]
+    uniform_s, radar_s = (_draw(span, rng) / 1000 for span in (mounting.uniform_offset_ms, mounting.radar_offset_ms))
+    ego_T_lidar = pose_from_yaw(float(np.deg2rad(facing)), (0.0, 0.0, height_m))
+    return Mounted(ego_T_lidar, focus_deg, sigma_deg, mounting.uniform_origin_m, uniform_s, radar_s)
+
+
+@lru_cache(maxsize=4)
+def drive_of(preset: Preset, seed: int, sequence: int) -> Drive:
+    """The sequence of a preset; building its world takes a fraction of a second, so the last ones are kept."""
+    return Drive(preset, seed, sequence)
