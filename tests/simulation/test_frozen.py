@@ -8,7 +8,7 @@ from farfield.frame import Cloud, Frame
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.frozen import compare, frame_record, frozen_records, split_digest
 
-NAME = "cirrus-sim-val-v1"
+NAME = "cirrus-sim-val-v2"
 SHA256 = "ccbb6866684aed7b54eb70f54750d9862d7b7824b61d94d434e67c6b43915556"
 
 
@@ -52,7 +52,7 @@ def _moved(frame: Frame, by_m: float) -> Frame:
 
 
 def test_a_changed_frame_is_noticed() -> None:
-    frame = simulate_frame("mini", sequence=0, index=0)
+    frame = simulate_frame("cirrus-sim-mini", sequence=0, index=0)
     record = frame_record(frame)
     assert compare(frame_record(_moved(frame, 0.0)), record) == "identical"
     assert compare(frame_record(_moved(frame, 0.01)), record) == "equivalent"
@@ -64,5 +64,5 @@ def test_a_changed_frame_is_noticed() -> None:
 
 
 def test_unknown_split_is_refused() -> None:
-    with pytest.raises(ConfigError, match="expected one of cirrus-sim-val-v1"):
-        frozen_records("cirrus-sim-val-v2")
+    with pytest.raises(ConfigError, match="expected one of cirrus-sim-val-v2"):
+        frozen_records("cirrus-sim-val-v9")

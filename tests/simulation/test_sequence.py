@@ -11,12 +11,12 @@ from farfield.frame import Frame
 from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import count_points_in_boxes
 from farfield.simulation import find_preset, simulate_frame, simulate_sequence
-from farfield.simulation import sequence as sequence_module
 from farfield.simulation.bodies.actors import CLASSES
 from farfield.simulation.frozen import frame_record
 from farfield.simulation.labels import MARGIN_M
+from farfield.simulation.rigs.drive import drive_of
 
-SHORT = find_preset("cirrus-sim", duration_s=8.0)
+SHORT = find_preset("cirrus-sim-ideal", duration_s=8.0)
 
 
 @pytest.fixture(scope="module", params=[0, 1], ids=["highway", "urban"])
@@ -27,6 +27,7 @@ def frame(request: pytest.FixtureRequest) -> Frame:
 def test_frame_carries_what_it_promises(frame: Frame) -> None:
     assert set(frame.clouds) == {"gaussian", "uniform"}
     assert frame.frame_id == str(frame.time_ns) == str(frame.times_ns["gaussian"])
+    assert "camera" in frame.images
     assert len(frame.frame_id) == 19
     assert frame.conditions["weather"] == "normal"
     assert frame.conditions["road"] == ("highway" if frame.sequence.endswith("00") else "urban")
@@ -102,7 +103,7 @@ def _record(index: int) -> str:
 
 def test_frames_repeat_in_any_order_and_in_other_processes() -> None:
     forward = [_record(index) for index in (0, 1, 4)]
-    sequence_module._scene.cache_clear()
+    drive_of.cache_clear()
     backward = [_record(index) for index in (4, 1, 0)][::-1]
     assert forward == backward
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -112,7 +113,7 @@ def test_frames_repeat_in_any_order_and_in_other_processes() -> None:
 
 def test_seed_and_sequence_make_other_worlds() -> None:
     frames = [
-        simulate_frame("mini", seed=seed, sequence=sequence, index=0) for seed, sequence in ((0, 0), (0, 2), (1, 0))
+        simulate_frame("cirrus-sim-mini", seed=seed, sequence=sequence, index=0) for seed, sequence in ((0, 0), (0, 2), (1, 0))
     ]
     assert len({len(frame.clouds["gaussian"]) for frame in frames}) == 3
     assert len({frame.frame_id for frame in frames}) == 3
@@ -133,7 +134,7 @@ def test_a_later_uniform_sweep_sees_moving_bodies_elsewhere() -> None:
     """With 80 ms between the sweeps oncoming traffic leaves its boxes; with none it fills them."""
     inside = {}
     for offset in (0.0, 80.0):
-        later = find_preset("cirrus-sim-highway", duration_s=8.0, uniform_offset_ms=offset)
+        later = find_preset("cirrus-sim-highway", duration_s=8.0, uniform_offset_ms=(offset, offset))
         frame = simulate_frame(later, seed=11, sequence=3, index=3)
         full = frame.metadata["full_boxes"]
         oncoming = full[np.cos(full.yaw_rad) < 0]

@@ -44,7 +44,7 @@ def data(tmp_path_factory):
     from farfield.simulation import simulate_sequence
 
     root = tmp_path_factory.mktemp("data")
-    for frame in simulate_sequence("mini", seed=5, sequence=1, frames=3):
+    for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=3):
         CirrusWriter(root).write(frame)
     return root
 
@@ -126,6 +126,37 @@ def test_aliases_and_min_points_choose_the_boxes(data):
     few, many = samples(data, min_points=1).load(0), samples(data, min_points=30).load(0)
     assert len(many[1]) < len(few[1])
     assert (count_points_in_boxes(few[0][:, :3], few[1], margin_m=0.05) >= 1).all()
+
+
+def test_thinning_drops_points_and_the_boxes_they_leave(rng):
+    """Whatever share goes, no point moves, no box keeps none of the points it had, and one that had none stays."""
+    points = rng.uniform(0, 40, (4000, 4)).astype(np.float32)
+    centre = np.array([[10.0, 10.0, 10.0], [20.0, 20.0, 20.0], [90.0, 0.0, 0.0]])
+    boxes = Boxes(centre_m=centre, size_m=np.array([[2.5] * 3] * 3), yaw_rad=np.zeros(3), label=["vehicle"] * 3)
+    plain = AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0, thinning=0.99)
+    shares, left = [], []
+    for _ in range(60):
+        kept, seen = augment(points, boxes, plain, rng)
+        shares.append(len(kept) / len(points))
+        left.append(len(seen))
+        assert {tuple(row) for row in kept[:50]} <= {tuple(row) for row in points}
+        counts = count_points_in_boxes(kept[:, :3], seen, margin_m=0.05)
+        assert (counts[seen.centre_m[:, 0] < 80] > 0).all()
+        assert (seen.centre_m[:, 0] > 80).sum() == 1
+    assert min(shares) < 0.1
+    assert max(shares) > 0.9
+    assert min(left) < 3
+
+
+def test_raising_the_scene_raises_points_and_boxes_alike(rng):
+    points = rng.uniform(0, 40, (100, 4)).astype(np.float32)
+    box = Boxes(centre_m=np.full((1, 3), 5.0), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1), label=["vehicle"])
+    raised = AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0, height_m=0.5)
+    moved, above = augment(points, box, raised, rng)
+    rise = above.centre_m[0, 2] - 5.0
+    assert 0 < abs(rise) <= 0.5
+    np.testing.assert_allclose(moved[:, 2] - points[:, 2], rise, atol=1e-5)
+    np.testing.assert_array_equal(moved[:, [0, 1, 3]], points[:, [0, 1, 3]])
 
 
 def test_augmentation_keeps_points_in_their_boxes(data, rng):
