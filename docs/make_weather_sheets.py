@@ -2,7 +2,7 @@
 
     python docs/make_weather_sheets.py [--roads urban highway] [--seed 5]
 
-Each row is one weather (night in every third); the world, the traffic and the moment are the same in all rows of a sheet.
+Each row is one weather, every third at night; world, traffic and moment are the same in all rows of a sheet.
 """
 
 import argparse
@@ -45,9 +45,8 @@ def draw_row(axes: Any, frame: Frame, title: str) -> None:
     power = frame.radar["polar3d"][0].mean(axis=2) * POWER_UNIT
     azimuth, distance = np.meshgrid(np.radians(KRADAR_AXES.azimuth_deg), KRADAR_AXES.range_m)
     level = 10 * np.log10(np.maximum(power, 1.0))
-    radar.pcolormesh(
-        distance * np.cos(azimuth), distance * np.sin(azimuth), level, vmin=108.5, vmax=116, shading="nearest", cmap="magma"
-    )
+    x_m, y_m = distance * np.cos(azimuth), distance * np.sin(azimuth)
+    radar.pcolormesh(x_m, y_m, level, vmin=108.5, vmax=116, shading="nearest", cmap="magma")
     radar.set(xlim=(-20, 100), ylim=(-40, 40), aspect="equal", facecolor="black")
     radar.set_title("radar, mean over Doppler and elevation, 108.5 to 116 dB", fontsize=7, loc="left")
     for each in (above, radar):

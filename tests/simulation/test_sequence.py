@@ -113,7 +113,8 @@ def test_frames_repeat_in_any_order_and_in_other_processes() -> None:
 
 def test_seed_and_sequence_make_other_worlds() -> None:
     frames = [
-        simulate_frame("cirrus-sim-mini", seed=seed, sequence=sequence, index=0) for seed, sequence in ((0, 0), (0, 2), (1, 0))
+        simulate_frame("cirrus-sim-mini", seed=seed, sequence=sequence, index=0)
+        for seed, sequence in ((0, 0), (0, 2), (1, 0))
     ]
     assert len({len(frame.clouds["gaussian"]) for frame in frames}) == 3
     assert len({frame.frame_id for frame in frames}) == 3

@@ -110,9 +110,7 @@ class KRadarMoment:
         """What one eye sees."""
         rng = self.drive.rng(name, self.index)
         glass = self.drive.window_seed(name)
-        return render(
-            self.window, self.cameras[name], self.world_T_lidar, self.drive.weather, rng, window_seed=glass
-        )
+        return render(self.window, self.cameras[name], self.world_T_lidar, self.drive.weather, rng, window_seed=glass)
 
     def _radar(self, outputs: tuple[str, ...]) -> RadarFrame:
         """What the radar measures: "tensor", the "mean" over Doppler, or nothing but each object's strength."""
