@@ -59,6 +59,7 @@ class Tracer:
         from embreex.mesh_construction import TriangleMesh
 
         self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+        self._inverse_normal = _inverse_normals(vertices, mesh.faces)
 
     def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """First hit of each ray.
@@ -71,19 +72,37 @@ class Tracer:
 
     def cast_from(self, origins_m: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """First hit of each ray, every ray with an origin of its own."""
-        n = len(directions)
-        if n == 0:
-            none = np.full(n, np.inf, dtype=np.float32)
-            return Hits(none, np.full(n, -1, dtype=np.int32), np.zeros(n, dtype=np.float32))
         rays = np.ascontiguousarray(directions, dtype=np.float32)
-        origins = np.ascontiguousarray(origins_m - self.anchor_m, dtype=np.float32)
-        out = self._scene.run(origins, rays, output=1)
+        return self.cast_anchored(np.ascontiguousarray(origins_m - self.anchor_m, dtype=np.float32), rays)
+
+    def cast_anchored(self, origins_m: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
+        """First hit of each ray, with origins given relative to ``anchor_m``: the fastest way in.
+
+        Args:
+            origins_m: Starts of the rays, contiguous, shape (n, 3).
+            directions: Unit directions, contiguous, shape (n, 3).
+        """
+        if len(directions) == 0:
+            none = np.zeros(0, dtype=np.float32)
+            return Hits(none, np.zeros(0, dtype=np.int32), none)
+        out = self._scene.run(origins_m, directions, output=1)
         face: Int[np.ndarray, " n"] = out["primID"]
-        normal: Float32[np.ndarray, "n 3"] = out["Ng"]
-        dot = np.abs(np.einsum("ij,ij->i", normal, rays))
-        cosine = dot / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-20))
-        missed = face < 0
-        return Hits(np.where(missed, np.float32(np.inf), out["tfar"]), face, np.where(missed, np.float32(0), cosine))
+        range_m: Float32[np.ndarray, " n"] = out["tfar"]
+        range_m[face < 0] = np.inf
+        cosine = np.einsum("ij,ij->i", out["Ng"], directions)
+        np.abs(cosine, out=cosine)
+        cosine *= self._inverse_normal[face]
+        return Hits(range_m, face, cosine)
+
+
+def _inverse_normals(
+    vertices_m: Float32[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> Float32[np.ndarray, " g"]:
+    """One over the length of each triangle's cross product; a further 0 serves the rays that missed (face -1)."""
+    corners = vertices_m[faces].astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
+    return np.append(1.0 / length, 0.0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

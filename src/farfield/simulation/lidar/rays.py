@@ -1,0 +1,263 @@
+"""Casting one frame: each ray starts where the sensor is, and meets every body where it is, at the ray's time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, Int32
+
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.trace import Body, Hits
+
+_PANES = 2  # a ray passes through so many panes of glass at most
+_BEYOND_GLASS_M = np.float32(0.01)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A sensor's pose relative to a body, at each knot; linear in between.
+
+    Args:
+        poses: Upper three rows of ``anchored body_T_sensor``, shape (k, 3, 4).
+        knots_s: Times of the knots, shape (k,).
+    """
+
+    poses: Float[np.ndarray, "k 3 4"]
+    knots_s: Float[np.ndarray, " k"]
+
+    @classmethod
+    def towards(
+        cls, body: Body, world_T_sensor: Float[np.ndarray, "k 4 4"], knots_s: Float[np.ndarray, " k"]
+    ) -> "Path":
+        """The path of a sensor as seen from a body; coordinates count from the anchor of the body's tracer."""
+        turn = np.swapaxes(body.world_T_body[:, :3, :3], 1, 2)
+        poses = turn @ (world_T_sensor[:, :3] - np.pad(body.world_T_body[:, :3, 3:], ((0, 0), (0, 0), (3, 0))))
+        poses[:, :, 3] -= body.tracer.anchor_m
+        return cls(poses, knots_s)
+
+    def at(self, time_s: Float[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*moments 3 4"]:
+        """Poses at any times; a single knot gives its pose for all of them."""
+        if len(self.knots_s) == 1:
+            return self.poses[0].astype(np.float32).reshape((1,) * time_s.ndim + (3, 4))
+        before = np.clip(np.searchsorted(self.knots_s, time_s, side="right") - 1, 0, len(self.knots_s) - 2)
+        share = ((time_s - self.knots_s[before]) / (self.knots_s[before + 1] - self.knots_s[before])).astype(np.float32)
+        start, step = self.poses[:-1].astype(np.float32), np.diff(self.poses, axis=0).astype(np.float32)
+        return np.asarray(start[before] + share[..., None, None] * step[before])
+
+
+def turned(
+    pose: Float32[np.ndarray, "*moments 3 4"], rays: Float32[np.ndarray, "3 *shape"]
+) -> Float32[np.ndarray, "*shape 3"]:
+    """Rotate directions into the body's frame."""
+    out = np.empty((*rays.shape[1:], 3), dtype=np.float32)
+    for axis in range(3):
+        total = pose[..., axis, 0] * rays[0]
+        total += pose[..., axis, 1] * rays[1]
+        total += pose[..., axis, 2] * rays[2]
+        out[..., axis] = total
+    return out
+
+
+def _starts(
+    pose: Float32[np.ndarray, "*moments 3 4"], origin_m: Float32[np.ndarray, "3 *places"]
+) -> Float32[np.ndarray, "*shape 3"]:
+    """Move the beams' origins into the body's frame."""
+    return np.stack(
+        [
+            pose[..., axis, 0] * origin_m[0]
+            + pose[..., axis, 1] * origin_m[1]
+            + pose[..., axis, 2] * origin_m[2]
+            + pose[..., axis, 3]
+            for axis in range(3)
+        ],
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Which shots may hit a body.
+
+    Args:
+        rings: Their rings, as a mask.
+        columns: Their columns, as a mask.
+        nearest_m: No hit is nearer.
+    """
+
+    rings: Bool[np.ndarray, " rings"]
+    columns: Bool[np.ndarray, " columns"]
+    nearest_m: float
+
+    @property
+    def whole(self) -> bool:
+        """Whether every shot may hit."""
+        return bool(self.rings.all() and self.columns.all())
+
+    def shots(self) -> Int[np.ndarray, " k"]:
+        """Flat indices of the shots."""
+        rows = np.flatnonzero(self.rings)[:, None] * len(self.columns)
+        return (rows + np.flatnonzero(self.columns)[None]).reshape(-1)
+
+
+def _wrap(angle_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    return (angle_rad + np.pi) % (2 * np.pi) - np.pi
+
+
+def block_towards(scan: Scan, body: Body, path: Path) -> Block:
+    """Bound the shots that may hit a body by the angles of its bounding box at all knots.
+
+    Args:
+        scan: The shots.
+        body: What they may hit.
+        path: The sensor's path relative to it.
+    """
+    rings, columns = scan.shape
+    low, high = body.tracer.corners_m[0], body.tracer.corners_m[-1]
+    sensor = path.poses[:, :, 3] + body.tracer.anchor_m
+    gap = np.maximum(np.maximum(low - sensor, sensor - high), 0.0)
+    nearest, flat = float(np.linalg.norm(gap, axis=1).min()) - 0.3, float(np.hypot(gap[:, 0], gap[:, 1]).min())
+    every = Block(np.ones(rings, dtype=bool), np.ones(columns, dtype=bool), max(nearest, 0.0))
+    if flat < 0.5:
+        return every
+    offset = body.tracer.corners_m[None] - sensor[:, None]
+    x, y, z = (offset @ path.poses[:, :, :3]).reshape(-1, 3).T
+    middle = float(np.arctan2(y.mean(), x.mean()))
+    side = _wrap(np.arctan2(y, x) - middle)
+    if np.ptp(side) > 3.0:
+        return every
+    half, centre = float(np.ptp(side)) / 2, middle + float(side.max() + side.min()) / 2
+    far, near = float(np.hypot(x, y).max()), 0.9 * flat
+    top = np.arctan2(z.max(), near if z.max() > 0 else far)
+    bottom = np.arctan2(z.min(), near if z.min() < 0 else far)
+    across, up = scan.margin_rad
+    chosen = np.abs(_wrap(scan.azimuth_rad - centre)) <= half + across
+    return Block((scan.elevation_rad >= bottom - up) & (scan.elevation_rad <= top + up), chosen, max(nearest, 0.0))
+
+
+class Casting:
+    """The nearest hit of every ray.
+
+    Args:
+        scan: The shots.
+        bodies: What can be hit.
+        world_T_sensor: The sensor's pose at each knot, shape (k, 4, 4).
+        knots_s: Times of the knots, shape (k,).
+
+    Attributes:
+        range_m: Distance of the hits, inf for none, shape (rays, shots); a shot's index is ``ring * columns + column``.
+        cosine: Cosine of the angle of incidence.
+        face: Triangle among those of all bodies, one after the other; -1 for none.
+        bodies: The bodies in that order.
+        first_face: Where each body's triangles begin.
+    """
+
+    def __init__(
+        self,
+        scan: Scan,
+        bodies: list[Body],
+        world_T_sensor: Float[np.ndarray, "k 4 4"],
+        knots_s: Float[np.ndarray, " k"],
+    ) -> None:
+        rings, columns = scan.shape
+        shape = (len(scan.weights), rings * columns)
+        self.range_m: Float32[np.ndarray, "rays shots"] = np.full(shape, np.inf, dtype=np.float32)
+        self.cosine: Float32[np.ndarray, "rays shots"] = np.zeros(shape, dtype=np.float32)
+        self.face: Int32[np.ndarray, "rays shots"] = np.full(shape, -1, dtype=np.int32)
+        paths = [Path.towards(body, world_T_sensor, knots_s) for body in bodies]
+        blocks = [block_towards(scan, body, path) for body, path in zip(bodies, paths, strict=True)]
+        order = sorted(range(len(bodies)), key=lambda i: (bodies[i].actor >= 0, blocks[i].nearest_m))
+        self.bodies = [bodies[i] for i in order]
+        self.first_face = np.cumsum([0] + [len(body.tracer.mesh.faces) for body in self.bodies])
+        self._scan, self._paths, self._blocks = scan, [paths[i] for i in order], [blocks[i] for i in order]
+        for index in range(len(self.bodies)):
+            self._cast_all(index) if index == 0 and self._blocks[0].whole else self._cast_block(index)
+
+    def _cast_all(self, index: int) -> None:
+        """Cast every ray at the first body."""
+        scan, body = self._scan, self.bodies[index]
+        rings, columns = scan.shape
+        pose = self._paths[index].at(scan.time_s)
+        starts = np.empty((rings, columns, 3), dtype=np.float32)
+        starts[:] = _starts(pose, scan.origin_m)
+        for ray in range(len(scan.weights)):
+            directions = turned(pose, scan.rays[:, ray])
+            hits = body.tracer.cast_anchored(starts.reshape(-1, 3), directions.reshape(-1, 3))
+            self.range_m[ray], self.cosine[ray], self.face[ray] = hits.range_m, hits.cosine, hits.face
+
+    def _cast_block(self, index: int) -> None:
+        """Cast the rays of the shots that may hit a body and have hit nothing nearer."""
+        block, body = self._blocks[index], self.bodies[index]
+        shots = block.shots()
+        shots = shots[self.range_m[:, shots].max(axis=0) > block.nearest_m]
+        if shots.size == 0:
+            return
+        pose, starts = self._leave(index, shots)
+        rays = self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, :, shots]
+        directions = turned(pose, rays).reshape(-1, 3)
+        origins = np.ascontiguousarray(np.broadcast_to(starts, (*rays.shape[1:], 3))).reshape(-1, 3)
+        hits = body.tracer.cast_anchored(origins, directions)
+        ray = np.repeat(np.arange(len(rays[0])), len(shots))
+        self._keep(index, ray, np.tile(shots, len(rays[0])), hits, np.float32(0))
+
+    def _leave(
+        self, index: int, shots: Int[np.ndarray, " k"]
+    ) -> tuple[Float32[np.ndarray, "m 3 4"], Float32[np.ndarray, "m 3"]]:
+        """The pose at each shot's time, and where the shots start, in a body's frame."""
+        ring, column = np.divmod(shots, self._scan.shape[1])
+        time, origin = self._scan.time_s, self._scan.origin_m
+        pose = self._paths[index].at(time[ring if len(time) > 1 else 0, column])
+        return pose, _starts(pose, origin[:, 0, column if origin.shape[2] > 1 else np.zeros(1, dtype=np.int64)])
+
+    def _keep(
+        self,
+        index: int,
+        ray: Int[np.ndarray, " m"],
+        shots: Int[np.ndarray, " m"],
+        hits: Hits,
+        beyond_m: Float32[np.ndarray, " m"] | np.float32,
+    ) -> None:
+        """Keep the hits that are nearer than what the rays have hit so far."""
+        distance = hits.range_m + beyond_m
+        nearer = np.flatnonzero(distance < self.range_m[ray, shots])
+        place = ray[nearer], shots[nearer]
+        self.range_m[place], self.cosine[place] = distance[nearer], hits.cosine[nearer]
+        self.face[place] = hits.face[nearer] + np.int32(self.first_face[index])
+
+    def see_through(self, passes: Bool[np.ndarray, " shots"]) -> None:
+        """Let the rays of some shots go on through glass to what lies behind it.
+
+        Args:
+            passes: Shots that glass does not send back, shape (shots,).
+        """
+        glass = self.table(lambda body: body.tracer.mesh.material == Material.GLASS, False)
+        for _ in range(_PANES):
+            ray, shots = np.nonzero(glass[self.face] & passes)
+            if shots.size == 0:
+                return
+            begin = self.range_m[ray, shots] + _BEYOND_GLASS_M
+            self.range_m[ray, shots], self.face[ray, shots] = np.inf, -1
+            ring, column = np.divmod(shots, self._scan.shape[1])
+            for index, block in enumerate(self._blocks):
+                going = np.flatnonzero(block.rings[ring] & block.columns[column])
+                going = going[self.range_m[ray[going], shots[going]] > block.nearest_m]
+                if going.size:
+                    self._go_on(index, ray[going], shots[going], begin[going])
+
+    def _go_on(
+        self, index: int, ray: Int[np.ndarray, " m"], shots: Int[np.ndarray, " m"], begin_m: Float32[np.ndarray, " m"]
+    ) -> None:
+        pose, starts = self._leave(index, shots)
+        directions = turned(pose, self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, ray, shots])
+        origins = np.ascontiguousarray(starts + directions * begin_m[:, None])
+        self._keep(index, ray, shots, self.bodies[index].tracer.cast_anchored(origins, directions), begin_m)
+
+    def table(self, values: Callable[[Body], np.ndarray], none: object) -> np.ndarray:
+        """A value for every triangle of all bodies, and at the end (index -1) one for the rays that hit nothing.
+
+        Args:
+            values: Gives one body's values, one a triangle.
+            none: The last value.
+        """
+        parts = [np.asarray(values(body)) for body in self.bodies]
+        return np.concatenate([*parts, np.asarray([none], dtype=parts[0].dtype if parts else None)])
