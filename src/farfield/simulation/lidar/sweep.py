@@ -28,13 +28,14 @@ class Sweep:
             time_ns (relative to the reference time), and for spinning sensors reflectivity, ambient, range_mm, signal.
         actor: Row of the road user each point lies on, within ``Window.actors``; -1 for none.
         kind: What each point comes from: SURFACE, PRECIPITATION, FOG or SPRAY.
-        aimed: How many shots would have met each road user with a clean window in clear air and no losses.
+        aimed: How many shots would have met each road user with a clean window in clear air and no losses; None where
+            that was not counted.
     """
 
     cloud: Cloud
     actor: Int[np.ndarray, " n"]
     kind: UInt8[np.ndarray, " n"]
-    aimed: Int[np.ndarray, " actors"]
+    aimed: Int[np.ndarray, " actors"] | None = None
 
 
 def sweep(
@@ -45,6 +46,7 @@ def sweep(
     rng: np.random.Generator,
     *,
     weather: Weather | None = None,
+    window_seed: np.random.SeedSequence | None = None,
 ) -> Sweep:
     """Measure one frame.
 
@@ -58,6 +60,7 @@ def sweep(
         ego_T_sensor: Where the sensor is mounted.
         rng: Draws glass, detection, noise and what the weather scatters.
         weather: What is in the air and on the ground; clear and dry unless given.
+        window_seed: What draws the dirt and ice on this sensor's window in this sequence; clean unless given.
     """
     surface_rng, air_rng = rng.spawn(2)
     world_T_sensor = window.world_T_ego @ ego_T_sensor
