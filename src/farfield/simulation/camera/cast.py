@@ -167,13 +167,16 @@ def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | 
     """Cast the chosen rays, or all, at one body and keep what is nearer than before."""
     body_T_world = invert(body.world_T_body)
     start = transform_points(body_T_world, picture.origin_m[None])[0]
-    rays = picture.directions if chosen is None else picture.directions[chosen]
-    hits = body.tracer.cast(start, rays @ body_T_world[:3, :3].T.astype(np.float32))
+    rays, turn = picture.directions if chosen is None else picture.directions[chosen], body_T_world[:3, :3]
+    hits = body.tracer.cast(start, rays if np.array_equal(turn, np.eye(3)) else rays @ turn.astype(np.float32).T)
     if chosen is None:
-        chosen = np.arange(len(rays), dtype=np.int32)
-    nearer = np.flatnonzero(hits.range_m < picture.range_m[chosen])
-    picture.range_m[chosen[nearer]] = hits.range_m[nearer]
-    picture.face[chosen[nearer]] = hits.face[nearer] + body.first_face
+        nearer = hits.range_m < picture.range_m
+        np.copyto(picture.range_m, hits.range_m, where=nearer)
+        np.copyto(picture.face, hits.face + body.first_face, where=nearer, casting="same_kind")
+        return
+    near = np.flatnonzero(hits.range_m < picture.range_m[chosen])
+    picture.range_m[chosen[near]] = hits.range_m[near]
+    picture.face[chosen[near]] = hits.face[near] + body.first_face
 
 
 def sunlit(

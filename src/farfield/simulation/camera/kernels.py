@@ -55,7 +55,7 @@ def noise2(x, y, seed):
 @njit(cache=True)
 @no_type_check
 def sky_into(out, dx, dy, dz, sky, drawn):
-    """Write the sky's radiance along a direction into ``out``, before haze; ``drawn`` adds clouds and the sun's disc."""
+    """Write the sky's radiance along a direction, before haze, to ``out``; ``drawn`` adds clouds and the sun's disc."""
     up = max(np.float32(0), dz)
     rise = np.float32(1) - np.exp(-np.float32(3.2) * up)
     near = dx * sky.sun[0] + dy * sky.sun[1] + dz * sky.sun[2]
@@ -70,7 +70,7 @@ def sky_into(out, dx, dy, dz, sky, drawn):
         n = 0.55 * noise2(px * 1.1, py * 1.1, 11) + 0.28 * noise2(px * 2.7, py * 2.7, 12)
         n += 0.17 * noise2(px * 6.5, py * 6.5, 13)
         cloud = np.float32(min(1.0, max(0.0, (n - (0.78 - 0.55 * sky.clouds)) * 4.0)) * min(1.0, dz * 8.0))
-    grey = np.float32(0.75) * (sky.zenith_rgb[2] * np.float32(0.6) + sky.horizon_rgb[1]) * (np.float32(1) - sky.night)
+    grey = np.float32(0.85) * (sky.zenith_rgb[2] * np.float32(0.4) + sky.horizon_rgb[1])
     for c in range(3):
         base = sky.horizon_rgb[c] + (sky.zenith_rgb[c] - sky.horizon_rgb[c]) * rise
         base += sky.sun_rgb[c] * (glow + disc)
@@ -87,7 +87,7 @@ def _ground_tone(material, x, y, footprint):
         tone = np.float32(1) + np.float32(0.30) * fine * (noise2(x * 24, y * 24, 1) - np.float32(0.5))
         tone += np.float32(0.22) * mid * (noise2(x * 1.3, y * 1.3, 2) - np.float32(0.5))
         return tone + np.float32(0.24) * (noise2(x * 0.11, y * 0.11, 3) - np.float32(0.5))
-    if material == _GRASS or material == _SOIL:
+    if material in (_GRASS, _SOIL):
         tone = np.float32(1) + np.float32(0.6) * fine * (noise2(x * 14, y * 14, 4) - np.float32(0.5))
         tone += np.float32(0.6) * mid * (noise2(x * 1.7, y * 1.7, 5) - np.float32(0.5))
         return tone + np.float32(0.5) * (noise2(x * 0.13, y * 0.13, 6) - np.float32(0.5))
@@ -140,11 +140,16 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
         lx, ly, lz = lx / far, ly / far, lz / far
         facing = nx * lx + ny * ly + nz * lz
         towards = -(lx * lamps[i, 3] + ly * lamps[i, 4] + lz * lamps[i, 5])
+        if lamps[i, 11] > 0:  # a head lamp's cone is meant sideways
+            towards = -(lx * lamps[i, 3] + ly * lamps[i, 4]) / np.sqrt(lx * lx + ly * ly + np.float32(1e-6))
         cone = min(np.float32(1), max(np.float32(0), (towards - lamps[i, 6]) * np.float32(12)))
-        if lamps[i, 11] > 0:  # a head lamp: dimmed above its cut-off, near the horizon
+        cone *= cone
+        if lamps[i, 11] > 0:  # it is dimmed above its cut-off, near the horizon
             cone *= np.float32(0.12) + np.float32(0.88) / (
                 np.float32(1) + np.exp((-lz + np.float32(0.012)) * np.float32(150))
             )
+            if lz > np.float32(0.06):  # and near the car, so that the road is lit evenly
+                cone *= (np.float32(0.06) / lz) ** 2
         power = cone / (square + np.float32(1))
         if i < headlamps:
             own += power
@@ -189,7 +194,7 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
                         tone = one - np.float32(0.35) * wear * wear
                     else:
                         tone = _ground_tone(kind, x, y, footprint)
-                    wet = sky.water * nz
+                    wet = sky.water * nz * (np.float32(0.35) if kind in (_GRASS, _SOIL) else one)
                 elif kind == _FOLIAGE:
                     tone = np.float32(0.6) + np.float32(0.8) * hash01(f, 3, 5)
                 else:
@@ -199,7 +204,7 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
                         r, g, b = (np.float32(0.75), np.float32(0.75), np.float32(0.74)) if g + b < 0.9 else (
                             np.float32(0.03), np.float32(0.03), np.float32(0.03))  # fmt: skip
                 r, g, b = r * tone, g * tone, b * tone
-                if (kind == _GRASS or kind == _FOLIAGE) and sky.winter > 0:
+                if (kind in (_GRASS, _FOLIAGE)) and sky.winter > 0:
                     w = np.float32(sky.winter) * (np.float32(0.5) + half * noise2(x * 0.4, y * 0.4, 14))
                     level = r + g + b
                     r, g, b = r + w * (level * np.float32(0.46) - r), g + w * (level * np.float32(0.37) - g), b + w * (
@@ -212,8 +217,8 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
                 wet *= one - snow
                 dark = one - np.float32(0.45) * wet
                 r, g, b = r * dark, g * dark, b * dark
-            if kind == _SIGN or kind == _PLATE:
-                retro = np.float32(60)
+            if kind in (_SIGN, _PLATE):
+                retro = np.float32(25)
             elif kind == _LANE_PAINT:
                 retro = np.float32(1.5)
             # light that falls on the place
@@ -232,18 +237,18 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
             # what it mirrors of the sky and the sun
             gloss = np.float32(0)
             if kind == _GLASS:
-                gloss = np.float32(0.08)
+                gloss = np.float32(0.05)
             elif kind == _CAR_PAINT:
                 gloss = np.float32(0.045)
-            elif kind == _METAL or kind == _LAMP:
+            elif kind in (_METAL, _LAMP):
                 gloss = np.float32(0.10)
             elif wet > 0.05:
-                gloss = np.float32(0.03) * wet
+                gloss = np.float32(0.03) * wet * (np.float32(0) if kind in (_GRASS, _SOIL) else one)
             if gloss > 0:
                 graze = one - cosine
                 share = gloss + (one - gloss) * graze * graze * graze * graze * graze
                 if wet > 0.05:
-                    share *= np.float32(0.8) * wet
+                    share = min(share * wet, np.float32(0.42))
                 rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
                 sky_into(mirror, rx, ry, max(rz, np.float32(0)), sky, False)
                 low = min(one, max(np.float32(0), half + rz * np.float32(6)))
@@ -267,13 +272,16 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
 @njit(cache=True)
 @no_type_check
 def _snow_cover(kind, x, y, nz, footprint, sky):
-    """Share of a place under snow: drifts by noise; wheels keep the road darker."""
-    need = np.float32(0.65) * noise2(x * 0.35, y * 0.35, 15) + np.float32(0.35) * noise2(x * 1.9, y * 1.9, 16)
+    """Share of a place under snow: drifts by noise of four sizes; traffic keeps the road darker."""
+    need = np.float32(0.34) * noise2(x * 0.16, y * 0.16, 15) + np.float32(0.30) * noise2(x * 0.8, y * 0.8, 16)
+    need += np.float32(0.5) * np.float32(0.36)
+    if footprint < 0.5:
+        fine = np.float32(0.22) * noise2(x * 3.7, y * 3.7, 17) + np.float32(0.14) * noise2(x * 15, y * 15, 18)
+        need += (fine - np.float32(0.18)) * (np.float32(1) - np.float32(2) * np.float32(footprint))
     have = np.float32(sky.snow)
-    if kind == _ASPHALT or kind == _LANE_PAINT:
-        have *= np.float32(0.72)
-    soft = np.float32(0.12) + np.float32(min(0.3, footprint * 0.05))
-    cover = min(np.float32(1), max(np.float32(0), (have - need) / soft + np.float32(0.5)))
+    if kind in (_ASPHALT, _LANE_PAINT):
+        have *= np.float32(0.78)
+    cover = min(np.float32(1), max(np.float32(0), (have - need) / np.float32(0.3) + np.float32(0.5)))
     return cover * min(np.float32(1), (nz - np.float32(0.35)) * np.float32(4))
 
 
@@ -310,28 +318,28 @@ def half_of(value):
 @njit(cache=True)
 @no_type_check
 def fill_light(lit, known, range_m, face, height, width, out):
-    """Spread shadows known at every second row and column to all pixels.
+    """Spread shadows known at one pixel in four to all.
 
-    Each pixel takes the mean of its up to four known neighbours that lie at much the same distance.
+    Each pixel takes the mean of the known pixels about it that lie at much the same distance, near ones first: those of
+    its own row and the rows above and below, where every row and every column knows one pixel in four.
     """
     for v in range(height):
         for u in range(width):
             i = v * width + u
-            if face[i] < 0:
-                out[i] = np.float32(1)
+            if face[i] < 0 or known[i]:
+                out[i] = lit[i]
                 continue
-            total, weight = np.float32(0), np.float32(1e-6)
-            v0, u0 = v & ~1, u & ~1
-            for dv in range(0, 1 + 2 * (v & 1), 2):
-                for du in range(0, 1 + 2 * (u & 1), 2):
-                    if v0 + dv >= height or u0 + du >= width:
-                        continue
-                    j = (v0 + dv) * width + u0 + du
-                    if known[j] and abs(range_m[j] - range_m[i]) < np.float32(0.04) * range_m[i]:
-                        w = np.float32(4) if face[j] == face[i] else np.float32(1)
+            total, weight = np.float32(0), np.float32(0)
+            for r in range(max(0, v - 1), min(height, v + 2)):
+                for q in range(max(0, u - 3), min(width, u + 4)):
+                    j = r * width + q
+                    if known[j] and abs(range_m[j] - range_m[i]) < np.float32(0.05) * range_m[i]:
+                        w = np.float32(1) / np.float32((q - u) ** 2 + 6 * (r - v) ** 2)
+                        if face[j] != face[i]:
+                            w *= np.float32(0.25)
                         total += w * lit[j]
                         weight += w
-            out[i] = total / weight if weight > 0.5 else np.float32(1)
+            out[i] = total / weight if weight > 0 else np.float32(1)
 
 
 @njit(cache=True)

@@ -12,10 +12,11 @@ from farfield.simulation.weather.conditions import Weather
 
 _LOW = 8  # size of a pixel of the small pictures that stand for what is out of focus
 _FALLOFF = 0.28  # light lost in the corners
-_READ, _SHOT = 0.004, 0.010
+_READ, _SHOT = 0.0022, 0.008
 _NIGHT_NOISE = 4.0
-_KEY = 0.30
-_GAIN_RANGE = (0.1, 5.0)
+_KEY = 0.40
+_GAIN_RANGE = (0.1, 4.0)
+_CONTRAST = 0.5
 _CAMERA_ICING = 0.45  # share of a window's icing that lies before the camera, which is wiped now and then
 
 
@@ -82,16 +83,20 @@ def finish(
 
 
 def srgb_curve(steps: int = 4096) -> UInt8[np.ndarray, " steps"]:
-    """8-bit sRGB value (IEC 61966-2-1) of evenly spaced linear values from 0 to 1."""
+    """8-bit value of evenly spaced linear values from 0 to 1: sRGB (IEC 61966-2-1), then a mild S for contrast."""
     linear = np.linspace(0.0, 1.0, steps)
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.round(255 * curved).astype(np.uint8)
+    steep = curved * curved * (3 - 2 * curved)
+    return np.round(255 * ((1 - _CONTRAST) * curved + _CONTRAST * steep)).astype(np.uint8)
 
 
 def auto_gain(image: Float32[np.ndarray, "h w 3"]) -> float:
-    """Gain that brings the geometric mean of the luminance to a fixed key, within a camera's limits."""
+    """Gain that brings the luminance to a fixed key, within a camera's limits.
+
+    Metered is the mean of the arithmetic and the geometric mean, so that a bright sky is not lost.
+    """
     luminance = image[::8, ::8] @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-    mean = float(np.exp(np.mean(np.log(luminance + 1e-3))))
+    mean = 0.5 * float(np.exp(np.mean(np.log(luminance + 1e-3)))) + 0.5 * float(np.mean(luminance))
     return float(np.clip(_KEY / mean, *_GAIN_RANGE))
 
 
@@ -99,7 +104,7 @@ def _bloom(image: Float32[np.ndarray, "h w 3"], gain: float, sky: Sky) -> None:
     """Light of lamps that lens and fog scatter around them."""
     from farfield.simulation.camera import lens_kernels
 
-    bright = np.maximum(lens_kernels.shrink(image, _LOW // 2) - np.float32(0.8 / gain), np.float32(0))
+    bright = np.maximum(lens_kernels.shrink(image, _LOW // 2) - np.float32(1.8 / gain), np.float32(0))
     fog = float(np.clip(sky.extinction_per_m * 150.0, 0.0, 1.0))
     near = gaussian_filter(bright, (1.5, 1.5, 0), mode="constant")
     wide = gaussian_filter(bright, (9.0, 9.0, 0), mode="constant")
@@ -143,11 +148,11 @@ def _rain(
     exposure: Exposure, weather: Weather, sky: Sky, rng: np.random.Generator
 ) -> tuple[Float32[np.ndarray, "n 7"], Float32[np.ndarray, "n 3"]]:
     pixels = exposure.camera.width_px * exposure.camera.height_px / 921_600
-    count = int(260 * pixels * weather.rain_mm_h**0.6)
+    count = int(700 * pixels * weather.rain_mm_h**0.6)
     lines = _fallers(exposure, count, (1.0, 12.0), 6.5, 0.008 if not sky.night else 0.02, rng)
     lines[:, 4] = np.clip(0.0012 * exposure.camera.matrix[0, 0] / lines[:, 6], 0.1, 1.5)
     length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-    lines[:, 5] = np.clip(1.6 * lines[:, 4] / (1 + 0.08 * length), 0.02, 0.22)
+    lines[:, 5] = np.clip(2.4 * lines[:, 4] / (1 + 0.04 * length), 0.03, 0.3)
     return lines, _lit_drops(lines[:, 6], sky, 1.05)
 
 
@@ -155,13 +160,13 @@ def _snow(
     exposure: Exposure, weather: Weather, sky: Sky, rng: np.random.Generator
 ) -> tuple[Float32[np.ndarray, "n 7"], Float32[np.ndarray, "n 3"]]:
     pixels = exposure.camera.width_px * exposure.camera.height_px / 921_600
-    count = int(1100 * pixels * weather.snow_mm_h**0.7)
+    count = int(3200 * pixels * weather.snow_mm_h**0.7)
     lines = _fallers(exposure, count, (0.7, 22.0), 2.0 if weather.wet_snow else 1.0, 0.006, rng)
     size_m = 0.0012 + 0.0016 * rng.standard_exponential(count, dtype=np.float32)
     lines[:, 4] = np.clip(size_m * exposure.camera.matrix[0, 0] / lines[:, 6], 0.05, 9.0)
     length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-    lines[:, 5] = np.clip(1.5 * lines[:, 4], 0.0, 0.85) / (1 + 0.25 * length / (lines[:, 4] + 0.7))
-    return lines, _lit_drops(lines[:, 6], sky, 0.95)
+    lines[:, 5] = np.clip(1.5 * lines[:, 4], 0.0, 0.85) / (1 + 0.12 * length / (lines[:, 4] + 0.7))
+    return lines, _lit_drops(lines[:, 6], sky, 1.25)
 
 
 def _drops(image: Float32[np.ndarray, "h w 3"], weather: Weather, rng: np.random.Generator) -> None:
@@ -171,7 +176,7 @@ def _drops(image: Float32[np.ndarray, "h w 3"], weather: Weather, rng: np.random
     if weather.rain_mm_h <= 0:
         return
     height, width, _ = image.shape
-    count = int(rng.poisson(7 + 3.5 * weather.rain_mm_h))
+    count = int(rng.poisson(12 + 6.0 * weather.rain_mm_h))
     drops = np.empty((count, 4), dtype=np.float32)
     drops[:, 0], drops[:, 1] = rng.uniform(0, width, count), rng.uniform(0, height, count)
     drops[:, 2] = height * np.clip(np.exp(rng.normal(np.log(0.010), 0.55, count)), 0.004, 0.05)

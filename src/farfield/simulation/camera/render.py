@@ -24,9 +24,10 @@ from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import Window
 
 _MOVING_M_S = 0.3  # slower road users have their lamps off
-_HEAD_LIGHT, _STREET_LIGHT = 260.0, 7.0
+_HEAD_LIGHT, _STREET_LIGHT = 110.0, 7.0
 _CONE_COS = float(np.cos(np.radians(25.0)))
 _OTHERS_M, _STREET_M = 70.0, 90.0
+_SHADOW_M = 250.0  # shadows farther off are left out
 
 
 def render(
@@ -102,7 +103,7 @@ def _shade(
     table = face_table(placed, on)
     lit = _sunlight(placed, picture, table, grid, sky)
     dimmed = _contact_shadows(placed, picture, table, grid, world_T_camera)
-    lamps, own = _lamps(window, placed, table, on, picture) if sky.night else (np.zeros((0, 12), np.float32), 0)
+    lamps, own = _lamps(window, placed, on, picture) if sky.night else (np.zeros((0, 12), np.float32), 0)
     image = np.empty((len(picture.face), 3), dtype=np.float32)
     floor_m = float(picture.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
     pixel_rad = float(grid.column_reach[1, -1] - grid.column_reach[0, 0]) / grid.width
@@ -116,18 +117,23 @@ def _shade(
 def _sunlight(
     placed: list[Placed], picture: Picture, table: FaceTable, grid: RayGrid, sky: Sky
 ) -> Float32[np.ndarray, " n"]:
-    """Whether the sun reaches what each ray hit, cast at every second row and column and spread from there."""
+    """Whether the sun reaches what each ray hit, cast at one pixel in four and spread from there."""
     from farfield.simulation.camera import kernels
 
     lit = np.ones(len(picture.face), dtype=np.float32)
     if not sky.sun_rgb.any():
         return lit
-    chosen = np.arange(len(lit)).reshape(grid.height, grid.width)[::2, ::2].reshape(-1)
-    chosen = chosen[picture.face[chosen] >= 0]
+    first = np.array([0, 2, 1, 3])[np.arange(grid.height) % 4]
+    chosen = (first[:, None] + np.arange(0, grid.width - 3, 4) + np.arange(grid.height)[:, None] * grid.width).reshape(
+        -1
+    )
+    chosen = chosen[(picture.face[chosen] >= 0) & (picture.range_m[chosen] < _SHADOW_M)]
     normal = table.normal[picture.face[chosen]]
     facing = np.einsum("ij,ij->i", normal, picture.directions[chosen])
     normal = np.where(facing[:, None] > 0, -normal, normal)
-    lit[chosen] = sunlit(placed, picture, chosen, sky.sun, normal)
+    facing_sun = (normal @ sky.sun > 0) | (table.material[picture.face[chosen]] == Material.FOLIAGE)
+    cast = chosen[facing_sun]
+    lit[cast] = sunlit(placed, picture, cast, sky.sun, normal[facing_sun])
     known = np.zeros(len(lit), dtype=np.bool_)
     known[chosen] = True
     out = np.empty_like(lit)
@@ -166,7 +172,7 @@ def _contact_shadows(
 
 
 def _lamps(
-    window: Window, placed: list[Placed], table: FaceTable, on: list[bool], picture: Picture
+    window: Window, placed: list[Placed], on: list[bool], picture: Picture
 ) -> tuple[Float32[np.ndarray, "m 12"], int]:
     """Lamps that light the scene at night: the ego vehicle's own two first, then others' and the street's nearest.
 
@@ -187,7 +193,7 @@ def _lamps(
             corners = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[lamp, 0]]
             front = corners[corners[:, 0] > 0]
             if len(front):
-                spot = away + body.world_T_body[:3, :3] @ (front.mean(axis=0) + [0.1, 0.0, 0.0])
+                spot = away + body.world_T_body[:3, :3] @ (front.mean(axis=0) + np.array([0.1, 0.0, 0.0]))
                 direction = body.world_T_body[:3, 0] - 0.02 * body.world_T_body[:3, 2]
                 others.append(_lamp(spot, direction, _CONE_COS, 2 * _HEAD_LIGHT, (1.0, 0.93, 0.82), 50.0, 1.0))
     rows += sorted(others, key=lambda row: float(row[:3] @ row[:3]))[:8]

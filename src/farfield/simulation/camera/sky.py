@@ -84,16 +84,16 @@ def make_sky(weather: Weather) -> Sky:
     height = float(np.clip(up / 0.7, 0.08, 1.0))
     direct = 0.0 if night else 3.0 * float(np.clip(1.15 - 1.35 * cover, 0.0, 1.0))
     sun_rgb = direct * np.exp(-_SUN_THICKNESS / (max(up, 0.0) + 0.15))
-    warm = np.array([1.15, 0.9, 0.62]) * (1 - height) + np.array([1.0, 1.06, 1.16]) * height
+    warm = np.array([1.15, 0.9, 0.62]) * (1 - height) + np.array([0.90, 1.04, 1.22]) * height
     bright = 0.35 + 0.65 * height
-    clear_zenith, clear_horizon = bright * np.array([0.20, 0.42, 0.95]), 1.05 * bright * warm
+    clear_zenith, clear_horizon = bright * np.array([0.10, 0.30, 0.85]), 0.95 * bright * warm
     grey_zenith, grey_horizon = bright * np.array([1.05, 1.10, 1.17]), bright * np.array([0.80, 0.84, 0.89])
     close = float(np.clip((cover - 0.3) / 0.6, 0.0, 1.0))
     zenith = clear_zenith * (1 - close) + grey_zenith * close
     horizon = clear_horizon * (1 - close) + grey_horizon * close
     if night:
-        zenith = np.array([0.004, 0.006, 0.011]) + close * np.array([0.010, 0.008, 0.006])
-        horizon = np.array([0.020, 0.018, 0.019]) + close * np.array([0.008, 0.006, 0.004])
+        zenith = np.array([0.002, 0.003, 0.006]) + close * np.array([0.005, 0.004, 0.003])
+        horizon = np.array([0.011, 0.0095, 0.0105]) + close * np.array([0.004, 0.003, 0.002])
     ambient = 0.6 * zenith + 0.4 * horizon
     if night:
         ambient = _NIGHT_AMBIENT * np.array([0.9, 0.95, 1.1])
