@@ -44,6 +44,26 @@ KITTI_FROM_CIRRUS = {
     "unknown": "Misc",
 }
 
+CIRRUS_FROM_KRADAR = {
+    "Sedan": "vehicle",
+    "Bus or Truck": "large_vehicle",
+    "Motorcycle": "motorcycle",
+    "Bicycle": "bicycle",
+    "Bicycle Group": "bicycle",
+    "Pedestrian": "pedestrian",
+    "Pedestrian Group": "pedestrian",
+}
+
+KRADAR_FROM_CIRRUS = {  # K-Radar annotates neither animals nor what is unknown
+    "vehicle": "Sedan",
+    "large_vehicle": "Bus or Truck",
+    "trailer": "Bus or Truck",
+    "motorcycle": "Motorcycle",
+    "bicycle": "Bicycle",
+    "pedestrian": "Pedestrian",
+    "wheeled_pedestrian": "Pedestrian",
+}
+
 CIRRUS_FROM_ARGOVERSE2 = {
     "REGULAR_VEHICLE": "vehicle",
     "LARGE_VEHICLE": "large_vehicle",

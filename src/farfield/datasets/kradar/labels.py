@@ -1,0 +1,196 @@
+"""Annotation files of K-Radar, versions 1.0, 1.1, 2.0 and 2.1.
+
+The first line is the header. Then one object a line: what stands before the class differs by version. Yaw is in degrees
+(real files leave +-180), the last three numbers are half the length, width and height, x, y, z the centre in the
+os2-64's frame::
+
+    * idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)=00033_00001_00002_00001_00004, timestamp=1643292946.710046076
+    *, 5, 5, Sedan, x, y, z, yaw, l/2, w/2, h/2                 v1.0: number, number in the frame before
+    *, R, 5, 5, Sedan, ...                                      v1.1
+    *, 0, Sedan, ...                                            v2.0: track
+    *, R, 0, Sedan, ...                                         v2.1: availability, track
+    #, 5, 5, Sedan, x, y, azimuth, l/2, w/2                     v1.0: seen from above only
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from farfield.datasets.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS, normalised_class
+from farfield.datasets.kradar.layout import INDEX_NAMES
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.frame import Boxes
+
+_MAX_BYTES = 4 << 20
+_LARGEST = 1e6
+_OBJECT = re.compile(r"([*#])\s*,")  # an object may stand on the header's line
+_HEADER = re.compile(
+    r"\*\s*idx\s*\([^)]*\)\s*=\s*(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})\s*,"
+    r"\s*timestamp\s*=\s*(\d{1,10})(?:\.(\d{1,9})\d*)?\s*"
+)
+_OLD_HEADER = re.compile(r"\*\s*radar\s+idx\s*:[^\n*#]*")
+_AVAILABILITY = {"R": "R", "L": "L", "L1": "L1", "LL": "L", "LR": "L1"}  # LL, LR and l are slips of the pen
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KRadarLabels:
+    """One annotation file.
+
+    Args:
+        indices: Index of each sensor's frame by its name (``radar``, ``os2-64``, ``cam-front``, ``os1-128``,
+            ``cam-lrr``), or empty where the header has another form.
+        time_ns: Time of the os2-64's sweep, or None.
+        boxes: The objects; ``track_id`` is v2's track and v1's number of the object.
+        raw_label: Class of each object as written.
+        availability: ``R`` (the radar sees it), ``L`` (only the LiDAR does) or ``L1`` (not known) of each object; empty
+            in versions that do not say.
+        from_above: Class, x, y, azimuth (degrees), and half the length and width of objects without a height.
+    """
+
+    boxes: Boxes
+    indices: Mapping[str, int] = field(default_factory=dict)
+    time_ns: int | None = None
+    raw_label: tuple[str, ...] = ()
+    availability: tuple[str, ...] = ()
+    from_above: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+
+def read_labels(path: Path) -> KRadarLabels:
+    """Read one annotation file of any version.
+
+    Raises:
+        FileFormatError: If it is damaged.
+    """
+    return parse_labels(read_bytes(path, max_bytes=_MAX_BYTES), path)
+
+
+def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
+    """Parse the content of an annotation file; ``path`` is for messages.
+
+    Raises:
+        FileFormatError: If the header or an object is not of a form above, or a number is not finite.
+    """
+    text = data.decode("utf-8", errors="replace")
+    marks = list(_OBJECT.finditer(text))
+    header = text[: marks[0].start()] if marks else text
+    indices, time_ns = _parse_header(header, path)
+    rows: list[list[float]] = []
+    tracks, classes, availability, above = [], [], [], []
+    for number, mark in enumerate(marks):
+        end = marks[number + 1].start() if number + 1 < len(marks) else len(text)
+        cells = [cell.strip() for cell in text[mark.end() : end].strip().rstrip(",").split(",")]
+        where = f"line {text.count(chr(10), 0, mark.start()) + 1}"
+        if mark[1] == "#":
+            above.append(_parse_from_above(cells, path, where))
+            continue
+        available, track, name, values = _parse_object(cells, path, where)
+        rows.append(values)
+        tracks.append(track)
+        classes.append(name)
+        availability.append(available)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    boxes = Boxes(
+        centre_m=table[:, :3],
+        size_m=2 * table[:, 4:],
+        yaw_rad=np.deg2rad(table[:, 3]),
+        label=[normalised_class(name, CIRRUS_FROM_KRADAR) for name in classes],
+        track_id=np.array(tracks, dtype=np.int64),
+    )
+    known = tuple(one for one in availability if one is not None)
+    return KRadarLabels(
+        boxes=boxes,
+        indices=indices,
+        time_ns=time_ns,
+        raw_label=tuple(classes),
+        availability=known if len(known) == len(classes) else (),
+        from_above=tuple(above),
+    )
+
+
+def _parse_header(text: str, path: Path | str) -> tuple[dict[str, int], int | None]:
+    found = _HEADER.fullmatch(text.strip())
+    if found:
+        numbers = [int(group) for group in found.groups()[:5]]
+        time_ns = int(found[6]) * 1_000_000_000 + int((found[7] or "").ljust(9, "0"))
+        return dict(zip(INDEX_NAMES, numbers, strict=True)), time_ns
+    if not text.strip() or _OLD_HEADER.fullmatch(text.strip()):
+        return {}, None
+    expected = "the header '* idx(...)=00033_00001_00002_00001_00004, timestamp=...'"
+    raise FileFormatError(path, where="line 1", expected=expected, found=repr(text[:100]))
+
+
+def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> tuple[str | None, int, str, list[float]]:
+    """Availability, track, class and the seven numbers of an object."""
+    before, name, numbers = cells[:-8], cells[-8] if len(cells) > 8 else "", cells[-7:]
+    values = [_number(cell) for cell in numbers]
+    available = None
+    if before and _whole(before[0]) is None:
+        available, before = _AVAILABILITY.get(before[0].upper()), before[1:]
+        if available is None:
+            before = []
+    whole = [_whole(cell) for cell in before]
+    track = whole[0] if whole else None
+    if track is None or len(whole) > 2 or None in whole or not name or _number(name) is not None or None in values:
+        expected = "*, [R, L or L1,] one or two whole numbers, a class and seven numbers"
+        raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
+    finite = [value for value in values if value is not None]
+    if min(finite[4:]) <= 0:
+        raise FileFormatError(path, where=where, expected="positive sizes", found=repr(cells[-3:])[:120])
+    return available, track, name, finite
+
+
+def _parse_from_above(cells: Sequence[str], path: Path | str, where: str) -> tuple[str, tuple[float, ...]]:
+    values = [_number(cell) for cell in cells[-5:]]
+    finite = tuple(value for value in values if value is not None)
+    if len(cells) not in (7, 8) or len(finite) != 5:
+        expected = "#, one or two whole numbers, a class and five numbers"
+        raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
+    return cells[-6], finite
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text) if text.isascii() and "_" not in text else float("nan")
+    except ValueError:
+        return None
+    return value if abs(value) < _LARGEST else None
+
+
+def _whole(text: str) -> int | None:
+    return int(text) if re.fullmatch(r"[+-]?[0-9]{1,18}", text) else None
+
+
+def format_labels(
+    boxes: Boxes, indices: Mapping[str, int], time_ns: int, *, version: str, availability: Sequence[str] = ()
+) -> str:
+    """Write an annotation file's text.
+
+    Objects of classes that K-Radar does not annotate (animals, unknown) are left out; see ``KRADAR_FROM_CIRRUS``.
+
+    Args:
+        boxes: Full boxes in the os2-64's frame, with Cirrus' class names.
+        indices: Index of each sensor's frame; the LiDAR's stands for those that are missing.
+        time_ns: Time of the os2-64's sweep.
+        version: ``"v1.0"`` or ``"v2.1"``.
+        availability: ``R``, ``L`` or ``L1`` of each box, for v2.1; all are ``R`` if it is empty.
+    """
+    numbers = "_".join(f"{indices.get(name, indices['os2-64']):05d}" for name in INDEX_NAMES)
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    header = f"* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={numbers}, timestamp={seconds}.{rest:09d}"
+    tracks = np.arange(len(boxes)) if boxes.track_id is None else boxes.track_id
+    flags = list(availability) or ["R"] * len(boxes)
+    degrees, half = np.rad2deg(boxes.yaw_rad).tolist(), (boxes.size_m / 2).tolist()
+    lines = []
+    names = np.asarray(boxes.label).tolist()
+    for row, (name, centre) in enumerate(zip(names, boxes.centre_m.tolist(), strict=True)):
+        if (theirs := KRADAR_FROM_CIRRUS.get(name)) is None:
+            continue
+        track = int(tracks[row])
+        before = f"{track}, {track}" if version == "v1.0" else f"{flags[row]}, {track}"
+        values = ", ".join(repr(float(value)) for value in (*centre, degrees[row], *half[row]))
+        lines.append(f"*, {before}, {theirs}, {values}\n")
+    return header + ("\n" if lines else "") + "".join(lines)

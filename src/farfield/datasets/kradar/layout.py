@@ -1,0 +1,140 @@
+"""Where the files of K-Radar stand, and its fixed figures (K-Radar, NeurIPS 2022, and its development kit).
+
+A tree is often partial: every modality is a download of its own, and big ones lie under other roots.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+LIDARS = {"os2-64": 64, "os1-128": 128}  # lines of each
+COLUMNS = 2048
+CAMERAS = ("cam-front", "cam-right", "cam-rear", "cam-left")
+IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 1280, 720  # of one eye
+RIGHT_EYE = "-right"  # image "cam-front" is the left eye, "cam-front-right" the right one
+INDEX_NAMES = ("radar", "os2-64", "cam-front", "os1-128", "cam-lrr")
+RADAR_ORIGIN_M = (2.54, -0.3, -0.7)  # the radar in the os2-64's frame: no rotation, the same in all sequences
+POWER_UNIT = 1e13  # by which the development kit divides the radar's linear power
+OUTSIDE = -1.0  # what a cell of the cube outside the field of view holds
+
+RANGE_M = np.arange(256) * 0.462890625
+AZIMUTH_RAD = np.deg2rad(np.arange(-53.0, 54.0))  # rising: to the left
+ELEVATION_RAD = np.deg2rad(np.arange(-18.0, 19.0))  # rising: up
+DOPPLER_M_S = -1.932591218305504 + np.arange(64) * ((1.872197742733457 + 1.932591218305504) / 63)
+
+# Index of the radar's frame minus that of the LiDAR's, sequences 1 to 58, as every label file has it.
+FRAME_DIFFERENCES = (
+    *(32, 30, 30, 41, 31, 34, 33, 31, 23, 26, 33, 36, 39, 33, 37, 38, 35, 35, 37, 33, 4, 2, 2, 3, -1, 5, 4, 3, 0, 5),
+    *(6, 5, 5, 3, 5, 5, 5, 8, 7, 4, 7, 9, 5, 9, 21, 5, 5, 5, 6, 7, 6, 2, 4, 6, 5, 6, 5, 5),
+)
+
+LABEL_TREES = {
+    "v2.1": ("kradar_revised_label_v2_1/KRadar_revised_visibility/{seq}", "KRadar_revised_visibility/{seq}"),
+    "v2.0": ("kradar_revised_label_v2_0/KRadar_refined_label_by_UWIPL/{seq}", "KRadar_refined_label_by_UWIPL/{seq}"),
+    "v1.1": ("kradar_revised_label_v1_1/{seq}_info_label_revised", "{seq}_info_label_revised"),
+    "v1.0": ("{seq}/info_label",),
+}
+
+_PRODUCTS = {
+    "tesseract": "{seq}/radar_tesseract/tesseract_{index:05d}.mat",
+    "cube": "{seq}/radar_zyx_cube/cube_{index:05d}.mat",
+    "polar3d": "rdr_polar_3d/{seq}/polar3d_{index:05d}.npy",
+    "sparse": "rtnh_wider_10p_1/{seq}/sprdr_{index:05d}.npy",
+}
+RADAR_PRODUCTS = tuple(_PRODUCTS)
+RESOURCES = Path("resources")
+SPLIT_FOLDER = RESOURCES / "split"
+SEQUENCE_SPLIT = Path("splits") / "kradar_v1.json"
+
+_STEM = re.compile(r"\d{5,}_\d{5,}")
+_SEQUENCE = re.compile(r"[1-9]\d{0,2}")
+
+_SPELLINGS = {
+    "road": {"suburban": "countryside", "parking_lot": "parkinglots"},
+    "weather": {"light_snow": "lightsnow", "heavy_snow": "heavysnow"},
+}
+CONDITIONS = ("road", "time", "weather")  # the order in description.txt
+
+
+def product_path(product: str, sequence: str, index: int) -> Path:
+    """File of a radar product, LiDAR or camera, relative to the root.
+
+    >>> product_path("cube", "1", 33).as_posix(), product_path("os2-64", "1", 1).as_posix()
+    ('1/radar_zyx_cube/cube_00033.mat', '1/os2-64/os2-64_00001.pcd')
+    """
+    suffix = "pcd" if product in LIDARS else "png"
+    pattern = _PRODUCTS.get(product, f"{{seq}}/{product}/{product}_{{index:05d}}.{suffix}")
+    return Path(pattern.format(seq=sequence, index=index))
+
+
+def index_name(product: str) -> str:
+    """Which of a frame's indices numbers a product's files."""
+    if product in _PRODUCTS:
+        return "radar"
+    return product if product in INDEX_NAMES else "cam-lrr"
+
+
+def camera_number(image: str) -> int:
+    """Number of an eye's calibration file: 1, 2 front; 3, 4 right; 5, 6 rear; 7, 8 left; the left eye first.
+
+    >>> camera_number("cam-front"), camera_number("cam-left-right")
+    (1, 8)
+    """
+    right = image not in CAMERAS
+    return 2 * CAMERAS.index(image.removesuffix(RIGHT_EYE) if right else image) + 1 + right
+
+
+EYES = {name: camera_number(name) for camera in CAMERAS for name in (camera, camera + RIGHT_EYE)}
+
+
+def label_stem(radar: int, lidar: int) -> str:
+    """Name of a frame: ``<radar>_<os2-64>``.
+
+    >>> label_stem(33, 1)
+    '00033_00001'
+    """
+    return f"{radar:05d}_{lidar:05d}"
+
+
+def is_stem(name: str) -> bool:
+    """Whether a name is a frame's."""
+    return _STEM.fullmatch(name) is not None
+
+
+def is_sequence(name: str) -> bool:
+    """Whether a name is a sequence's: its number without zeros before it."""
+    return _SEQUENCE.fullmatch(name) is not None
+
+
+def frame_difference(sequence: str) -> int:
+    """Radar index minus LiDAR index of a published sequence; 0 for any other."""
+    number = int(sequence)
+    return FRAME_DIFFERENCES[number - 1] if number <= len(FRAME_DIFFERENCES) else 0
+
+
+def spelled(kind: str, name: str) -> str:
+    """Our name of a road, time or weather in the spelling of description.txt.
+
+    >>> spelled("road", "suburban"), spelled("weather", "light_snow"), spelled("weather", "fog")
+    ('countryside', 'lightsnow', 'fog')
+    """
+    return _SPELLINGS.get(kind, {}).get(name, name)
+
+
+def our_name(kind: str, spelling: str) -> str:
+    """The inverse of :func:`spelled`.
+
+    >>> our_name("road", "parkinglots")
+    'parking_lot'
+    """
+    names = {there: here for here, there in _SPELLINGS.get(kind, {}).items()}
+    return names.get(spelling, spelling)
+
+
+def os2_T_radar(x_m: float = RADAR_ORIGIN_M[0], y_m: float = RADAR_ORIGIN_M[1]) -> Float[np.ndarray, "4 4"]:
+    """Pose of the radar in the os2-64's frame: a translation."""
+    pose = np.eye(4)
+    pose[:3, 3] = x_m, y_m, RADAR_ORIGIN_M[2]
+    return pose

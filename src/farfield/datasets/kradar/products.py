@@ -1,0 +1,182 @@
+"""Radar products, LiDAR clouds and stereo images of K-Radar: from our orientation to the files' and back.
+
+In Farfield azimuth rises to the left, elevation and z rise upwards. The radar's files have them the other way round:
+the development kit negates both angles of the stored axes and flips the cube's z.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+from PIL import Image
+
+from farfield.datasets.kradar.layout import LIDARS
+from farfield.errors import DatasetError, FileFormatError
+from farfield.files.atomic import write_bytes
+from farfield.files.images import read_image
+from farfield.files.mat import read_mat, write_mat
+from farfield.files.npy import read_npy, write_npy
+from farfield.files.pcd import read_pcd, write_pcd
+from farfield.frame import Cloud
+
+TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
+CUBE_SHAPE = (150, 400, 250)  # z, y, x
+POLAR_SHAPE = (2, 256, 107, 37)  # power and Doppler; range, azimuth, elevation
+INTENSITY_COUNTS = 1024.0  # signal counts that stand for intensity 1; a power of two, so that scaling loses no bit
+_FIELDS = ("x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range")
+_DTYPES = dict(zip(_FIELDS, ("f4", "f4", "f4", "f4", "u4", "u2", "u1", "u2", "u4"), strict=True))
+
+
+def write_radar(
+    path: Path, product: str, values: Shaped[np.ndarray, "..."], *, dtype: str = "float32", compress: bool = False
+) -> None:
+    """Write one radar product.
+
+    Args:
+        path: The file.
+        product: ``"tesseract"``: linear power, Doppler x range x elevation x azimuth (64, 256, 37, 107);
+            ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
+            in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``: x, y, z, power / 1e13 in the
+            radar's frame, shape (n, 4). Angles, z and y rise in our sense: to the left and up.
+        values: The product.
+        dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
+        compress: Pack the ``.mat`` files.
+
+    Raises:
+        DatasetError: If the shape is another.
+    """
+    if product == "tesseract":
+        write_mat(
+            path, "arrDREA", _shaped(product, values, TESSERACT_SHAPE, dtype)[:, :, ::-1, ::-1], compress=compress
+        )
+    elif product == "cube":
+        write_mat(path, "arr_zyx", _shaped(product, values, CUBE_SHAPE, dtype)[::-1], compress=compress)
+    elif product == "polar3d":
+        write_npy(path, _shaped(product, values, POLAR_SHAPE, "float64")[:, :, ::-1, ::-1])
+    else:
+        write_npy(path, _shaped(product, values, (len(values), 4), "float64"))
+
+
+def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."]:
+    """Read one radar product in our orientation, with the file's dtype; see :func:`write_radar`.
+
+    Raises:
+        FileFormatError: If the file is damaged or its array has another shape.
+    """
+    if product == "tesseract":
+        return _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)[:, :, ::-1, ::-1]
+    if product == "cube":
+        return _checked(path, read_mat(path, "arr_zyx"), CUBE_SHAPE)[::-1]
+    if product == "polar3d":
+        return _checked(path, read_npy(path), POLAR_SHAPE)[:, :, ::-1, ::-1]
+    points = read_npy(path)
+    return _checked(path, points, (len(points) if points.ndim else 0, 4))
+
+
+def _shaped(product: str, values: Shaped[np.ndarray, "..."], shape: tuple[int, ...], dtype: str) -> np.ndarray:
+    if values.shape != shape:
+        raise DatasetError(f"{product}: expected an array of shape {shape}, got {values.shape}")
+    return values.astype(dtype, copy=False)
+
+
+def _checked(path: Path, values: Shaped[np.ndarray, "..."], shape: tuple[int, ...]) -> np.ndarray:
+    if values.shape != shape or values.dtype.kind != "f":
+        expected, found = f"floating-point numbers of shape {shape}", f"{values.dtype} of shape {values.shape}"
+        raise FileFormatError(path, where="the array", expected=expected, found=found)
+    return values
+
+
+def write_lidar(path: Path, cloud: Cloud, *, lines: int, columns: int) -> None:
+    """Write an Ouster's sweep as the Point Cloud Library writes its driver's clouds: 9 ASCII fields, row by row.
+
+    A cloud with extra columns ``ring`` and ``column`` is written organised, ``columns`` wide and ``lines`` high, with
+    rows of zeros where nothing returned; any other as a plain list. The file's intensity is the extra column
+    ``signal`` (photon counts) or, without it, 1024 times the cloud's intensity; ``t`` is ``time_ns``, nanoseconds since
+    the sweep's first shot; ``range`` is ``range_mm``, or the distance; what is missing is 0.
+
+    Raises:
+        DatasetError: If two points have the same place, or one lies outside the grid.
+    """
+    fields = {name: np.asarray(values).astype("<" + _DTYPES[name]) for name, values in _fields(cloud).items()}
+    if not {"ring", "column"} <= set(cloud.extra):
+        write_pcd(path, fields, encoding="ascii")
+        return
+    ring, column = (cloud.extra[name].astype(np.int64) for name in ("ring", "column"))
+    place = ring * columns + column
+    if len(cloud) and (min(ring.min(), column.min()) < 0 or ring.max() >= lines or column.max() >= columns):
+        found = f"rings {ring.min()} to {ring.max()}, columns {column.min()} to {column.max()}"
+        raise DatasetError(
+            f"{path.name}: expected points on a grid of {lines} rings and {columns} columns, got {found}"
+        )
+    if len(cloud) and np.bincount(place).max() > 1:
+        raise DatasetError(f"{path.name}: expected one point a ring and column, got several in the same place")
+    grid = {name: np.zeros(lines * columns, dtype=values.dtype) for name, values in fields.items()}
+    for name, values in fields.items():
+        grid[name][place] = values
+    write_pcd(path, grid, encoding="ascii", height=lines)
+
+
+def _fields(cloud: Cloud) -> dict[str, Shaped[np.ndarray, " n"]]:
+    extra: Mapping[str, np.ndarray] = cloud.extra
+    zero = np.zeros(len(cloud))
+    signal = extra.get("signal", cloud.intensity * np.float32(INTENSITY_COUNTS))
+    distance_mm = np.rint(np.linalg.norm(cloud.points_m.astype(np.float64), axis=1) * 1000)
+    rest = {name: extra.get(name, zero) for name in ("reflectivity", "ring", "ambient")}
+    x, y, z = cloud.points_m.T
+    named = {"x": x, "y": y, "z": z, "intensity": signal, "t": extra.get("time_ns", zero), **rest}
+    return {name: (named | {"range": extra.get("range_mm", distance_mm)})[name] for name in _FIELDS}
+
+
+def read_lidar(path: Path, lidar: str) -> Cloud:
+    """Read an Ouster's sweep without its missing returns, in the sensor's own frame.
+
+    Extra columns: ``signal`` (the file's intensity; the cloud's is that over 1024, at most 1), ``time_ns``,
+    ``reflectivity``, ``ring``, ``ambient``, ``range_mm``, and ``column`` where the file is a full grid.
+
+    Raises:
+        FileFormatError: If the file is damaged or lacks a field.
+    """
+    fields = read_pcd(path)
+    missing = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
+    if missing:
+        expected, found = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
+        raise FileFormatError(path, where="FIELDS", expected=expected, found=found)
+    points = np.stack([fields[axis].astype(np.float32) for axis in "xyz"], axis=1)
+    kept = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    columns, rest = divmod(len(points), LIDARS[lidar])
+    signal = fields["intensity"].astype(np.float32)
+    extra = {"signal": signal, "time_ns": fields["t"], "range_mm": fields["range"]}
+    extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
+    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[kept].all():
+        extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)
+    with np.errstate(invalid="ignore"):
+        strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
+    return Cloud(points[kept], strength[kept], {name: values[kept] for name, values in extra.items()})
+
+
+Image3 = UInt8[np.ndarray, "height width 3"]
+
+
+def write_stereo(path: Path, left: Image3 | None, right: Image3 | None) -> None:
+    """Write both eyes' images side by side as one PNG; an eye that is missing is black.
+
+    Raises:
+        DatasetError: If there is no image, or the two differ in size.
+    """
+    given = [image for image in (left, right) if image is not None]
+    if not given or any(image.shape != given[0].shape for image in given):
+        raise DatasetError(f"{path.name}: expected one or two images of one size, got {[i.shape for i in given]}")
+    black = np.zeros_like(given[0])
+    both = np.concatenate([black if image is None else image for image in (left, right)], axis=1)
+    encoded = io.BytesIO()
+    Image.fromarray(both).save(encoded, format="PNG", compress_level=1)
+    write_bytes(path, encoded.getvalue())
+
+
+def read_eye(path: Path, right: bool) -> Image3:
+    """Read one eye's half of a stereo image."""
+    both = read_image(path)
+    half = both.shape[1] // 2
+    return np.ascontiguousarray(both[:, half:] if right else both[:, :half])

@@ -1,0 +1,167 @@
+"""Small text files of K-Radar: description, radar calibration, camera calibration, times, odometry."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from farfield.datasets.kradar.layout import (
+    CONDITIONS,
+    IMAGE_HEIGHT_PX,
+    IMAGE_WIDTH_PX,
+    RADAR_ORIGIN_M,
+    our_name,
+    spelled,
+)
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.frame import Camera
+
+_MAX_BYTES = 4 << 20
+_LARGEST = 1e9
+_CAMERA_KEYS = ("fx", "fy", "px", "py", "k1", "k2", "k3", "k4", "k5")
+_POSE_KEYS = tuple(f"{name}_ldr2cam" for name in ("yaw", "pitch", "roll", "x", "y", "z"))
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a small text file, white space stripped, blank ones left out.
+
+    Raises:
+        FileFormatError: If the file is larger than 4 MiB.
+    """
+    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8", errors="replace")
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def _numbers(cells: Sequence[str]) -> list[float] | None:
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        return None
+    return values if all(abs(value) < _LARGEST for value in values) else None
+
+
+def format_description(conditions: Mapping[str, str]) -> str:
+    """``road,time,weather`` in K-Radar's spelling."""
+    return ",".join(spelled(kind, conditions[kind]) for kind in CONDITIONS) + "\n"
+
+
+def read_description(path: Path) -> dict[str, str]:
+    """Read description.txt with our names of roads and weathers.
+
+    Raises:
+        FileFormatError: If it is no line of three words.
+    """
+    lines = read_lines(path)
+    words = [word.strip() for word in lines[0].split(",")] if lines else []
+    if len(words) != len(CONDITIONS) or not all(words):
+        raise FileFormatError(path, where="line 1", expected="road,time,weather", found=repr(lines[:1])[:100])
+    return {kind: our_name(kind, word) for kind, word in zip(CONDITIONS, words, strict=True)}
+
+
+def format_radar_calibration(difference: int) -> str:
+    """Frame difference, and what is added to a LiDAR point's x and y to get the radar's."""
+    x, y, _ = RADAR_ORIGIN_M
+    return f"frame difference,x,y\n{difference},{-x},{-y}\n"
+
+
+def read_radar_calibration(path: Path) -> tuple[int, float, float]:
+    """Frame difference, and x and y of the radar in the LiDAR's frame in metres.
+
+    Raises:
+        FileFormatError: If the second line is not three numbers, the first of them whole.
+    """
+    lines = read_lines(path)
+    values = _numbers(lines[1].split(",")) if len(lines) > 1 else None
+    if values is None or len(values) != 3 or not values[0].is_integer():
+        expected = "a whole number and two numbers"
+        raise FileFormatError(path, where="line 2", expected=expected, found=repr(lines[1:2])[:100])
+    return int(values[0]), -values[1], -values[2]
+
+
+def format_times(times_ns: Mapping[str, int]) -> str:
+    """Lines ``file, unix seconds`` in the order of the files' names."""
+    rows = [f"{name}, {ns // 1_000_000_000}.{ns % 1_000_000_000:09d}\n" for name, ns in sorted(times_ns.items())]
+    return "".join(rows)
+
+
+def read_times(path: Path) -> dict[str, int]:
+    """Times in nanoseconds by file name.
+
+    Raises:
+        FileFormatError: If a line is no ``file, unix seconds``.
+    """
+    times: dict[str, int] = {}
+    for number, line in enumerate(read_lines(path), start=1):
+        found = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,10})(?:\.([0-9]{1,9})[0-9]*)?", line)
+        if not found:
+            raise FileFormatError(path, where=f"line {number}", expected="file, unix seconds", found=repr(line[:100]))
+        times[found[1]] = int(found[2]) * 1_000_000_000 + int((found[3] or "").ljust(9, "0"))
+    return times
+
+
+def format_camera(camera: Camera, number: int) -> str:
+    """The calibration of one eye; keys in the real files' (alphabetical) order.
+
+    ``k1`` to ``k5`` are OpenCV's k1, k2, p1, p2, k3. The rotation is intrinsic in z, y, x order reversed, as SciPy's
+    ``from_euler("zyx", [yaw, pitch, roll])`` has it, from the os2-64's axes to the camera's; the translation follows.
+    """
+    matrix, pose = camera.matrix, camera.camera_T_lidar
+    angles = Rotation.from_matrix(pose[:3, :3]).as_euler("zyx", degrees=True)
+    intrinsics = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion]
+    values = dict(zip(_CAMERA_KEYS + _POSE_KEYS, [*intrinsics, *angles, *pose[:3, 3]], strict=True))
+    rows = {"cam_number": str(number)} | {key: repr(float(value)) for key, value in values.items()}
+    return "".join(f"{key}: {text}\n" for key, text in sorted(rows.items()))
+
+
+def read_camera(path: Path) -> Camera:
+    """Read the calibration of one eye.
+
+    Raises:
+        FileFormatError: If a key is missing or its value no number.
+    """
+    pairs = [line.partition(":") for line in read_lines(path)]
+    cells = {key.strip(): value.strip() for key, _, value in pairs}
+    for key in (*_CAMERA_KEYS, *_POSE_KEYS):
+        if _numbers([cells.get(key, "")]) is None:
+            found = repr(cells.get(key))[:80]
+            raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", found=found)
+    fx, fy, px, py, *distortion = (float(cells[key]) for key in _CAMERA_KEYS)
+    yaw, pitch, roll, *translation = (float(cells[key]) for key in _POSE_KEYS)
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("zyx", [yaw, pitch, roll], degrees=True).as_matrix()
+    pose[:3, 3] = translation
+    return Camera(
+        matrix=np.array([[fx, 0.0, px], [0.0, fy, py], [0.0, 0.0, 1.0]]),
+        distortion=np.array(distortion),
+        camera_T_lidar=pose,
+        width_px=IMAGE_WIDTH_PX,
+        height_px=IMAGE_HEIGHT_PX,
+    )
+
+
+def format_odometry(world_T_lidar: Sequence[Float[np.ndarray, "4 4"]]) -> str:
+    """KITTI's twelve numbers a line, one line a frame, relative to the first pose."""
+    first_T_world = np.linalg.inv(world_T_lidar[0])
+    rows = ((first_T_world @ pose)[:3].ravel().tolist() for pose in world_T_lidar)
+    return "\n".join(" ".join(f"{round(value, 12) + 0.0:.6e}" for value in row) for row in rows)
+
+
+def read_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
+    """Poses relative to the first one, shape (n, 4, 4).
+
+    Raises:
+        FileFormatError: If a line is not twelve finite numbers.
+    """
+    lines = read_lines(path)
+    poses = np.tile(np.eye(4), (len(lines), 1, 1))
+    for number, line in enumerate(lines, start=1):
+        values = _numbers(line.split())
+        if values is None or len(values) != 12 or not all(map(math.isfinite, values)):
+            raise FileFormatError(path, where=f"line {number}", expected="12 finite numbers", found=repr(line[:100]))
+        poses[number - 1, :3] = np.reshape(values, (3, 4))
+    return poses
