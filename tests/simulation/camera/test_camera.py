@@ -162,6 +162,27 @@ def test_the_shadow_of_a_box_lies_where_the_sun_throws_it() -> None:
     assert sunny == pytest.approx(beyond, rel=0.25)
 
 
+def test_a_wet_road_mirrors_a_wall_where_a_plane_mirror_would() -> None:
+    """The image of a point stands as far below the road as the point stands above it."""
+    camera = SMALL.camera(np.eye(4))
+    wall = painted(box([0.2, 8.0, 1.2], [0.0, 0.0, 1.4], int(Material.TYRE)))  # black, from 0.8 m to 2.0 m
+    window = still((wall, at(14.0, 0.0)))
+    wet = dataclasses.replace(OVERCAST, water_mm=1.0)
+    with_wall, _ = radiance(window, camera, np.eye(4), wet)
+    without, _ = radiance(still(), camera, np.eye(4), wet)
+    images = np.array([[14.0, 0.0, -1.2], [14.0, 0.0, -0.4], [14.0, 7.0, -1.4]])  # in the image, above it, beside it
+    inside, above, beside = (
+        (with_wall[v - 1 : v + 2, u - 6 : u + 7].mean() / without[v - 1 : v + 2, u - 6 : u + 7].mean())
+        for u, v in np.round(camera.project(images)[0]).astype(int)
+    )
+    assert inside < 0.8
+    assert above > 0.93
+    assert beside > 0.97
+    dry, _ = radiance(window, camera, np.eye(4), OVERCAST)
+    u, v = np.round(camera.project(images[:1])[0][0]).astype(int)
+    assert dry[v, u].mean() == pytest.approx(radiance(still(), camera, np.eye(4), OVERCAST)[0][v, u].mean(), rel=0.02)
+
+
 def test_there_is_no_sun_shadow_under_cloud_but_it_is_darker_under_a_car() -> None:
     camera = SMALL.camera(np.eye(4))
     raised = painted(box([4.0, 1.8, 1.0], [0.0, 0.0, 0.9], int(Material.TRIM)))

@@ -168,7 +168,11 @@ def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | 
     body_T_world = invert(body.world_T_body)
     start = transform_points(body_T_world, picture.origin_m[None])[0]
     rays, turn = picture.directions if chosen is None else picture.directions[chosen], body_T_world[:3, :3]
-    hits = body.tracer.cast(start, rays if np.array_equal(turn, np.eye(3)) else rays @ turn.astype(np.float32).T)
+    if not np.array_equal(turn, np.eye(3)):
+        rays = rays @ turn.astype(np.float32).T
+    starts = np.empty_like(rays)
+    starts[:] = start - body.tracer.anchor_m
+    hits = body.tracer.cast_anchored(starts, rays)
     if chosen is None:
         nearer = hits.range_m < picture.range_m
         np.copyto(picture.range_m, hits.range_m, where=nearer)
@@ -216,6 +220,52 @@ def sunlit(
             ray = np.broadcast_to(body_T_world[:3, :3].astype(np.float32) @ sun, (len(near), 3))
             lit[near[body.tracer.cast_from(start, ray).face >= 0]] = 0.0
     return lit
+
+
+def mirror_images(
+    placed: list[Placed],
+    picture: Picture,
+    chosen: Int[np.ndarray, " k"],
+    grid: RayGrid,
+    world_T_camera: Float[np.ndarray, "4 4"],
+) -> Int32[np.ndarray, " n"]:
+    """What the chosen rays hit after a mirror-like bounce off a rough, level road.
+
+    The road's slope is scattered along the line of sight by up to 0.03 rad, the same way at each pixel in every picture,
+    which draws mirror images out towards the camera as on wet asphalt.
+
+    Returns:
+        Triangles counted over all bodies, -1 where nothing was hit or the ray was not chosen, shape (n,).
+    """
+    ray = picture.directions[chosen]
+    tilt = np.float32(0.06) * (((chosen * 40503) & 0xFFFF).astype(np.float32) / np.float32(65536) - np.float32(0.5))
+    bounced = ray + np.float32(2) * np.abs(ray[:, 2:]) * np.stack([ray[:, 0] * tilt, ray[:, 1] * tilt, 1 + 0 * tilt], 1)
+    bounced[:, 2] = np.abs(bounced[:, 2]) + np.float32(2) * tilt
+    bounced /= np.linalg.norm(bounced, axis=1, keepdims=True)
+    start = ray * picture.range_m[chosen][:, None] + np.array([0, 0, 0.02], dtype=np.float32)
+    nearest = np.full(len(chosen), np.inf, dtype=np.float32)
+    face = np.full(len(picture.face), -1, dtype=np.int32)
+    row, column = np.divmod(chosen, grid.width)
+    camera_T_world = invert(world_T_camera)
+    margin = grid.height // 16
+    for body in placed:
+        if body.actor < 0:
+            near = np.arange(len(chosen))
+        else:  # its image stands on its head below it
+            corners = transform_points(camera_T_world @ body.world_T_body, body.tracer.corners_m * [1.0, 1.0, -1.0])
+            rows, columns, _ = pixels_towards(grid, corners)
+            inside = (row >= rows.start - margin) & (row < rows.stop + margin)
+            near = np.flatnonzero(inside & (column >= columns.start) & (column < columns.stop))
+        if near.size == 0:
+            continue
+        body_T_world = invert(body.world_T_body)
+        turn = body_T_world[:3, :3].astype(np.float32)
+        offset = transform_points(body_T_world, picture.origin_m[None])[0] - body.tracer.anchor_m
+        hits = body.tracer.cast_anchored(start[near] @ turn.T + offset.astype(np.float32), bounced[near] @ turn.T)
+        nearer = np.flatnonzero(hits.range_m < nearest[near])
+        nearest[near[nearer]] = hits.range_m[nearer]
+        face[chosen[near[nearer]]] = hits.face[nearer] + body.first_face
+    return face
 
 
 @dataclass(frozen=True, eq=False)

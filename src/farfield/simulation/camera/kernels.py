@@ -143,6 +143,8 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
         if lamps[i, 11] > 0:  # a head lamp's cone is meant sideways
             towards = -(lx * lamps[i, 3] + ly * lamps[i, 4]) / np.sqrt(lx * lx + ly * ly + np.float32(1e-6))
         cone = min(np.float32(1), max(np.float32(0), (towards - lamps[i, 6]) * np.float32(12)))
+        if cone <= 0:
+            continue
         cone *= cone
         if lamps[i, 11] > 0:  # it is dimmed above its cut-off, near the horizon
             cone *= np.float32(0.12) + np.float32(0.88) / (
@@ -161,8 +163,8 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
 
 @njit(cache=True)
 @no_type_check
-def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, albedo, glow, material, moving_from,
-          lamps, headlamps, floor_m, sky, out):  # fmt: skip
+def shade(directions, range_m, face, lit, dimmed, mirrored, width, origin, pixel_rad,
+          normal, albedo, glow, material, moving_from, lamps, headlamps, floor_m, sky, out):  # fmt: skip
     """Write the radiance that reaches the camera along each ray into ``out``, shape (n, 3).
 
     Koschmieder's law joins what is seen and the airlight: I = J exp(-a d) + A (1 - exp(-a d)).
@@ -248,9 +250,11 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
                 graze = one - cosine
                 share = gloss + (one - gloss) * graze * graze * graze * graze * graze
                 if wet > 0.05:
-                    share = min(share * wet, np.float32(0.42))
+                    share = min(share * wet, np.float32(0.35))
                 rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
                 sky_into(mirror, rx, ry, max(rz, np.float32(0)), sky, False)
+                if wet > 0.05 and mirrored.shape[0] > 0:
+                    _wet_mirror(mirror, mirrored, i, width, albedo, glow, sky)
                 low = min(one, max(np.float32(0), half + rz * np.float32(6)))
                 shine = max(np.float32(0), rx * sky.sun[0] + ry * sky.sun[1] + rz * sky.sun[2]) ** 60 * lit[i]
                 for c in range(3):
@@ -267,6 +271,38 @@ def shade(directions, range_m, face, lit, dimmed, origin, pixel_rad, normal, alb
         through = np.exp(-np.float32(sky.extinction_per_m) * far)
         for c in range(3):
             out[i, c] = colour[c] * through + sky.horizon_rgb[c] * (one - through)
+
+
+@njit(cache=True)
+@no_type_check
+def _wet_mirror(mirror, mirrored, i, width, albedo, glow, sky):
+    """Turn the sky that a wet road mirrors into what stands there, known at one pixel in four of each row."""
+    u = i % width
+    left = i - (u - first_known(i // width)) % 4
+    row = i - u
+    part = np.float32(0.25) * np.float32(i - left)
+    r, g, b = mirror[0], mirror[1], mirror[2]
+    mirror[0] = mirror[1] = mirror[2] = np.float32(0)
+    for side in range(2):
+        j = min(max(left + 4 * side, row), row + width - 1)
+        share = part if side == 1 else np.float32(1) - part
+        f = mirrored[j]
+        if f < 0:
+            mirror[0] += share * r
+            mirror[1] += share * g
+            mirror[2] += share * b
+        else:
+            for c in range(3):
+                light = np.float32(0.6) * sky.ambient_rgb[c] + np.float32(0.2) * sky.bounce_rgb[c]
+                mirror[c] += share * (albedo[f, c] * light + sky.night * glow[f, c])
+
+
+@njit(cache=True)
+@no_type_check
+def first_known(row):
+    """First of the columns, four apart, at which a row's shadows and mirror images are cast."""
+    step = row & 3
+    return 2 * (step & 1) + (step >> 1)
 
 
 @njit(cache=True)
@@ -297,13 +333,14 @@ def _distant(colour, dx, dy, dz, floor_m, sky):
             land = np.float32(0.22) if c == 0 else (np.float32(0.24) if c == 1 else np.float32(0.13))
             colour[c] = tone * (land + (np.float32(1.5) - land) * snow)
         return far
-    turn = np.arctan2(dy, dx)
-    ridge = np.float32(0.045) * noise2(turn * 3.0, 0.5, 41) + np.float32(0.012) * noise2(turn * 21.0, 0.5, 42)
-    ridge += np.float32(0.004) * noise2(turn * 160.0, 0.5, 43) - np.float32(0.012)
-    if dz < ridge:
-        tone = np.float32(0.09) * (sky.ambient_rgb[1] + sky.sun_rgb[1] * half_of(sky.sun[2]))
-        colour[0], colour[1], colour[2] = tone, tone * np.float32(1.1), tone * np.float32(0.8)
-        return np.float32(2500)
+    if dz < 0.06:
+        turn = np.arctan2(dy, dx)
+        ridge = np.float32(0.045) * noise2(turn * 3.0, 0.5, 41) + np.float32(0.012) * noise2(turn * 21.0, 0.5, 42)
+        ridge += np.float32(0.004) * noise2(turn * 160.0, 0.5, 43) - np.float32(0.012)
+        if dz < ridge:
+            tone = np.float32(0.09) * (sky.ambient_rgb[1] + sky.sun_rgb[1] * half_of(sky.sun[2]))
+            colour[0], colour[1], colour[2] = tone, tone * np.float32(1.1), tone * np.float32(0.8)
+            return np.float32(2500)
     sky_into(colour, dx, dy, dz, sky, True)
     return min(np.float32(60000), np.float32(sky.layer_m) / max(dz, np.float32(1e-4)))
 

@@ -1,7 +1,7 @@
 """One picture of a scene: rays, light, air, window and sensor."""
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, Int, Int32, UInt8
 
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, transform_points
@@ -12,6 +12,7 @@ from farfield.simulation.camera.cast import (
     Placed,
     RayGrid,
     face_table,
+    mirror_images,
     pixels_towards,
     place,
     ray_grid,
@@ -24,9 +25,10 @@ from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import Window
 
 _MOVING_M_S = 0.3  # slower road users have their lamps off
-_HEAD_LIGHT, _STREET_LIGHT = 110.0, 7.0
+_HEAD_LIGHT, _STREET_LIGHT = 90.0, 7.0
 _CONE_COS = float(np.cos(np.radians(25.0)))
 _OTHERS_M, _STREET_M = 70.0, 90.0
+_MIRROR_M = 80.0  # a wet road mirrors things within so far
 _SHADOW_M = 250.0  # shadows farther off are left out
 
 
@@ -103,12 +105,14 @@ def _shade(
     table = face_table(placed, on)
     lit = _sunlight(placed, picture, table, grid, sky)
     dimmed = _contact_shadows(placed, picture, table, grid, world_T_camera)
+    mirrored = _mirrored(placed, picture, table, grid, world_T_camera, sky)
     lamps, own = _lamps(window, placed, on, picture) if sky.night else (np.zeros((0, 12), np.float32), 0)
     image = np.empty((len(picture.face), 3), dtype=np.float32)
     floor_m = float(picture.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
     pixel_rad = float(grid.column_reach[1, -1] - grid.column_reach[0, 0]) / grid.width
     kernels.shade(
-        picture.directions, picture.range_m, picture.face, lit, dimmed, picture.origin_m, np.float32(pixel_rad),
+        picture.directions, picture.range_m, picture.face, lit, dimmed, mirrored, grid.width, picture.origin_m,
+        np.float32(pixel_rad),
         table.normal, table.albedo, table.glow, table.material, table.moving_from, lamps, own, floor_m, sky, image,
     )  # fmt: skip
     return image.reshape(grid.height, grid.width, 3)
@@ -139,6 +143,34 @@ def _sunlight(
     out = np.empty_like(lit)
     kernels.fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
     return out
+
+
+def _one_in_four(grid: RayGrid) -> Int[np.ndarray, " k"]:
+    """Pixels at which shadows and mirror images are cast: in each row and each column every fourth."""
+    rows = np.arange(grid.height)
+    first = np.array([0, 2, 1, 3])[rows % 4]
+    numbers: Int[np.ndarray, " k"] = (
+        first[:, None] + np.arange(0, grid.width - 3, 4) + rows[:, None] * grid.width
+    ).reshape(-1)
+    return numbers
+
+
+def _mirrored(
+    placed: list[Placed],
+    picture: Picture,
+    table: FaceTable,
+    grid: RayGrid,
+    world_T_camera: Float[np.ndarray, "4 4"],
+    sky: Sky,
+) -> Int32[np.ndarray, " n"]:
+    """Triangles that a wet road mirrors, at one pixel in four, -1 elsewhere; empty where the road is dry."""
+    if sky.water < 0.05:
+        return np.zeros(0, dtype=np.int32)
+    chosen = _one_in_four(grid)
+    chosen = chosen[(picture.face[chosen] >= 0) & (picture.range_m[chosen] < _MIRROR_M)]
+    faces = picture.face[chosen]
+    paved = np.isin(table.material[faces], (Material.ASPHALT, Material.CONCRETE, Material.LANE_PAINT))
+    return mirror_images(placed, picture, chosen[paved & (np.abs(table.normal[faces, 2]) > 0.9)], grid, world_T_camera)
 
 
 def _contact_shadows(
