@@ -231,8 +231,8 @@ def mirror_images(
 ) -> Int32[np.ndarray, " n"]:
     """What the chosen rays hit after a mirror-like bounce off a rough, level road.
 
-    The road's slope is scattered along the line of sight by up to 0.03 rad, the same way at each pixel in every picture,
-    which draws mirror images out towards the camera as on wet asphalt.
+    The road's slope is scattered along the line of sight by up to 0.03 rad, the same way at each pixel in every
+    picture, which draws mirror images out towards the camera as on wet asphalt.
 
     Returns:
         Triangles counted over all bodies, -1 where nothing was hit or the ray was not chosen, shape (n,).

@@ -26,7 +26,7 @@ _LAMP, _PLATE, _METAL, _BRICK = int(Material.LAMP), int(Material.PLATE), int(Mat
 _FOLIAGE, _SIGN, _CARGO = int(Material.FOLIAGE), int(Material.SIGN), int(Material.CARGO)
 
 
-@njit(cache=True, inline="never")
+@njit("float32(int64, int64, int64)", cache=True)
 @no_type_check
 def hash01(ix, iy, seed):
     """A number in [0, 1) for a cell of a lattice."""
@@ -35,7 +35,7 @@ def hash01(ix, iy, seed):
     return np.float32((h ^ (h >> 16)) & 0xFFFFFF) * np.float32(1.0 / 16777216.0)
 
 
-@njit(cache=True, inline="never")
+@njit("float32(float64, float64, int64)", cache=True)
 @no_type_check
 def noise2(x, y, seed):
     """Value noise (Perlin's lattice with smooth steps): mean 0.5, cells of size 1."""
@@ -251,7 +251,8 @@ def shade(directions, range_m, face, lit, dimmed, mirrored, width, origin, pixel
                 share = gloss + (one - gloss) * graze * graze * graze * graze * graze
                 if wet > 0.05:
                     share = min(share * wet, np.float32(0.35))
-                rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
+                twice = np.float32(2) * cosine
+                rx, ry, rz = dx + twice * nx, dy + twice * ny, dz + twice * nz
                 sky_into(mirror, rx, ry, max(rz, np.float32(0)), sky, False)
                 if wet > 0.05 and mirrored.shape[0] > 0:
                     _wet_mirror(mirror, mirrored, i, width, albedo, glow, sky)

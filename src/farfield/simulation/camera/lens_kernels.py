@@ -43,16 +43,15 @@ def spread(image):
             left, right = max(u - 1, 0), min(u + 1, width - 1)
             for c in range(3):
                 out[v, u, c] = middle * image[v, u, c] + side * (image[v, left, c] + image[v, right, c])
-    line = np.empty((2, width, 3), np.float32)
-    line[0] = out[0]
+    above = np.empty((width, 3), np.float32)
     for v in range(height):
         below = min(v + 1, height - 1)
         for u in range(width):
             for c in range(3):
                 here = out[v, u, c]
-                line[1, u, c] = here
-                out[v, u, c] = middle * here + side * (line[0, u, c] + out[below, u, c])
-        line[0] = line[1]
+                before = above[u, c] if v > 0 else here
+                above[u, c] = here
+                out[v, u, c] = middle * here + side * (before + out[below, u, c])
     return out
 
 
