@@ -1,0 +1,212 @@
+"""Annotated objects: how far, of what class and size, and how many points each cloud lays on them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from farfield.frame import Boxes, Cloud
+from farfield.geometry.points import count_points_in_boxes
+
+DISTANCE_EDGES_M = np.geomspace(5.0, 320.0, 25)
+VEHICLE_EDGES_M = np.linspace(0.0, 350.0, 36)
+SURVIVAL_EDGES_M = np.array([0.0, 20.0, 40.0, 70.0, 100.0, 150.0, 250.0])
+LEVEL_AT_M = 50.0
+FIT_FROM_M, FIT_LEAST_BOXES, FIT_LEAST_POINTS = 10.0, 8, 3.0
+NORMAL = "normal"
+
+
+@dataclass(kw_only=True)
+class ObjectRows:
+    """One row for every annotated box: ground distance, class, size, weather, points by cloud (-1: no such cloud)."""
+
+    frames: int = 0
+    most_in_a_frame: int = 0
+    _parts: list[tuple[Any, ...]] = field(default_factory=list)
+    _counts: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
+    _total: int = 0
+
+    def add(self, boxes: Boxes, clouds: Mapping[str, Cloud], *, weather: str = "unknown") -> None:
+        """Count the points of each cloud in each box of one frame."""
+        self.frames += 1
+        self.most_in_a_frame = max(self.most_in_a_frame, len(boxes))
+        if not len(boxes):
+            return
+        range_m = np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1])
+        label = np.asarray(boxes.label, dtype=object)
+        self._parts.append((range_m, label, boxes.size_m.copy(), np.full(len(boxes), weather, dtype=object)))
+        for name, cloud in clouds.items():
+            self._counts.setdefault(name, []).append((self._total, count_points_in_boxes(cloud.points_m, boxes)))
+        self._total += len(boxes)
+
+    def merge(self, other: "ObjectRows") -> None:
+        """Take in the rows of other frames."""
+        self.frames += other.frames
+        self.most_in_a_frame = max(self.most_in_a_frame, other.most_in_a_frame)
+        self._parts += other._parts
+        for name, parts in other._counts.items():
+            mine = self._counts.setdefault(name, [])
+            mine += [(start + self._total, counts) for start, counts in parts]
+        self._total += other._total
+
+    def __len__(self) -> int:
+        return self._total
+
+    @property
+    def range_m(self) -> Float[np.ndarray, " n"]:
+        """Ground distance of each box's centre from the frame's origin."""
+        return self._column(0, np.zeros(0))
+
+    @property
+    def label(self) -> Shaped[np.ndarray, " n"]:
+        """Class of each box."""
+        return self._column(1, np.zeros(0, dtype=object))
+
+    @property
+    def size_m(self) -> Float[np.ndarray, "n 3"]:
+        """Length, width, height of each box."""
+        return self._column(2, np.zeros((0, 3)))
+
+    @property
+    def weather(self) -> Shaped[np.ndarray, " n"]:
+        """Weather of each box's frame."""
+        return self._column(3, np.zeros(0, dtype=object))
+
+    @property
+    def counts(self) -> dict[str, Int[np.ndarray, " n"]]:
+        """Points inside each box by cloud; -1 where the frame had no such cloud."""
+        found = {}
+        for name, parts in self._counts.items():
+            column = np.full(self._total, -1, dtype=np.int64)
+            for start, counts in parts:
+                column[start : start + len(counts)] = counts
+            found[name] = column
+        return found
+
+    def _column(self, place: int, empty: np.ndarray) -> np.ndarray:
+        return np.concatenate([part[place] for part in self._parts]) if self._parts else empty
+
+    def vehicles(self, labels: tuple[str, ...]) -> Bool[np.ndarray, " n"]:
+        """Which boxes are of the classes that count as vehicles."""
+        return np.isin(self.label.astype(np.str_), labels)
+
+    def summary(self, vehicle_labels: tuple[str, ...]) -> dict[str, Any]:
+        """Boxes a frame, classes with their sizes, and the distances of vehicles."""
+        label, size_m = self.label.astype(np.str_), self.size_m
+        names, number = np.unique(label, return_counts=True)
+        classes = {}
+        for place in np.argsort(-number, kind="stable"):
+            mine = size_m[label == names[place]]
+            mean, std = mine.mean(axis=0), mine.std(axis=0)
+            sizes = {
+                axis: {"mean": float(mean[k]), "std": float(std[k])}
+                for k, axis in enumerate(("length_m", "width_m", "height_m"))
+            }
+            classes[str(names[place])] = {
+                "count": int(number[place]),
+                "share": float(number[place] / len(label)),
+                **sizes,
+            }
+        distance = np.histogram(self.range_m[self.vehicles(vehicle_labels)], VEHICLE_EDGES_M)[0]
+        return {
+            "annotated_frames": self.frames,
+            "count": len(self),
+            "per_frame": len(self) / max(self.frames, 1),
+            "most_in_a_frame": self.most_in_a_frame,
+            "classes": classes,
+            "vehicle_distance": {"edges_m": VEHICLE_EDGES_M.tolist(), "count": distance.tolist()},
+        }
+
+    def points_summary(self, cloud: str, vehicle_labels: tuple[str, ...]) -> dict[str, Any]:
+        """Points in vehicle boxes over distance, and by weather, for one cloud."""
+        counts = self.counts.get(cloud, np.full(len(self), -1))
+        mine = self.vehicles(vehicle_labels) & (counts >= 0)
+        range_m, count = self.range_m[mine], counts[mine]
+        return {
+            "points_in_vehicles": points_by_distance(range_m, count),
+            "survival": survival(range_m, count, self.weather[mine]),
+        }
+
+    def pattern_ratio(self, vehicle_labels: tuple[str, ...]) -> float | None:
+        """Points of the Gaussian over those of the uniform pattern in vehicles beyond 50 m; None without both."""
+        counts = self.counts
+        if not {"gaussian", "uniform"} <= set(counts):
+            return None
+        both = self.vehicles(vehicle_labels) & (counts["gaussian"] >= 0) & (counts["uniform"] >= 0)
+        far = both & (self.range_m > 50.0)
+        uniform = int(counts["uniform"][far].sum())
+        return float(counts["gaussian"][far].sum() / uniform) if uniform else None
+
+
+def points_by_distance(range_m: Float[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> dict[str, Any]:
+    """Median points in a box for each bin of distance, and a straight line through them in log-log.
+
+    The line is fitted to bins from 10 m on with at least 8 boxes and a median of at least 3 points, each weighted by
+    its number of boxes. Nothing hidden and a sensor that resolves the boxes gives a slope of -2.
+
+    Args:
+        range_m: Distance of each box.
+        count: Points inside each box.
+
+    Returns:
+        ``edges_m``, ``boxes``, ``median`` (None in empty bins), ``share_empty``, ``slope``, ``level`` (of the line at
+        50 m) and ``fitted_m`` (from, to), the last three None where fewer than three bins qualify.
+    """
+    place = np.digitize(range_m, DISTANCE_EDGES_M) - 1
+    bins = len(DISTANCE_EDGES_M) - 1
+    boxes = np.array([int((place == k).sum()) for k in range(bins)])
+    median = [float(np.median(count[place == k])) if boxes[k] else None for k in range(bins)]
+    empty = [float((count[place == k] == 0).mean()) if boxes[k] else None for k in range(bins)]
+    centre_m = np.sqrt(DISTANCE_EDGES_M[:-1] * DISTANCE_EDGES_M[1:])
+    level = np.array([0.0 if value is None else value for value in median])
+    used = (DISTANCE_EDGES_M[:-1] >= FIT_FROM_M - 1e-6) & (boxes >= FIT_LEAST_BOXES) & (level >= FIT_LEAST_POINTS)
+    fit: dict[str, Any] = {"slope": None, "level": None, "fitted_m": None}
+    if used.sum() >= 3:
+        x = np.log10(centre_m[used] / LEVEL_AT_M)
+        slope, height = np.polyfit(x, np.log10(level[used]), 1, w=np.sqrt(boxes[used]))
+        ends = DISTANCE_EDGES_M[:-1][used][0], DISTANCE_EDGES_M[1:][used][-1]
+        fit = {"slope": float(slope), "level": float(10**height), "fitted_m": [float(end) for end in ends]}
+    return {
+        "edges_m": DISTANCE_EDGES_M.tolist(),
+        "boxes": boxes.tolist(),
+        "median": median,
+        "share_empty": empty,
+        **fit,
+    }
+
+
+def survival(
+    range_m: Float[np.ndarray, " n"], count: Int[np.ndarray, " n"], weather: Shaped[np.ndarray, " n"]
+) -> dict[str, Any]:
+    """Mean points in vehicle boxes by weather and distance, and their ratio to normal weather at the same distance.
+
+    Args:
+        range_m: Distance of each box.
+        count: Points inside each box.
+        weather: Weather of each box's frame.
+
+    Returns:
+        ``edges_m``, and for each weather ``boxes``, ``mean_points`` and ``ratio`` by bin; the ratio is None where
+        either mean is missing or that of normal weather is 0. ``overall`` is the mean ratio over the bins that have
+        one, each weighted by this weather's boxes.
+    """
+    place = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
+    bins = range(len(SURVIVAL_EDGES_M) - 1)
+    table: dict[str, Any] = {}
+    for name in sorted(set(weather.tolist()), key=lambda each: (each != NORMAL, each)):
+        members = [count[(weather == name) & (place == k)] for k in bins]
+        table[str(name)] = {
+            "boxes": [len(each) for each in members],
+            "mean_points": [float(each.mean()) if len(each) else None for each in members],
+        }
+    clear = table.get(NORMAL, {}).get("mean_points", [None for _ in bins])
+    for row in table.values():
+        row["ratio"] = [
+            mean / base if mean is not None and base else None
+            for mean, base in zip(row["mean_points"], clear, strict=True)
+        ]
+        known = [(ratio, n) for ratio, n in zip(row["ratio"], row["boxes"], strict=True) if ratio is not None]
+        row["overall"] = sum(r * n for r, n in known) / sum(n for _, n in known) if known else None
+    return {"edges_m": SURVIVAL_EDGES_M.tolist(), "weather": table}
