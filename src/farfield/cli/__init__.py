@@ -16,6 +16,7 @@ VERBS = {
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
     "score": "score the files of any detector, without a model",
+    "compare": "set the statistics of two data sets side by side: figures and a table",
     "report": "turn an evaluation into one self-contained HTML page",
 }
 

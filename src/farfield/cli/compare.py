@@ -1,0 +1,139 @@
+"""``farfield compare``: the statistics of two data sets side by side, such as simulated and real."""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import bar
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
+    from farfield.reports.comparison import Line, Side
+
+
+def run(
+    a: Positional[Path],
+    b: Positional[Path],
+    *,
+    frames: int = 200,
+    names: str = "",
+    vehicle_labels: str = "vehicle",
+    focus_deg: float = -2.0,
+    mapping_a: Path | None = None,
+    mapping_b: Path | None = None,
+    out: Path | None = None,
+) -> int:
+    """Set the statistics of two data sets side by side: elevation, points in boxes, ranges, sizes, weather, radar.
+
+    examples:
+      farfield compare data/sim Cirrus_dataset1
+      farfield compare data/sim Cirrus_dataset1 --frames 0 --names simulator,Cirrus --out runs/compare
+      farfield compare data/kradar K-Radar --frames 500
+
+    What one of them lacks is named and left out. Writes comparison.html, one self-contained page, and comparison.json.
+
+    Args:
+        a: One data set; its format is recognised.
+        b: The other.
+        frames: Frames to read of each, spread evenly; 0 reads all.
+        names: What to call them, separated by a comma; their folders' names unless given.
+        vehicle_labels: Classes that count as vehicles, separated by commas.
+        focus_deg: Elevation about which shares of returns are also counted.
+        mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
+        mapping_b: The same of b.
+        out: Folder to write into; runs/compare-A-B unless given.
+    """
+    from farfield.errors import ConfigError
+    from farfield.reports.comparison import table_lines, write_comparison
+
+    if frames < 0:
+        raise ConfigError(f"--frames: expected 0 (all) or more, got {frames}")
+    labels = tuple(word.strip() for word in vehicle_labels.split(",") if word.strip())
+    if not labels:
+        raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
+    called = _names(names, (a, b))
+    opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
+    sides = [
+        _side(data, name, frames, vehicle_labels=labels, focus_deg=focus_deg)
+        for data, name in zip(opened, called, strict=True)
+    ]
+    folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
+    page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}")
+    _print(table_lines(sides), sides)
+    for side in sides:
+        print("".join(f"note: {side.title}: {text}\n" for text in side.summary["missing"]), end="")
+    print(f"written: {folder / 'comparison.json'}\nreport: {page.resolve()}")
+    return 0
+
+
+def _names(names: str, paths: Sequence[Path]) -> tuple[str, str]:
+    from farfield.errors import ConfigError
+
+    given = tuple(word.strip() for word in names.split(",")) if names else tuple(path.resolve().name for path in paths)
+    if len(given) != 2 or not all(given):
+        raise ConfigError(f"--names: expected two names separated by a comma, got {names!r}")
+    if given[0] == given[1]:
+        given = tuple(f"{path.resolve().parent.name}/{name}" for path, name in zip(paths, given, strict=True))
+    if given[0] == given[1]:
+        given = f"A: {given[0]}", f"B: {given[1]}"
+    return given[0], given[1]
+
+
+def _open(path: Path, mapping: Path | None) -> "Dataset":
+    from farfield.datasets import open_dataset
+
+    return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
+
+
+def _side(data: "Dataset", name: str, frames: int, **settings: Any) -> "Side":
+    from farfield.cli.evaluate import is_simulated
+    from farfield.datasets.statistics import Statistics
+    from farfield.reports.comparison import Side
+
+    count = len(data) if frames == 0 else min(frames, len(data))
+    statistics = Statistics(shots=_shots(data.root), **settings)
+    for place in bar(range(count), name):
+        statistics.add(data[place * len(data) // count])
+    summary = statistics.summary()
+    if summary["simulated"] is None and is_simulated(data.root):
+        summary["simulated"] = True
+    return Side(name, summary, statistics.arrays(), str(data.root))
+
+
+def _shots(root: Path) -> dict[str, int]:
+    """Shots a frame by cloud, from the settings that ``farfield simulate`` leaves beside its frames; else nothing."""
+    for folder in (root, root.parent):
+        try:
+            preset = json.loads((folder / "simulation.json").read_text("utf-8"))["preset"]
+            shots = preset.get("lidar", preset)
+            lines, columns = int(shots["lines"]), int(shots["columns"])
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            continue
+        rows = {"gaussian": lines, "uniform": lines, "os2-64": 64, "os1-128": 128}
+        return {name: count * columns for name, count in rows.items()}
+    return {}
+
+
+def _print(lines: "Sequence[Line]", sides: "Sequence[Side]") -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{sides[0].title} and {sides[1].title}", title_justify="left")
+    table.add_column("topic", no_wrap=True)
+    table.add_column("what", overflow="fold")
+    for side in sides:
+        table.add_column(Text(side.title), justify="right", overflow="fold")
+    table.add_column("published", justify="right", style="dim")
+    topic = ""
+    for line in lines:
+        if line.topic != topic and topic:
+            table.add_section()
+        shown = Text("" if line.topic == topic else line.topic)
+        table.add_row(shown, Text(line.what), *(Text(value) for value in line.values), line.published)
+        topic = line.topic
+    Console(width=None if sys.stdout.isatty() else 160).print(table)

@@ -1,0 +1,263 @@
+"""Two data sets side by side: a table of their statistics, figures, and one self-contained HTML page."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.files.atomic import write_text
+from farfield.reports.pictures import Picture
+from farfield.reports.style import figure_uri
+
+PUBLISHED = {
+    "gaussian": {"2": "0.31", "5": "0.68", "10": "0.955"},
+    "radar": {
+        "floor_db": "109.1",
+        "floor_std_db": "0.30",
+        "leakage_db": "42 to 50",
+        "ring_db": "6 to 8",
+        "dip_db": "-2",
+        "rolloff_db": "-5",
+        "wrap_db": "2 to 6",
+        "cell_median_to_mean": "0.693",
+    },
+    "row_quantiles_db": {"5": "0.5", "25": "0.8", "50": "1.2", "75": "2.0", "95": "4.2"},
+}
+"""Figures measured on real data elsewhere: three Luminar sweeps, one plotted K-Radar frame; ln 2 for single looks."""
+
+_RADAR_WORDS = {
+    "floor_db": "noise floor (dB)",
+    "floor_std_db": "spread of the floor (dB)",
+    "peak_db": "strongest object above the floor (dB)",
+    "peak_m": "range of the strongest object (m)",
+    "leakage_db": "leakage below 0.5 m, above the floor (dB)",
+    "ring_db": "1 to 5 m, above the floor (dB)",
+    "dip_db": "6 to 11 m, above the floor (dB)",
+    "rolloff_db": "110 to 114 m, above the floor (dB)",
+    "wrap_db": "beyond 116 m, above the floor (dB)",
+    "cell_median_to_mean": "single cells, median over mean",
+}
+NOTHING = "–"
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two data sets.
+
+    Args:
+        name: What figures and table call it.
+        summary: Its figures: ``farfield.datasets.statistics.Statistics.summary()``.
+        arrays: Its arrays: ``Statistics.arrays()``.
+        path: Where it was read from.
+    """
+
+    name: str
+    summary: Mapping[str, Any]
+    arrays: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    path: str = ""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the data calls itself simulated."""
+        return bool(self.summary.get("simulated"))
+
+    @property
+    def title(self) -> str:
+        """The name, and "simulated" where that is known."""
+        return f"{self.name} (simulated)" if self.simulated else self.name
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the table.
+
+    Args:
+        topic: What group it belongs to.
+        what: What was measured.
+        values: One text a side.
+        published: The figure known from real data, or nothing.
+    """
+
+    topic: str
+    what: str
+    values: tuple[str, ...]
+    published: str = ""
+
+
+def table_lines(sides: Sequence[Side]) -> list[Line]:
+    """The table of all statistics; lines that neither side has are left out."""
+    lines = [
+        *_line(sides, "data", "frames", "frames", digits=0),
+        *_line(sides, "data", "sequences", "sequences", digits=0),
+        Line("data", "simulated", tuple(_said(side.summary.get("simulated")) for side in sides)),
+        *_line(sides, "data", "boxes are", "box_protocol"),
+    ]
+    for cloud in _names(sides, "clouds"):
+        lines += _cloud_lines(sides, cloud)
+    lines += _line(sides, "LiDAR", "points in vehicles beyond 50 m, gaussian over uniform", "pattern_ratio_beyond_50_m")
+    lines += _line(sides, "boxes", "a frame", "boxes", "per_frame", digits=1)
+    lines += _line(sides, "boxes", "most in a frame", "boxes", "most_in_a_frame", digits=0)
+    for name in _names(sides, "boxes", "classes")[:8]:
+        lines += _line(sides, "boxes", f"share of {name}", "boxes", "classes", name, "share", digits=3)
+    for axis in ("length_m", "width_m", "height_m"):
+        what = f"mean {axis.removesuffix('_m')} of vehicle (m)"
+        lines += _line(sides, "boxes", what, "boxes", "classes", "vehicle", axis, "mean")
+    for kind in ("weather", "road", "time"):
+        for name in _names(sides, "conditions", kind):
+            lines += _line(sides, kind, f"share of frames, {name}", "conditions", kind, name, digits=3)
+    for key, words in _RADAR_WORDS.items():
+        published = PUBLISHED["radar"].get(key, "")
+        lines += _line(sides, "radar", words, "radar", key, published=published)
+    for quantile, published in PUBLISHED["row_quantiles_db"].items():
+        words = f"strongest object's row, {quantile} % quantile (dB)"
+        lines += _line(sides, "radar", words, "radar", "row_quantiles_db", quantile, published=published)
+    return lines
+
+
+def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
+    base = ("clouds", cloud)
+    topic = f"LiDAR, {cloud}"
+    lines = [
+        *_line(sides, topic, "points a frame", *base, "points_per_frame", digits=0),
+        *_line(sides, topic, "share of shots that return", *base, "return_rate", digits=3),
+        *_line(sides, topic, "farthest return (m)", *base, "longest_m", digits=0),
+    ]
+    far_m = next((side.summary["clouds"][cloud]["far_m"] for side in sides if cloud in side.summary["clouds"]), 0.0)
+    focus = next((side.summary["clouds"][cloud]["focus_deg"] for side in sides if cloud in side.summary["clouds"]), 0.0)
+    kinds = {
+        "far_share_of_horizon": f"|elevation| < {{}}°, beyond {far_m:g} m",
+        "share_of_horizon": "|elevation| < {}°, all returns",
+        "far_share_of_focus": f"within {{}}° of {focus:g}°, beyond {far_m:g} m",
+        "share_of_focus": f"within {{}}° of {focus:g}°, all returns",
+    }
+    for key, words in kinds.items():
+        for limit in ("2", "5", "10"):
+            published = PUBLISHED.get(cloud, {}).get(limit, "") if key == "far_share_of_horizon" else ""
+            lines += _line(sides, topic, words.format(limit), *base, key, limit, digits=3, published=published)
+    points = (*base, "points_in_vehicles")
+    lines += _line(sides, topic, "points in vehicles: slope in log-log", *points, "slope")
+    lines += _line(sides, topic, "points in vehicles: level at 50 m", *points, "level", digits=1)
+    for weather in _names(sides, *base, "survival", "weather"):
+        if weather == "normal":
+            continue
+        words = f"points in vehicles, {weather} over normal"
+        lines += _line(sides, topic, words, *base, "survival", "weather", weather, "overall")
+    return lines
+
+
+def _line(sides: Sequence[Side], topic: str, what: str, *path: str, digits: int = 2, published: str = "") -> list[Line]:
+    values = tuple(_text(_find(side.summary, path), digits) for side in sides)
+    return [] if set(values) == {NOTHING} else [Line(topic, what, values, published)]
+
+
+def _find(tree: Any, path: Sequence[str]) -> Any:
+    for key in path:
+        tree = tree.get(key) if isinstance(tree, Mapping) else None
+    return tree
+
+
+def _names(sides: Sequence[Side], *path: str) -> list[str]:
+    """Keys that any side has there, in the order of their first appearance."""
+    return list(dict.fromkeys(name for side in sides for name in _find(side.summary, path) or {}))
+
+
+def _text(value: Any, digits: int) -> str:
+    if value is None:
+        return NOTHING
+    return f"{value:,.{digits}f}" if isinstance(value, int | float) else str(value)
+
+
+def _said(simulated: bool | None) -> str:
+    return {True: "yes", False: "no", None: "not said"}[simulated]
+
+
+def pictures(sides: Sequence[Side]) -> list[Picture]:
+    """Every figure that at least one side has the data for."""
+    from farfield.reports import comparison_plots as plots
+
+    found = []
+    for draw, heading, caption in (
+        (
+            plots.elevation,
+            "Where the returns lie in elevation",
+            "Left: share of returns per degree of elevation, as the origin of the frame sees it. Right: shares near "
+            "the horizon, of returns beyond 8 m; nearer ones shift where several sensors were merged into one cloud. "
+            "The crosses are the published figures of real Luminar sweeps.",
+        ),
+        (
+            plots.points_in_vehicles,
+            "Points in vehicle boxes over distance",
+            "Darker hexagons hold more boxes; empty boxes stand on the lowest line. Dots are medians of distance bins, "
+            "lines are fitted to the medians. A sensor that sees whole objects has slope -2.",
+        ),
+        (plots.ranges, "Range of the returns", "Share of returns in each 5 m of range."),
+        (
+            plots.objects,
+            "Objects",
+            "Distance of annotated vehicles over the ground, and the classes that were annotated.",
+        ),
+        (plots.sizes, "Box sizes", "Mean and standard deviation by class, in metres, of classes with 3 boxes or more."),
+        (
+            plots.survival,
+            "What weather leaves of a vehicle's points",
+            "Mean points in vehicle boxes over those in normal weather at the same distance; 1 is no loss. Boxes of "
+            "visible parts only hide the loss of whole objects.",
+        ),
+        (plots.conditions, "Conditions", "Shares of frames by weather, road and time of day."),
+        (
+            plots.radar_maps,
+            "Radar: power by range and azimuth",
+            "Mean over Doppler and elevation of the first frame, in dB above that frame's floor.",
+        ),
+        (
+            plots.radar_levels,
+            "Radar: floor, edges and side lobes",
+            "Left: median over azimuth by range, above the floor. Right: quantiles of the strongest object's azimuth "
+            "row; the crosses are the published real frame.",
+        ),
+    ):
+        figure = draw(sides)
+        if figure is not None:
+            alt = f"{heading}: {' and '.join(side.title for side in sides)}"
+            found.append(Picture(figure_uri(figure), alt, caption, heading))
+    return found
+
+
+def render(sides: Sequence[Side], *, title: str) -> str:
+    """Return the page as HTML."""
+    from jinja2 import Environment, StrictUndefined
+
+    home = files("farfield.reports")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string((home / "comparison.html").read_text(encoding="utf-8"))
+    return template.render(
+        title=title,
+        style=(home / "page.css").read_text(encoding="utf-8"),
+        sides=sides,
+        lines=table_lines(sides),
+        pictures=pictures(sides),
+        any_simulated=any(side.simulated for side in sides),
+    )
+
+
+def write_comparison(folder: Path | str, sides: Sequence[Side], *, title: str) -> Path:
+    """Write ``comparison.json`` and ``comparison.html`` into a folder, each all or nothing.
+
+    Args:
+        folder: Made if absent.
+        sides: The two data sets.
+        title: Title of the page.
+
+    Returns:
+        The page.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    tree = {"title": title, "sides": [{"name": s.name, "path": s.path, **s.summary} for s in sides]}
+    write_text(folder / "comparison.json", json.dumps(tree, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "comparison.html", render(sides, title=title))
+    return folder / "comparison.html"
