@@ -165,6 +165,8 @@ def take_picture(placed: list[Placed], grid: RayGrid, world_T_camera: Float[np.n
 
 def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | None) -> None:
     """Cast the chosen rays, or all, at one body and keep what is nearer than before."""
+    if chosen is not None and chosen.size == 0:
+        return
     body_T_world = invert(body.world_T_body)
     start = transform_points(body_T_world, picture.origin_m[None])[0]
     rays, turn = picture.directions if chosen is None else picture.directions[chosen], body_T_world[:3, :3]

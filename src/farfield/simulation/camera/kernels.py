@@ -142,10 +142,11 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
         towards = -(lx * lamps[i, 3] + ly * lamps[i, 4] + lz * lamps[i, 5])
         if lamps[i, 11] > 0:  # a head lamp's cone is meant sideways
             towards = -(lx * lamps[i, 3] + ly * lamps[i, 4]) / np.sqrt(lx * lx + ly * ly + np.float32(1e-6))
-        cone = min(np.float32(1), max(np.float32(0), (towards - lamps[i, 6]) * np.float32(12)))
+        cone = min(np.float32(1), max(np.float32(0), (towards - lamps[i, 6]) * np.float32(12))) ** 2
+        if lamps[i, 11] > 0:
+            cone = max(cone, np.float32(0.12) * towards * towards if towards > 0 else np.float32(0))  # stray light
         if cone <= 0:
             continue
-        cone *= cone
         if lamps[i, 11] > 0:  # it is dimmed above its cut-off, near the horizon
             cone *= np.float32(0.12) + np.float32(0.88) / (
                 np.float32(1) + np.exp((-lz + np.float32(0.012)) * np.float32(150))
@@ -364,14 +365,15 @@ def fill_light(lit, known, range_m, face, height, width, out):
     for v in range(height):
         for u in range(width):
             i = v * width + u
-            if face[i] < 0 or known[i]:
-                out[i] = lit[i]
+            if face[i] < 0:
+                out[i] = np.float32(1)
                 continue
-            total, weight = np.float32(0), np.float32(0)
+            weight = np.float32(1.5) if known[i] else np.float32(0)
+            total = weight * lit[i]
             for r in range(max(0, v - 1), min(height, v + 2)):
                 for q in range(max(0, u - 3), min(width, u + 4)):
                     j = r * width + q
-                    if known[j] and abs(range_m[j] - range_m[i]) < np.float32(0.05) * range_m[i]:
+                    if j != i and known[j] and abs(range_m[j] - range_m[i]) < np.float32(0.05) * range_m[i]:
                         w = np.float32(1) / np.float32((q - u) ** 2 + 6 * (r - v) ** 2)
                         if face[j] != face[i]:
                             w *= np.float32(0.25)
