@@ -34,6 +34,12 @@ def _argoverse2(root: Path, **options: Any) -> Dataset:
     return Argoverse2(root, **options)
 
 
+def _kradar(root: Path, **options: Any) -> Dataset:
+    from farfield.datasets.kradar import KRadar
+
+    return KRadar(root, **options)
+
+
 def _folder(root: Path, **options: Any) -> Dataset:
     from farfield.datasets.folder import Folder
 
@@ -45,6 +51,7 @@ FORMATS: dict[str, Callable[..., Dataset]] = {
     "kitti": _kitti,
     "kitti_tracking": _kitti_tracking,
     "argoverse2": _argoverse2,
+    "kradar": _kradar,
     "folder": _folder,
 }
 
@@ -53,6 +60,7 @@ _LOOKED_FOR = {
     "kitti": "training/velodyne/*.bin",
     "kitti_tracking": "training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     "argoverse2": "<log>/sensors/lidar/*.feather",
+    "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt or another part",
     "folder": "*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
 }
 
@@ -80,6 +88,10 @@ def recognise(root: Path, *, mapping: Any = None) -> str | None:
         return "kitti_tracking"
     if any(_has(root, prefix + "sensors/lidar/*.feather") for prefix in ("", "*/", "*/*/")):
         return "argoverse2"
+    from farfield.datasets.kradar.index import find_sequences
+
+    if find_sequences([root]):
+        return "kradar"
     return "folder" if any(_has(root, f"*{suffix}") for suffix in CLOUD_SUFFIXES) else None
 
 

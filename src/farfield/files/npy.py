@@ -58,4 +58,4 @@ def write_npy(path: Path | str, array: Shaped[np.ndarray, "..."]) -> None:
     if array.dtype.kind not in "fiub":
         raise ValueError(f"write_npy: expected numbers, got dtype {array.dtype}")
     with open_atomic(path) as handle:
-        np.lib.format.write_array(handle, np.ascontiguousarray(array), version=(1, 0), allow_pickle=False)
+        np.lib.format.write_array(handle, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)

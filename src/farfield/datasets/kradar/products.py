@@ -156,7 +156,7 @@ def read_lidar(path: Path, lidar: str) -> Cloud:
     return Cloud(points[kept], strength[kept], {name: values[kept] for name, values in extra.items()})
 
 
-Image3 = UInt8[np.ndarray, "height width 3"]
+Image3 = UInt8[np.ndarray, "_ _ 3"]
 
 
 def write_stereo(path: Path, left: Image3 | None, right: Image3 | None) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +64,7 @@ class KRadarWriter:
         self,
         root: Path | str,
         labels: tuple[str, ...] = VERSIONS,
-        tesseract_dtype: Literal["float32", "float64"] = "float32",
+        tesseract_dtype: str = "float32",
         compress: bool = False,
         columns: int = COLUMNS,
     ) -> None:
