@@ -105,6 +105,14 @@ def test_a_straight_pole_bends_as_the_distortion_says() -> None:
         assert row.mean() == pytest.approx(u, abs=1.0)
 
 
+def test_pixels_beyond_the_fold_of_the_distortion_stay_black() -> None:
+    folding = dataclasses.replace(SMALL.lens, distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
+    image, range_m = radiance(still(), dataclasses.replace(SMALL, lens=folding).camera(np.eye(4)), np.eye(4), OVERCAST)
+    assert image[0, 0].max() == image[-1, -1].max() == 0.0
+    assert np.isinf(range_m[-1, -1])
+    assert image[90, 60:250].min() > 0.0
+
+
 def test_contrast_of_a_black_target_is_5_percent_at_the_optical_range() -> None:
     """Koschmieder, and the definition of the meteorological optical range (validation test 3)."""
     camera = SMALL.camera(np.eye(4))

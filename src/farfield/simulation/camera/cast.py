@@ -21,7 +21,7 @@ class RayGrid:
     """The distorted rays of an image, in camera axes (x right, y down, z forward).
 
     Args:
-        directions: Unit directions row by row, shape (h w, 3).
+        directions: Unit directions row by row, shape (h w, 3); zero beyond the fold of the distortion.
         height: Rows of rays.
         width: Rays a row.
         column_reach: Least and greatest x / z of each column, shape (2, w).

@@ -174,6 +174,9 @@ def shade(directions, range_m, face, lit, dimmed, mirrored, width, origin, pixel
     colour, light, mirror = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     for i in range(directions.shape[0]):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        if dx == 0 and dy == 0 and dz == 0:  # beyond the fold of the distortion: no light comes this way
+            out[i, 0] = out[i, 1] = out[i, 2] = np.float32(0)
+            continue
         far = range_m[i]
         f = face[i]
         if f < 0:
