@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from farfield.datasets.statistics import Statistics, gather, map_statistics, power_map_db
-from farfield.datasets.statistics.objects import points_by_distance, survival
+from farfield.datasets.statistics.objects import points_by_distance, radar_survival, survival
 from farfield.datasets.statistics.radar import exponential_ratio
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
@@ -165,8 +165,9 @@ def picture_of_a_real_map(path):
     bar_db = 150.0 + (326 - bar_rows) * 50.0 / (1265 - 326)  # ticks at 150 and 100 dB
     x = (240 + (np.arange(107) + 0.5) * (1430 - 240) / 107).round().astype(int)
     y = (1282 - (np.arange(256) + 0.5) * (1282 - 173) / 256).round().astype(int)
-    away = ((image[y][:, x][:, :, None, :] - image[bar_rows, 1532]) ** 2).sum(-1)
-    return bar_db[away.argmin(-1)]
+    colours, which = np.unique(image[y][:, x].reshape(-1, 3), axis=0, return_inverse=True)
+    away = ((colours[:, None, :] - image[bar_rows, 1532]) ** 2).sum(-1)
+    return bar_db[away.argmin(-1)][which].reshape(256, 107)
 
 
 def test_a_real_radar_map_has_its_published_figures(shared_real):
@@ -195,6 +196,30 @@ def test_map_statistics_of_a_made_map(rng):
     assert found["leakage_db"] == pytest.approx(45.0, abs=0.2)
     assert found["rolloff_db"] == pytest.approx(-5.0, abs=0.1)
     assert found["row_quantiles_db"]["50"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_radar_excess_stands_where_the_vehicle_does_in_the_radars_frame():
+    pose = np.eye(4)
+    pose[:3, 3] = (2.54, -0.3, -0.7)
+    for weather, amount in (("normal", 9.0), ("heavy_snow", 4.5)):
+        polar = np.full((2, 256, 107, 37), 0.008, dtype=np.float32)
+        polar[0, 108, 53 + 30] *= 1.0 + amount  # 49.99 m, 30 degrees left
+        place = 108 * 0.462890625 * np.array([np.cos(np.radians(30)), np.sin(np.radians(30)), 0.0]) + pose[:3, 3]
+        boxes = cars([0.0, 0.0]).replace(centre_m=np.stack([place, place * [1, -1, 1]]))
+        radar = {"polar3d": polar}
+        frame = frame_of({}, boxes, radar=radar, conditions={"weather": weather}, metadata={"os2_T_radar": pose})
+        statistics = gather([frame])
+        np.testing.assert_allclose(statistics.objects.radar_excess, [amount, 0.0], atol=1e-4)
+
+
+def test_radar_change_by_weather_by_hand():
+    range_m = np.array([30.0, 30.0, 50.0, 50.0, 50.0])
+    excess = np.array([10.0, 5.0, 8.0, 4.0, 4.0])
+    weather = np.array(["normal", "sleet", "normal", "sleet", "sleet"], dtype=object)
+    table = radar_survival(range_m, excess, weather)["weather"]
+    assert table["sleet"]["change_db"][1:3] == pytest.approx([-3.0103, -3.0103], abs=1e-4)
+    assert table["sleet"]["overall"] == pytest.approx(-3.0103, abs=1e-4)
+    assert table["sleet"]["change_db"][0] is None
 
 
 def test_tensor_and_polar_map_give_the_same_map(rng):

@@ -115,6 +115,10 @@ def table_lines(sides: Sequence[Side]) -> list[Line]:
     for quantile, published in PUBLISHED["row_quantiles_db"].items():
         words = f"strongest object's row, {quantile} % quantile (dB)"
         lines += _line(sides, "radar", words, "radar", "row_quantiles_db", quantile, published=published)
+    for weather in _names(sides, "radar_survival", "weather"):
+        if weather != "normal":
+            words = f"vehicles above the floor, {weather} minus normal (dB)"
+            lines += _line(sides, "radar", words, "radar_survival", "weather", weather, "overall")
     return lines
 
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from farfield.datasets.statistics.clouds import FOCUS_DEG, CloudTally
 from farfield.datasets.statistics.objects import ObjectRows
-from farfield.datasets.statistics.radar import RadarTally, map_statistics, power_map_db
+from farfield.datasets.statistics.radar import RadarTally, box_excess, map_statistics, power_map_db
 from farfield.frame import Frame
+from farfield.geometry.poses import invert, transform_points
 
 __all__ = ["CloudTally", "ObjectRows", "RadarTally", "Statistics", "gather", "map_statistics", "power_map_db"]
 
@@ -59,9 +60,19 @@ class Statistics:
         for name, cloud in loaded.items():
             tally = self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg))
             tally.add(cloud.points_m, shots=shots.get(name))
+        heard = self.radar.add(frame.radar)
         if frame.boxes is not None:
-            self.objects.add(frame.boxes, loaded, weather=frame.conditions.get("weather", "unknown"))
-        self.radar.add(frame.radar)
+            excess = None if heard is None else self._excess(frame, *heard)
+            weather = frame.conditions.get("weather", "unknown")
+            self.objects.add(frame.boxes, loaded, weather=weather, radar_excess=excess)
+
+    @staticmethod
+    def _excess(frame: Frame, power_db: np.ndarray, floor_db: float) -> np.ndarray | None:
+        """Radar excess at each box, where the frame says where its radar stands."""
+        pose = frame.metadata.get("os2_T_radar", frame.metadata.get("lidar_T_radar"))
+        if pose is None or frame.boxes is None:
+            return None
+        return box_excess(power_db, transform_points(invert(pose), frame.boxes.centre_m), floor_db)
 
     def merge(self, other: "Statistics") -> None:
         """Take in what was counted over other frames.
@@ -123,6 +134,7 @@ class Statistics:
             "pattern_ratio_beyond_50_m": self.objects.pattern_ratio(self.vehicle_labels),
             "boxes": self.objects.summary(self.vehicle_labels),
             "radar": self.radar.summary(),
+            "radar_survival": self.objects.radar_summary(self.vehicle_labels),
             "missing": self.missing,
         }
 

@@ -20,7 +20,7 @@ NORMAL = "normal"
 
 @dataclass(kw_only=True)
 class ObjectRows:
-    """One row for every annotated box: ground distance, class, size, weather, points by cloud (-1: no such cloud)."""
+    """One row for every annotated box: ground distance, class, size, weather, points by cloud, and radar excess."""
 
     frames: int = 0
     most_in_a_frame: int = 0
@@ -28,15 +28,23 @@ class ObjectRows:
     _counts: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
     _total: int = 0
 
-    def add(self, boxes: Boxes, clouds: Mapping[str, Cloud], *, weather: str = "unknown") -> None:
-        """Count the points of each cloud in each box of one frame."""
+    def add(
+        self,
+        boxes: Boxes,
+        clouds: Mapping[str, Cloud],
+        *,
+        weather: str = "unknown",
+        radar_excess: Float[np.ndarray, " n"] | None = None,
+    ) -> None:
+        """Count the points of each cloud in each box of one frame; ``radar_excess`` is kept as it is."""
         self.frames += 1
         self.most_in_a_frame = max(self.most_in_a_frame, len(boxes))
         if not len(boxes):
             return
         range_m = np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1])
         label = np.asarray(boxes.label, dtype=object)
-        self._parts.append((range_m, label, boxes.size_m.copy(), np.full(len(boxes), weather, dtype=object)))
+        excess = np.full(len(boxes), np.nan) if radar_excess is None else radar_excess
+        self._parts.append((range_m, label, boxes.size_m.copy(), np.full(len(boxes), weather, dtype=object), excess))
         for name, cloud in clouds.items():
             self._counts.setdefault(name, []).append((self._total, count_points_in_boxes(cloud.points_m, boxes)))
         self._total += len(boxes)
@@ -73,6 +81,11 @@ class ObjectRows:
     def weather(self) -> Shaped[np.ndarray, " n"]:
         """Weather of each box's frame."""
         return self._column(3, np.zeros(0, dtype=object))
+
+    @property
+    def radar_excess(self) -> Float[np.ndarray, " n"]:
+        """Excess of the radar map at each box over its floor; NaN where unknown."""
+        return self._column(4, np.zeros(0))
 
     @property
     def counts(self) -> dict[str, Int[np.ndarray, " n"]]:
@@ -128,6 +141,13 @@ class ObjectRows:
             "points_in_vehicles": points_by_distance(range_m, count),
             "survival": survival(range_m, count, self.weather[mine]),
         }
+
+    def radar_summary(self, vehicle_labels: tuple[str, ...]) -> dict[str, Any] | None:
+        """Radar excess at vehicles over distance, by weather; None without any."""
+        mine = self.vehicles(vehicle_labels) & np.isfinite(self.radar_excess)
+        if not mine.any():
+            return None
+        return radar_survival(self.range_m[mine], self.radar_excess[mine], self.weather[mine])
 
     def pattern_ratio(self, vehicle_labels: tuple[str, ...]) -> float | None:
         """Points of the Gaussian over those of the uniform pattern in vehicles beyond 50 m; None without both."""
@@ -209,4 +229,35 @@ def survival(
         ]
         known = [(ratio, n) for ratio, n in zip(row["ratio"], row["boxes"], strict=True) if ratio is not None]
         row["overall"] = sum(r * n for r, n in known) / sum(n for _, n in known) if known else None
+    return {"edges_m": SURVIVAL_EDGES_M.tolist(), "weather": table}
+
+
+def radar_survival(
+    range_m: Float[np.ndarray, " n"], excess: Float[np.ndarray, " n"], weather: Shaped[np.ndarray, " n"]
+) -> dict[str, Any]:
+    """Median radar excess at vehicles by weather and distance, and its change against normal weather in dB.
+
+    Args:
+        range_m: Distance of each box.
+        excess: Linear excess over the floor at each box.
+        weather: Weather of each box's frame.
+
+    Returns:
+        ``edges_m``, and for each weather ``boxes``, ``median_db`` and ``change_db`` by bin, None where nothing rises
+        above the floor; ``overall`` is the mean change, each bin weighted by this weather's boxes.
+    """
+    place = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
+    bins = range(len(SURVIVAL_EDGES_M) - 1)
+    table: dict[str, Any] = {}
+    for name in sorted(set(weather.tolist()), key=lambda each: (each != NORMAL, each)):
+        members = [excess[(weather == name) & (place == k)] for k in bins]
+        medians = [float(np.median(each)) if len(each) else 0.0 for each in members]
+        levels = [10.0 * float(np.log10(each)) if each > 0 else None for each in medians]
+        table[str(name)] = {"boxes": [len(each) for each in members], "median_db": levels}
+    clear = table.get(NORMAL, {}).get("median_db", [None for _ in bins])
+    for row in table.values():
+        pairs = zip(row["median_db"], clear, strict=True)
+        row["change_db"] = [None if a is None or b is None else a - b for a, b in pairs]
+        known = [(each, n) for each, n in zip(row["change_db"], row["boxes"], strict=True) if each is not None]
+        row["overall"] = sum(each * n for each, n in known) / sum(n for _, n in known) if known else None
     return {"edges_m": SURVIVAL_EDGES_M.tolist(), "weather": table}

@@ -42,7 +42,8 @@ def power_map_db(radar: Mapping[str, Any]) -> Float[np.ndarray, "r a"] | None:
     if "polar3d" in radar:
         power = np.asarray(radar["polar3d"])[0].astype(np.float64).mean(axis=2) * POWER_UNIT
     elif "tesseract" in radar:
-        power = moments(radar["tesseract"], KRADAR_AXES).mean_power.mean(axis=1, dtype=np.float64)
+        tensor = np.asarray(radar["tesseract"], dtype=np.float32)  # the real files hold float64
+        power = moments(tensor, KRADAR_AXES).mean_power.mean(axis=1, dtype=np.float64)
     else:
         return None
     return 10.0 * np.log10(np.maximum(power, 1e-30))
@@ -82,6 +83,33 @@ def map_statistics(
     return found
 
 
+def box_excess(
+    power_db: Float[np.ndarray, "r a"], centre_m: Float[np.ndarray, "n 3"], floor_db: float
+) -> Float[np.ndarray, " n"]:
+    """How far the strongest cell at each object rises above the floor, in units of the floor: an SNR of the map.
+
+    Args:
+        power_db: Map in dB on K-Radar's axes.
+        centre_m: Centres of objects in the radar's frame.
+        floor_db: The map's floor.
+
+    Returns:
+        Linear excess of the strongest cell within 1.4 m and 2 degrees, shape (n,); NaN where the centre lies outside
+        15 to 107 m or the field of view.
+    """
+    axes = KRADAR_AXES
+    range_m = np.linalg.norm(centre_m, axis=1)
+    azimuth_deg = np.degrees(np.arctan2(centre_m[:, 1], centre_m[:, 0]))
+    excess = np.full(len(centre_m), np.nan)
+    seen = _between(range_m, FLOOR_M) & (np.abs(azimuth_deg) <= axes.azimuth_deg[-1])
+    for index in np.flatnonzero(seen):
+        row = round(float(range_m[index]) / axes.range_step_m)
+        column = round(float(azimuth_deg[index] - axes.azimuth_deg[0]))
+        patch = power_db[row - 3 : row + 4, max(column - 2, 0) : column + 3]
+        excess[index] = 10.0 ** ((patch.max() - floor_db) / 10.0) - 1.0
+    return excess
+
+
 def _between(range_m: np.ndarray, zone_m: tuple[float, float]) -> np.ndarray:
     return (range_m >= zone_m[0]) & (range_m <= zone_m[1])
 
@@ -110,11 +138,11 @@ class RadarTally:
         """Frames that had a radar map."""
         return len(self.per_frame)
 
-    def add(self, radar: Mapping[str, Any]) -> None:
-        """Take in one frame's radar, if it has any that gives a map."""
+    def add(self, radar: Mapping[str, Any]) -> tuple[np.ndarray, float] | None:
+        """Take in one frame's radar; returns its map and floor in dB, or None where it has none."""
         power_db = power_map_db(radar)
         if power_db is None:
-            return
+            return None
         found = map_statistics(power_db)
         above_db = np.median(power_db, axis=1) - found["floor_db"]
         if self.profile_db is None:
@@ -123,6 +151,7 @@ class RadarTally:
         self.per_frame.append(found)
         if "tesseract" in radar and not self.cell_ratios:  # one frame tells, and a tensor is 260 MB
             self.cell_ratios.append(exponential_ratio(radar["tesseract"]))
+        return power_db, found["floor_db"]
 
     def merge(self, other: "RadarTally") -> None:
         """Take in other frames."""
