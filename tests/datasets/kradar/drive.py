@@ -10,14 +10,14 @@ from farfield.geometry.poses import pose_from_yaw
 OS2_T_OS1 = pose_from_yaw(0.01, (0.35, 0.0, -0.25))
 
 
-def cloud(rng: np.random.Generator, lines: int, columns: int, count: int) -> Cloud:
+def cloud(rng: np.random.Generator, lines: int, columns: int, count: int, first_ns: int = 0) -> Cloud:
     """Points in random places of the grid, in the order of the file: ring by ring."""
     place = np.sort(rng.choice(lines * columns, count, replace=False))
     points = rng.normal(0, 40, (count, 3)).astype(np.float32)
     extra = {
         "ring": (place // columns).astype(np.uint8),
         "column": (place % columns).astype(np.uint16),
-        "time_ns": rng.integers(0, 100_000_000, count).astype(np.int32),
+        "time_ns": rng.integers(first_ns, first_ns + 100_000_000, count).astype(np.int32),
         "reflectivity": rng.integers(0, 256, count).astype(np.uint16),
         "ambient": rng.integers(0, 65536, count).astype(np.uint16),
         "range_mm": rng.integers(0, 240_000, count).astype(np.uint32),
@@ -54,7 +54,7 @@ def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "l
         "sequence": sequence,
         "frame_id": str(number),
         "time_ns": time_ns,
-        "clouds": {"os2-64": cloud(rng, 64, 512, 900), "os1-128": cloud(rng, 128, 512, 1500)},
+        "clouds": {"os2-64": cloud(rng, 64, 512, 900), "os1-128": cloud(rng, 128, 512, 1500, -50_000_000)},
         "radar": {"sparse": rng.normal(0, 30, (50, 4))},
         "images": {
             name: rng.integers(0, 256, (36, 64, 3), dtype=np.uint8) for name in ("cam-front", "cam-front-right")

@@ -63,6 +63,8 @@ def test_a_frame_comes_back_as_it_was(root: Path) -> None:
         for name, cloud in given.clouds.items():
             assert np.array_equal(back.clouds[name].points_m, cloud.points_m)
             assert np.array_equal(back.clouds[name].intensity, cloud.intensity)
+            for column, values in cloud.extra.items():
+                assert np.array_equal(back.clouds[name].extra[column], values)
         assert np.array_equal(back.radar["sparse"], given.radar["sparse"])
         for name, image in given.images.items():
             assert np.array_equal(back.images[name], image)
@@ -206,6 +208,10 @@ def test_poses_come_from_odometry_where_there_are_no_records(root: Path, tmp_pat
     assert back.time_ns == frame(2).time_ns
     assert set(back.times_ns) == {"os2-64", "os1-128", "cam-front"}
     assert "os2_T_os1" not in back.metadata
+    assert (back.clouds["os1-128"].extra["time_ns"].min(), frame(2).clouds["os1-128"].extra["time_ns"].min() < 0) == (
+        0,
+        True,
+    )
 
 
 def test_damaged_side_files_are_named(root: Path, tmp_path: Path) -> None:

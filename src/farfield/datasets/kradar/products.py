@@ -93,8 +93,8 @@ def write_lidar(path: Path, cloud: Cloud, *, lines: int, columns: int) -> None:
 
     A cloud with extra columns ``ring`` and ``column`` is written organised, ``columns`` wide and ``lines`` high, with
     rows of zeros where nothing returned; any other as a plain list. The file's intensity is the extra column
-    ``signal`` (photon counts) or, without it, 1024 times the cloud's intensity; ``t`` is ``time_ns``, nanoseconds since
-    the sweep's first shot; ``range`` is ``range_mm``, or the distance; what is missing is 0.
+    ``signal`` (photon counts) or, without it, 1024 times the cloud's intensity; ``t`` is ``time_ns``, moved to
+    begin at 0 if it begins earlier; ``range`` is ``range_mm``, or the distance; what is missing is 0.
 
     Raises:
         DatasetError: If two points have the same place, or one lies outside the grid.
@@ -118,6 +118,11 @@ def write_lidar(path: Path, cloud: Cloud, *, lines: int, columns: int) -> None:
     write_pcd(path, grid, encoding="ascii", height=lines)
 
 
+def first_shot_ns(cloud: Cloud) -> int:
+    """How far a cloud's ``time_ns`` must be moved so that none is negative, as ``t`` cannot be: 0 or below."""
+    return min(int(np.min(cloud.extra.get("time_ns", 0), initial=0)), 0)
+
+
 def _fields(cloud: Cloud) -> dict[str, Shaped[np.ndarray, " n"]]:
     extra: Mapping[str, np.ndarray] = cloud.extra
     zero = np.zeros(len(cloud))
@@ -125,15 +130,21 @@ def _fields(cloud: Cloud) -> dict[str, Shaped[np.ndarray, " n"]]:
     distance_mm = np.rint(np.linalg.norm(cloud.points_m.astype(np.float64), axis=1) * 1000)
     rest = {name: extra.get(name, zero) for name in ("reflectivity", "ring", "ambient")}
     x, y, z = cloud.points_m.T
-    named = {"x": x, "y": y, "z": z, "intensity": signal, "t": extra.get("time_ns", zero), **rest}
+    time_ns = extra.get("time_ns", zero) - np.int64(first_shot_ns(cloud))
+    named = {"x": x, "y": y, "z": z, "intensity": signal, "t": time_ns, **rest}
     return {name: (named | {"range": extra.get("range_mm", distance_mm)})[name] for name in _FIELDS}
 
 
-def read_lidar(path: Path, lidar: str) -> Cloud:
+def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
     """Read an Ouster's sweep without its missing returns, in the sensor's own frame.
 
     Extra columns: ``signal`` (the file's intensity; the cloud's is that over 1024, at most 1), ``time_ns``,
     ``reflectivity``, ``ring``, ``ambient``, ``range_mm``, and ``column`` where the file is a full grid.
+
+    Args:
+        path: The file.
+        lidar: ``"os2-64"`` or ``"os1-128"``.
+        first_ns: Added to ``t``.
 
     Raises:
         FileFormatError: If the file is damaged or lacks a field.
@@ -147,7 +158,9 @@ def read_lidar(path: Path, lidar: str) -> Cloud:
     kept = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
     columns, rest = divmod(len(points), LIDARS[lidar])
     signal = fields["intensity"].astype(np.float32)
-    extra = {"signal": signal, "time_ns": fields["t"], "range_mm": fields["range"]}
+    whole = fields["t"].dtype.kind in "iu"
+    time_ns = fields["t"].astype(np.int64) + first_ns if whole else fields["t"]
+    extra = {"signal": signal, "time_ns": time_ns, "range_mm": fields["range"]}
     extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
     if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[kept].all():
         extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)

@@ -121,7 +121,7 @@ class KRadar(Dataset):
             sequence=entry.sequence,
             frame_id=entry.stem,
             time_ns=time_ns,
-            clouds=Lazy({name: partial(read_lidar, paths[name], name) for name in LIDARS if name in paths}),
+            clouds=Lazy(_clouds(paths, record)),
             images=Lazy(_eyes(paths)),
             cameras=shared.cameras,
             annotation=None if raw is None else lambda: raw.boxes,
@@ -241,6 +241,12 @@ def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
     present = [name for name in CAMERAS if name in paths]
     eyes = [(name + suffix, paths[name], bool(suffix)) for name in present for suffix in ("", RIGHT_EYE)]
     return {name: partial(read_eye, path, right) for name, path, right in eyes}
+
+
+def _clouds(paths: dict[str, Path], record: FrameRecord | None) -> dict[str, Callable[[], Any]]:
+    first_ns = record.first_shot_ns if record is not None else {}
+    names = [name for name in LIDARS if name in paths]
+    return {name: partial(read_lidar, paths[name], name, first_ns=first_ns.get(name, 0)) for name in names}
 
 
 def _times(of_files: dict[str, int], paths: dict[str, Path], record: FrameRecord | None) -> dict[str, int]:

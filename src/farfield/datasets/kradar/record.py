@@ -12,13 +12,15 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.datasets.kradar.layout import EYES, label_stem
+from farfield.datasets.kradar.layout import EYES, LIDARS, label_stem
+from farfield.datasets.kradar.products import first_shot_ns
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Camera, Frame
 
 _MAX_BYTES = 1 << 20
 Number = Annotated[float, Field(allow_inf_nan=False, gt=-1e12, lt=1e12)]
+Whole = Annotated[int, Field(ge=-(1 << 62), le=1 << 62)]
 Row = tuple[Number, Number, Number, Number]
 Pose = tuple[Row, Row, Row, Row]
 
@@ -30,8 +32,8 @@ class CameraRecord(BaseModel):
     matrix: tuple[tuple[Number, Number, Number], tuple[Number, Number, Number], tuple[Number, Number, Number]]
     distortion: tuple[Number, Number, Number, Number, Number]
     camera_T_lidar: Pose
-    width_px: int = 0
-    height_px: int = 0
+    width_px: Whole = 0
+    height_px: Whole = 0
 
     @classmethod
     def of(cls, camera: Camera) -> "CameraRecord":
@@ -52,14 +54,18 @@ class CameraRecord(BaseModel):
 
 
 class FrameRecord(BaseModel):
-    """One frame: its sensors' indices and times, conditions, and the poses of the os2-64 and the os1-128."""
+    """One frame: its sensors' indices and times, conditions, and the poses of the os2-64 and the os1-128.
+
+    ``first_shot_ns`` is what must be added to a LiDAR file's ``t`` to get ``time_ns`` again.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sequence: str
-    indices: dict[str, int]
-    time_ns: int
-    times_ns: dict[str, int] = {}
+    indices: dict[str, Whole]
+    time_ns: Whole
+    times_ns: dict[str, Whole] = {}
     conditions: dict[str, str] = {}
+    first_shot_ns: dict[str, Whole] = {}
     world_T_lidar: Pose | None = None
     os2_T_os1: Pose | None = None
     cameras: dict[str, CameraRecord] = {}
@@ -74,6 +80,7 @@ class FrameRecord(BaseModel):
                 "indices": dict(sorted(indices.items())),
                 "time_ns": time_ns,
                 "times_ns": dict(sorted(frame.times_ns.items())),
+                "first_shot_ns": {name: first_shot_ns(frame.clouds[name]) for name in LIDARS if name in frame.clouds},
                 "conditions": dict(sorted(frame.conditions.items())),
                 "cameras": {name: CameraRecord.of(frame.cameras[name]) for name in EYES if name in frame.cameras},
                 **{name: None if pose is None else np.asarray(pose).tolist() for name, pose in poses.items()},
