@@ -134,7 +134,7 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
     for i in range(lamps.shape[0]):
         lx, ly, lz = lamps[i, 0] - px, lamps[i, 1] - py, lamps[i, 2] - pz
         square = lx * lx + ly * ly + lz * lz
-        if square > lamps[i, 10]:
+        if square > lamps[i, 10] or (i >= headlamps and nx * lx + ny * ly + nz * lz <= 0):
             continue
         far = np.float32(np.sqrt(square)) + np.float32(1e-3)
         lx, ly, lz = lx / far, ly / far, lz / far
@@ -148,11 +148,12 @@ def _lamp_light(out, lamps, headlamps, px, py, pz, nx, ny, nz):
         if cone <= 0:
             continue
         if lamps[i, 11] > 0:  # it is dimmed above its cut-off, near the horizon
-            cone *= np.float32(0.12) + np.float32(0.88) / (
-                np.float32(1) + np.exp((-lz + np.float32(0.012)) * np.float32(150))
-            )
             if lz > np.float32(0.06):  # and near the car, so that the road is lit evenly
                 cone *= (np.float32(0.06) / lz) ** 2
+            else:
+                cone *= np.float32(0.12) + np.float32(0.88) * min(
+                    np.float32(1), max(np.float32(0), (lz + np.float32(0.008)) * np.float32(25))
+                )
         power = cone / (square + np.float32(1))
         if i < headlamps:
             own += power
