@@ -1,0 +1,173 @@
+"""Rays from the radar: a fan over its field of view, and a few at every road user so that none is missed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from farfield.geometry.poses import invert, transform_points
+from farfield.simulation.trace import Body
+from farfield.simulation.world.scene import Window, at_knots
+
+FAN_STEP_DEG = (0.5, 0.75)
+FAN_REACH_DEG = (55.0, 20.0)
+_AIMED = 6  # rays along each side of a road user's angles
+_NEAREST_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """What every ray hit first, in the radar's frame.
+
+    Args:
+        direction: Unit directions, shape (n, 3).
+        solid_angle_sr: Solid angle that each ray stands for, shape (n,).
+        owner: Road user that an aimed ray is meant for, -1 for the fan, shape (n,).
+        range_m: First hit, inf for none, shape (n,).
+        cosine: Cosine of its angle of incidence, shape (n,).
+        material: Its material, shape (n,).
+        normal: Its unit normal, turned to face the radar, shape (n, 3).
+        body: Its body, row of the window's bodies, shape (n,).
+        actor: Its road user or -1, shape (n,).
+        own_range_m: For aimed rays, where they first hit their own road user, hidden or not; else inf.
+        own_cosine: Cosine of the angle of incidence there.
+        own_material: Material there.
+        own_body: Body there.
+    """
+
+    direction: Float[np.ndarray, "n 3"]
+    solid_angle_sr: Float[np.ndarray, " n"]
+    owner: Int[np.ndarray, " n"]
+    range_m: Float[np.ndarray, " n"]
+    cosine: Float[np.ndarray, " n"]
+    material: Int[np.ndarray, " n"]
+    normal: Float[np.ndarray, "n 3"]
+    body: Int[np.ndarray, " n"]
+    actor: Int[np.ndarray, " n"]
+    own_range_m: Float[np.ndarray, " n"]
+    own_cosine: Float[np.ndarray, " n"]
+    own_material: Int[np.ndarray, " n"]
+    own_body: Int[np.ndarray, " n"]
+
+
+def cast_rays(
+    window: Window, world_T_radar: Float[np.ndarray, "4 4"], reach_m: float, rng: np.random.Generator
+) -> Cast:
+    """Cast the fan and the aimed rays at everything, at the window's reference moment.
+
+    Args:
+        window: The scene.
+        world_T_radar: The radar's pose at that moment.
+        reach_m: Road users whose nearest corner is farther get no rays of their own.
+        rng: Moves each ray of the fan within its own cell of angles.
+    """
+    radar_T_body = [invert(world_T_radar) @ now(window, body) for body in window.bodies]
+    corners = [
+        transform_points(pose, body.tracer.corners_m) for pose, body in zip(radar_T_body, window.bodies, strict=True)
+    ]
+    azimuth, elevation, solid, owner = _rays(window, corners, reach_m, rng)
+    direction = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+    )
+    n = len(direction)
+    cast = Cast(
+        direction, solid, owner, np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), -direction,
+        np.full(n, -1), np.full(n, -1), np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), np.full(n, -1),
+    )  # fmt: skip
+    for row, body in enumerate(window.bodies):
+        rays = np.flatnonzero(_towards(corners[row], azimuth, elevation, everything=body.actor < 0))
+        if rays.size:
+            _cast_body(cast, row, body, radar_T_body[row], rays)
+    return cast
+
+
+def now(window: Window, body: Body) -> Float[np.ndarray, "4 4"]:
+    """Pose of a body in the world at the reference moment."""
+    return np.asarray(at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0])
+
+
+def _angles(corners_m: Float[np.ndarray, "8 3"]) -> tuple[float, float, float, float]:
+    """Least and greatest azimuth and elevation of a bounding box that lies ahead."""
+    x, y, z = corners_m.T
+    flat = np.hypot(x, y)
+    azimuth = np.arctan2(y, x)
+    tilt = np.concatenate([np.arctan2(z, flat), np.arctan2(z, np.maximum(0.5 * flat.min(), _NEAREST_M))])
+    elevation = tilt if flat.min() < 5.0 else tilt[:8]
+    return azimuth.min(), azimuth.max(), elevation.min(), elevation.max()
+
+
+def _rays(
+    window: Window, corners: list[Float[np.ndarray, "8 3"]], reach_m: float, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Azimuth, elevation, solid angle and owner of all rays; the fan's rays each within a cell of their own."""
+    (step_az, step_el), (reach_az, reach_el) = np.radians(FAN_STEP_DEG), np.radians(FAN_REACH_DEG)
+    grid = np.meshgrid(
+        np.arange(-reach_az + step_az / 2, reach_az, step_az), np.arange(-reach_el + step_el / 2, reach_el, step_el)
+    )
+    azimuth, elevation = (axis.reshape(-1) for axis in grid)
+    azimuth = azimuth + step_az * rng.uniform(-0.5, 0.5, azimuth.shape)
+    elevation = elevation + step_el * rng.uniform(-0.5, 0.5, elevation.shape)
+    parts = [(azimuth, elevation, step_az * step_el * np.cos(elevation), np.full(azimuth.shape, -1))]
+    share = (np.arange(_AIMED) + 0.5) / _AIMED
+    for corner, body in zip(corners, window.bodies, strict=True):
+        if body.actor < 0 or corner[:, 0].min() < _NEAREST_M or np.linalg.norm(corner, axis=1).min() > reach_m:
+            continue
+        left, right, bottom, top = _angles(corner)
+        if left > reach_az or right < -reach_az or bottom > reach_el or top < -reach_el:
+            continue
+        across, up = (
+            axis.reshape(-1) for axis in np.meshgrid(left + (right - left) * share, bottom + (top - bottom) * share)
+        )
+        each = (right - left) * (top - bottom) / _AIMED**2 * np.cos(up)
+        parts.append((across, up, each, np.full(across.shape, body.actor)))
+    azimuth, elevation, solid, owner = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return azimuth, elevation, solid, owner
+
+
+def _towards(
+    corners_m: Float[np.ndarray, "8 3"],
+    azimuth: Float[np.ndarray, " n"],
+    elevation: Float[np.ndarray, " n"],
+    *,
+    everything: bool,
+) -> Bool[np.ndarray, " n"]:
+    """Which rays may hit a body."""
+    if everything or (corners_m[:, 0].min() < _NEAREST_M <= corners_m[:, 0].max()):
+        return np.ones(azimuth.shape, dtype=bool)
+    if corners_m[:, 0].max() < _NEAREST_M:
+        return np.zeros(azimuth.shape, dtype=bool)
+    left, right, bottom, top = _angles(corners_m)
+    margin = 1e-3
+    inside = (azimuth > left - margin) & (azimuth < right + margin)
+    return np.asarray(inside & (elevation > bottom - margin) & (elevation < top + margin))
+
+
+def _cast_body(
+    cast: Cast, row: int, body: Body, radar_T_body: Float[np.ndarray, "4 4"], rays: Int[np.ndarray, " k"]
+) -> None:
+    """Cast rays at one body and keep what is nearer than before, for all and for the road user's own rays."""
+    body_T_radar = invert(radar_T_body)
+    hits = body.tracer.cast(body_T_radar[:3, 3], cast.direction[rays] @ body_T_radar[:3, :3].T)
+    range_m = hits.range_m.astype(np.float64)
+    material = body.tracer.mesh.material[hits.face]
+    nearer = range_m < cast.range_m[rays]
+    chosen = rays[nearer]
+    cast.range_m[chosen], cast.cosine[chosen] = range_m[nearer], hits.cosine[nearer]
+    cast.material[chosen] = material[nearer]
+    cast.body[chosen], cast.actor[chosen] = row, body.actor
+    cast.normal[chosen] = _normals(body, hits.face[nearer], radar_T_body, cast.direction[chosen])
+    if body.actor >= 0:
+        own = (cast.owner[rays] == body.actor) & (range_m < cast.own_range_m[rays])
+        mine = rays[own]
+        cast.own_range_m[mine], cast.own_cosine[mine] = range_m[own], hits.cosine[own]
+        cast.own_material[mine], cast.own_body[mine] = material[own], row
+
+
+def _normals(
+    body: Body, face: Int[np.ndarray, " k"], radar_T_body: Float[np.ndarray, "4 4"], towards: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, "k 3"]:
+    corner = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[face]]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    cross /= np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-20)
+    turned = cross @ radar_T_body[:3, :3].T
+    return np.asarray(turned * -np.sign(np.einsum("ij,ij->i", turned, towards))[:, None])
