@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from farfield.errors import MissingExtraError
 from farfield.simulation.bodies.mesh import Mesh
 
+_LEVEL = np.cos(np.radians(45.0))
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=bool)
 
 
@@ -44,6 +45,7 @@ class Tracer:
 
     Attributes:
         corners_m: Corners of the mesh's bounding box.
+        level: Which triangles lie flat (within 45 degrees), shape (f,).
 
     Raises:
         MissingExtraError: If embreex is not installed.
@@ -59,7 +61,10 @@ class Tracer:
         from embreex.mesh_construction import TriangleMesh
 
         self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
-        self._inverse_normal = _inverse_normals(vertices, mesh.faces)
+        normal = _normals(vertices, mesh.faces)
+        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
+        self._inverse_normal = np.append(1.0 / length, 0.0).astype(np.float32)  # the last for rays that missed
+        self.level: Bool[np.ndarray, " f"] = np.abs(normal[:, 2]) > _LEVEL * length
 
     def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """First hit of each ray.
@@ -95,14 +100,10 @@ class Tracer:
         return Hits(range_m, face, cosine)
 
 
-def _inverse_normals(
-    vertices_m: Float32[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
-) -> Float32[np.ndarray, " g"]:
-    """One over the length of each triangle's cross product; a further 0 serves the rays that missed (face -1)."""
+def _normals(vertices_m: Float32[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
+    """Cross product of each triangle's sides."""
     corners = vertices_m[faces].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
-    return np.append(1.0 / length, 0.0).astype(np.float32)
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,7 +206,9 @@ class Casting:
         """The pose at each shot's time, and where the shots start, in a body's frame."""
         ring, column = np.divmod(shots, self._scan.shape[1])
         time, origin = self._scan.time_s, self._scan.origin_m
-        pose = self._paths[index].at(time[ring if len(time) > 1 else 0, column])
+        path = self._paths[index]
+        pose = path.at(time[0])[column if len(path.knots_s) > 1 else slice(None)] if len(time) == 1 else None
+        pose = path.at(time[ring, column]) if pose is None else pose
         return pose, _starts(pose, origin[:, 0, column if origin.shape[2] > 1 else np.zeros(1, dtype=np.int64)])
 
     def _keep(
@@ -251,6 +253,16 @@ class Casting:
         directions = turned(pose, self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, ray, shots])
         origins = np.ascontiguousarray(starts + directions * begin_m[:, None])
         self._keep(index, ray, shots, self.bodies[index].tracer.cast_anchored(origins, directions), begin_m)
+
+    def places_m(self, shots: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
+        """Where the middles of some beams hit, in the frame of the first body (the fixed surroundings: the world's).
+
+        Args:
+            shots: Shots whose middles hit something.
+        """
+        pose, starts = self._leave(0, shots)
+        along = turned(pose, self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, 0, shots])
+        return starts + along * self.range_m[0, shots, None] + self.bodies[0].tracer.anchor_m
 
     def table(self, values: Callable[[Body], np.ndarray], none: object) -> np.ndarray:
         """A value for every triangle of all bodies, and at the end (index -1) one for the rays that hit nothing.

@@ -7,16 +7,19 @@ from jaxtyping import Float, Float32, Int, Shaped, UInt8
 
 from farfield.frame import Cloud
 from farfield.geometry.poses import invert
-from farfield.simulation.bodies.materials import reflectance_at
-from farfield.simulation.lidar.echoes import Looks, surface_echoes
+from farfield.simulation.lidar.air import SURFACE, compete, spray, window_gain
+from farfield.simulation.lidar.echoes import Echoes, surface_echoes
 from farfield.simulation.lidar.model import LidarModel
 from farfield.simulation.lidar.rays import Casting, Path, turned
 from farfield.simulation.lidar.returns import Returns, ambient_counts, measure, reflectivity, signal_counts
 from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.surfaces import Surfaces
 from farfield.simulation.weather.conditions import Weather
+from farfield.simulation.weather.optics import extinction_per_m
+from farfield.simulation.weather.spray import plumes
 from farfield.simulation.world.scene import Window, at_knots
 
-SURFACE, PRECIPITATION, FOG, SPRAY = range(4)
+DRY = Weather()
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +30,7 @@ class Sweep:
         cloud: Points in the sensor's frame at the reference time, by ring and column. ``extra`` holds ring, column,
             time_ns (relative to the reference time), and for spinning sensors reflectivity, ambient, range_mm, signal.
         actor: Row of the road user each point lies on, within ``Window.actors``; -1 for none.
-        kind: What each point comes from: SURFACE, PRECIPITATION, FOG or SPRAY.
+        kind: What each point comes from: a constant of ``air``: SURFACE 0, PRECIPITATION 1, FOG 2, SPRAY 3.
         aimed: How many shots would have met each road user with a clean window in clear air and no losses; None where
             that was not counted.
     """
@@ -68,31 +71,63 @@ def sweep(
     count = casting.range_m.shape[1]
     passes = np.greater_equal(surface_rng.random(count, dtype=np.float32), model.glass_return)
     casting.see_through(passes)
-    material = casting.table(lambda body: body.tracer.mesh.material, -1)
-    bright = reflectance_at(
-        material, casting.table(lambda body: body.tracer.mesh.reflectance, 0.0), model.wavelength_nm
-    )
-    looks = Looks.of(material, bright.astype(np.float32))
-    echoes = surface_echoes(model, looks, scan.weights, casting.range_m, casting.cosine, casting.face)
+    surfaces = Surfaces.of(casting, model, weather or DRY)
+    now = at_knots(world_T_sensor, window.knots_s, np.zeros(1))[0]
+    echoes, kind = _echoes(scan, model, window, casting, surfaces, now, weather, window_seed, air_rng)
     returns = measure(model, echoes.range_m, echoes.strength, surface_rng)
-    actor = casting.table(lambda body: np.full(len(body.tracer.mesh.faces), body.actor), -1)
-    face = casting.face[echoes.ray[returns.shot], returns.shot]
-    kind = np.zeros(len(returns.shot), dtype=np.uint8)
-    points = _points(scan, model, returns, world_T_sensor, window.knots_s)
+    face = surfaces.face[echoes.ray[returns.shot], returns.shot]
+    solid = kind[returns.shot] == SURFACE
+    points = _points(scan, model, returns, now, world_T_sensor, window.knots_s)
     extra = _columns(scan, model, returns)
     if model.spinning:
-        extra["ambient"] = ambient_counts(looks.diffuse[face], _daylight(weather or Weather()), air_rng)
-    shown = returns.reflectance.clip(0, 1)
-    intensity = (np.round(shown * 255) / 255).astype(np.float32)
-    seen = actor[casting.face[0]]
+        diffuse = np.where(solid, surfaces.looks.diffuse[face], np.float32(0.3))
+        extra["ambient"] = ambient_counts(diffuse, _daylight(weather or DRY), air_rng)
+    intensity = (np.round(returns.reflectance.clip(0, 1) * 255) / 255).astype(np.float32)
+    seen = surfaces.actor[casting.face[0]]
     aimed = np.bincount(seen[(seen >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors))
-    return Sweep(Cloud(points, intensity, extra), actor[face], kind, aimed)
+    actor = np.where(solid, surfaces.actor[face], -1)
+    return Sweep(Cloud(points, intensity, extra), actor, kind[returns.shot], aimed)
+
+
+def _echoes(
+    scan: Scan,
+    model: LidarModel,
+    window: Window,
+    casting: Casting,
+    surfaces: Surfaces,
+    world_T_sensor: Float[np.ndarray, "4 4"],
+    weather: Weather | None,
+    window_seed: np.random.SeedSequence | None,
+    rng: np.random.Generator,
+) -> tuple[Echoes, UInt8[np.ndarray, " shots"]]:
+    """The echo of each shot, of a surface or of something in the air, and which of them it is."""
+    dirt = None
+    if weather is not None and window_seed is not None:
+        dirt = window_gain(scan, model, weather, window.time_s, window_seed)
+    sprayed = None
+    if weather is not None:
+        size = np.array([actor.size_m for actor in window.actors]).reshape(-1, 3)
+        label = [actor.label for actor in window.actors]
+        found = plumes(weather, window.bottom_m, window.yaw_rad, window.velocity_m_s, size, label)
+        sprayed = spray(scan, model, found, world_T_sensor, casting.range_m[0]) if found else None
+    gain = surfaces.wet
+    for factor in (dirt, sprayed.gain if sprayed else None):
+        if factor is not None:
+            gain = factor if gain is None else gain * factor
+    alpha = extinction_per_m(weather, model.wavelength_nm) if weather else 0.0
+    hits = casting.range_m, casting.cosine, surfaces.face
+    echoes = surface_echoes(model, surfaces.looks, scan.weights, *hits, extinction_per_m=alpha, gain=gain)
+    if weather is None:
+        return echoes, np.zeros(len(echoes.range_m), dtype=np.uint8)
+    range_m, strength, kind = compete(model, weather, echoes, casting.range_m[0], dirt, sprayed, rng)
+    return Echoes(range_m, strength, echoes.ray), kind
 
 
 def _points(
     scan: Scan,
     model: LidarModel,
     returns: Returns,
+    now: Float[np.ndarray, "4 4"],
     world_T_sensor: Float[np.ndarray, "k 4 4"],
     knots_s: Float[np.ndarray, " k"],
 ) -> Float32[np.ndarray, "n 3"]:
@@ -102,7 +137,6 @@ def _points(
     points = origin + scan.rays[:, 0, ring, column] * returns.range_m
     if not model.compensated or len(knots_s) == 1:
         return np.ascontiguousarray(points.T)
-    now = at_knots(world_T_sensor, knots_s, np.zeros(1))[0]
     path = Path((invert(now) @ world_T_sensor)[:, :3], knots_s)
     pose = path.at(scan.times_s[ring, column])
     return turned(pose, points) + pose[:, :, 3]
