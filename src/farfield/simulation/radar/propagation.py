@@ -31,8 +31,8 @@ _ALPHA_V = (
 _RAIN_MM_H = (1.0, 2.5, 5.0, 10.0, 25.0, 50.0)
 _RAIN_M2_M3 = (1.0e-4, 2.3e-4, 3.9e-4, 6.4e-4, 1.1e-3, 1.7e-3)
 _INVERSE_GAMMA_SHAPE = 2.5  # heavy-tailed drop clusters; default
-_ICE = complex(3.17, -0.005)  # permittivity at 77 GHz (Matzler and Wegmuller 1987)
-_ICE_MM = 2.0  # thickness where icing is complete; default
+_RIME = complex(1.75, -0.003)  # frost of 0.4 g/cm3: Looyenga's mixture of air and ice of 3.17
+_RIME_MM = 2.0  # thickness where icing is complete; default
 
 
 def _fit(terms: tuple[tuple[tuple[float, float, float], ...], float, float], log_ghz: float) -> float:
@@ -107,7 +107,7 @@ def film_loss_db(thickness_mm: float, permittivity: complex, frequency_hz: float
 
 
 def radome_loss_db(weather: Weather, model: RadarModel, time_s: float = 0.0) -> float:
-    """One-way loss of the radome: a film of water on part of it, and a layer of ice that grows like the windows' icing.
+    """One-way loss of the radome: a film of water on part of it, and frost that grows like the windows' icing.
 
     Films pass and dry parts pass in parallel, so their amplitudes add by area.
     """
@@ -115,7 +115,7 @@ def radome_loss_db(weather: Weather, model: RadarModel, time_s: float = 0.0) -> 
     film = film_amplitude(weather.film_mm, water, model.carrier_hz)
     part = 1.0 + model.radome_wetting * (film - 1.0)
     freezing = weather.icing_at(time_s) if weather.temperature_c < 0.0 else 0.0
-    return float(-20 * np.log10(abs(part))) + film_loss_db(_ICE_MM * freezing, _ICE, model.carrier_hz)
+    return float(-20 * np.log10(abs(part))) + film_loss_db(_RIME_MM * freezing, _RIME, model.carrier_hz)
 
 
 def loss_db_km(weather: Weather, model: RadarModel) -> float:

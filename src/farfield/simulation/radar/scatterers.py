@@ -63,7 +63,7 @@ def scatterers(
 
 
 def radar_velocity_m_s(window: Window, world_T_radar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 3"]:
-    """Velocity of the radar at its mount in the world, the ego vehicle's turning included where the window has knots."""
+    """Velocity of the radar at its mount in the world, turning included where the window has knots."""
     if len(window.knots_s) < 2:
         return window.ego_velocity_m_s
     mount = transform_points(invert(window.world_T_ego_now), world_T_radar[:3, 3][None])[0]
