@@ -91,7 +91,7 @@ class RadarModel:
     response_db: tuple[float, ...] = (0.0, 0.0, -2.0, -2.0, 0.0, 0.0, -5.0, -5.0)
     leakage_range_m: tuple[float, ...] = (0.0, 0.5, 1.0, 5.0, 6.5, 113.5, 114.2, 118.0)
     leakage_db: tuple[float, ...] = (45.0, 15.0, 7.5, 5.0, -40.0, -40.0, 5.0, 10.0)
-    leakage_doppler_bins: float = 1.5
+    leakage_doppler_bins: float = 0.5
     window: str = "none"
     range_migration: bool = True
     migration_min_m_s: float = 5.0
