@@ -85,6 +85,13 @@ def test_hidden_cars_show_under_their_leader_only():
     assert -18 < lost < -3
 
 
+def test_a_vehicle_that_begins_beside_the_radar_is_seen():
+    seen = see(scene([(1.5, 3.0)]))
+    own = seen.take(seen.actor == 0)
+    assert len(own) > 5
+    assert np.all((own.position_m[:, 1] > 2.0) & (own.position_m[:, 0] < 3.9))
+
+
 def test_walls_leave_no_way_under_them():
     wall = box([0.3, 8.0, 3.0], [25.0, 0.0, 1.5], int(Material.CONCRETE))
     seen = see(scene([(40.0, 0.0)], wall))

@@ -11,7 +11,7 @@ from farfield.simulation.world.scene import Window, at_knots
 
 FAN_STEP_DEG = (0.5, 0.75)
 FAN_REACH_DEG = (55.0, 20.0)
-_AIMED = 6  # rays along each side of a road user's angles
+_AIMED = (6, 40)  # least and most rays along each side of a road user's angles
 _NEAREST_M = 0.5
 
 
@@ -86,14 +86,29 @@ def now(window: Window, body: Body) -> Float[np.ndarray, "4 4"]:
     return np.asarray(at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0])
 
 
-def _angles(corners_m: Float[np.ndarray, "8 3"]) -> tuple[float, float, float, float]:
-    """Least and greatest azimuth and elevation of a bounding box that lies ahead."""
+def _ahead(corners_m: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "k 3"]:
+    """Corners of a bounding box ahead of the radar, or a lattice of its points ahead where it reaches behind."""
+    if corners_m[:, 0].min() >= _NEAREST_M:
+        return corners_m
+    share = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 9)] * 3), axis=-1).reshape(-1, 3)
+    lattice = corners_m[0] + share @ (corners_m[[1, 2, 4]] - corners_m[0])
+    return np.asarray(lattice[lattice[:, 0] >= _NEAREST_M])
+
+
+def _spread(low: float, high: float, step: float) -> tuple[Float[np.ndarray, " k"], float]:
+    """Middles and width of equal parts of a span, about ``step`` wide."""
+    count = int(np.clip(np.ceil((high - low) / step), *_AIMED))
+    return low + (high - low) * (np.arange(count) + 0.5) / count, (high - low) / count
+
+
+def _angles(corners_m: Float[np.ndarray, "k 3"]) -> tuple[float, float, float, float]:
+    """Least and greatest azimuth and elevation of points of a bounding box that lie ahead."""
     x, y, z = corners_m.T
     flat = np.hypot(x, y)
     azimuth = np.arctan2(y, x)
     tilt = np.concatenate([np.arctan2(z, flat), np.arctan2(z, np.maximum(0.5 * flat.min(), _NEAREST_M))])
-    elevation = tilt if flat.min() < 5.0 else tilt[:8]
-    return azimuth.min(), azimuth.max(), elevation.min(), elevation.max()
+    elevation = tilt if flat.min() < 5.0 else tilt[: len(z)]
+    return float(azimuth.min()), float(azimuth.max()), float(elevation.min()), float(elevation.max())
 
 
 def _rays(
@@ -108,18 +123,17 @@ def _rays(
     azimuth = azimuth + step_az * rng.uniform(-0.5, 0.5, azimuth.shape)
     elevation = elevation + step_el * rng.uniform(-0.5, 0.5, elevation.shape)
     parts = [(azimuth, elevation, step_az * step_el * np.cos(elevation), np.full(azimuth.shape, -1))]
-    share = (np.arange(_AIMED) + 0.5) / _AIMED
     for corner, body in zip(corners, window.bodies, strict=True):
-        if body.actor < 0 or corner[:, 0].min() < _NEAREST_M or np.linalg.norm(corner, axis=1).min() > reach_m:
+        ahead = _ahead(corner)
+        if body.actor < 0 or not len(ahead) or np.linalg.norm(ahead, axis=1).min() > reach_m:
             continue
-        left, right, bottom, top = _angles(corner)
+        left, right, bottom, top = _angles(ahead)
         if left > reach_az or right < -reach_az or bottom > reach_el or top < -reach_el:
             continue
-        across, up = (
-            axis.reshape(-1) for axis in np.meshgrid(left + (right - left) * share, bottom + (top - bottom) * share)
-        )
-        each = (right - left) * (top - bottom) / _AIMED**2 * np.cos(up)
-        parts.append((across, up, each, np.full(across.shape, body.actor)))
+        across, each_az = _spread(left, right, step_az)
+        up, each_el = _spread(bottom, top, step_el)
+        rays = [axis.reshape(-1) for axis in np.meshgrid(across, up)]
+        parts.append((*rays, each_az * each_el * np.cos(rays[1]), np.full(rays[0].shape, body.actor)))
     azimuth, elevation, solid, owner = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return azimuth, elevation, solid, owner
 
