@@ -1,4 +1,4 @@
-"""What the air does to a frame: a covered window, spray, and echoes of drops, flakes and fog that beat the surface's."""
+"""What the air does to a frame: a dirty window, spray, and echoes of drops, flakes and fog that beat the surface's."""
 
 from dataclasses import dataclass
 

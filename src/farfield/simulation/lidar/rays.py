@@ -202,7 +202,7 @@ class Casting:
 
     def _leave(
         self, index: int, shots: Int[np.ndarray, " k"]
-    ) -> tuple[Float32[np.ndarray, "m 3 4"], Float32[np.ndarray, "m 3"]]:
+    ) -> tuple[Float32[np.ndarray, "m 3 4"], Float32[np.ndarray, "p 3"]]:
         """The pose at each shot's time, and where the shots start, in a body's frame."""
         ring, column = np.divmod(shots, self._scan.shape[1])
         time, origin = self._scan.time_s, self._scan.origin_m

@@ -58,7 +58,7 @@ class Surfaces:
         return cls(face, Looks.of(material, bright), actor, wet)
 
 
-def _with_snow(table: np.ndarray, value: float) -> np.ndarray:
+def _with_snow(table: np.ndarray, value: float | int) -> np.ndarray:
     """Put the grades of snow before a table's last entry, which stands for no hit."""
     return np.insert(table, len(table) - 1, [value] * SNOW_GRADES)
 

@@ -1,7 +1,7 @@
 """Wet and snow-covered ground.
 
 A film of water over a rough road: light enters through the air-water surface (Fresnel), the road below scatters it,
-part of that is reflected back down (all of it beyond 48.6 degrees) and scattered again, the rest leaves through the surface:
+part of that is reflected back down (all of it beyond 48.6 degrees) and scattered again, the rest leaves upwards:
 
     rho_wet(theta) = t(theta) (t(theta) / n^2) A rho / (1 - r rho),    r = 1 - (1 - r_d) / n^2,
 

@@ -7,8 +7,8 @@ A particle of diameter D at range r fills the share f = min((D / beam width)^2, 
 Particles are a Poisson process in volume and diameter (Marshall and Palmer, 1948: rain; Marshall and Gunn, 1952: snow,
 as spheres of the melted flake, whose cross-section gives the extinction of falling snow). The count of particles
 stronger than s is Poisson with mean L(s); hence the strongest is L^-1(-ln u) with u uniform, and its range follows the
-share that each range has in dL(s). Both are tabulated once for a rate: a frame costs two look-ups a shot. A particle's reflectance
-is rho_p = 2 pi beta / alpha, by which a volume of them has the backscatter beta and the extinction alpha.
+share that each range has in dL(s). Both are tabulated once for a rate: a frame costs two look-ups a shot. A particle's
+reflectance is rho_p = 2 pi beta / alpha, by which a volume of them has the backscatter beta and the extinction alpha.
 """
 
 from dataclasses import dataclass

@@ -4,13 +4,16 @@ import sys
 
 import numpy as np
 import pytest
+from lidar_stage import HERE, body, coloured, frozen, quiet
 
 from farfield.errors import MissingExtraError
-from farfield.geometry.poses import invert, pose_from_yaw, transform_points
-from farfield.simulation.lidar.model import LidarModel, Scan
+from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.simulation.bodies.materials import Material
-from farfield.simulation.bodies.mesh import Mesh, box, ellipsoid, quads
-from farfield.simulation.lidar.sweep import Body, shots_towards, sweep
+from farfield.simulation.bodies.mesh import box, ellipsoid, quads
+from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64, LidarModel
+from farfield.simulation.lidar.rays import Path, block_towards
+from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.sweep import sweep
 from farfield.simulation.trace import Tracer
 
 
@@ -51,67 +54,63 @@ def test_sphere(rng: np.random.Generator) -> None:
 
 
 def test_turned_box_in_a_moved_frame(rng: np.random.Generator) -> None:
-    """The whole chain of frames against the slab method in float64."""
-    size, world_T_body = np.array([4.6, 1.9, 1.5]), pose_from_yaw(0.7, (60.0, 9.0, -0.4))
-    world_T_common = pose_from_yaw(-0.2, (3.0, -2.0, 1.7))
-    mesh = box(size.tolist(), [0, 0, 0], Material.SIGN)
-    mesh = Mesh(mesh.vertices_m, mesh.faces, mesh.material, np.full(12, 50.0))
-    body = Body(Tracer(mesh), world_T_body, 0)
-    model = LidarModel(range_noise_m=0.0, weak_noise_m=0.0, dropout=0.0)
-    scan = Scan.draw("gaussian", model, rng, origin_m=(0.1, -0.5, 0.0))
-    result = sweep(scan, model, [body], world_T_common, rng)
-    body_T_common = invert(world_T_body) @ world_T_common
-    start = transform_points(body_T_common, scan.origin_m[None])[0]
-    directions = scan.directions.reshape(-1, 3).astype(np.float64) @ body_T_common[:3, :3].T
+    """The whole chain of frames against the slab method in float64, one ray a beam."""
+    size = np.array([4.6, 1.9, 1.5])
+    target = body(coloured(box(size.tolist(), [0, 0, 0], Material.SIGN), 50.0), 60, 9, -0.4, yaw_rad=0.7)
+    mount = pose_from_yaw(-0.2, (3.0, -2.0, 1.7))
+    model = quiet(LUMINAR_H2, sub_rays=1)
+    scan = Scan.draw(model, rng)
+    result = sweep(scan, model, frozen(target), mount, rng)
+    body_T_sensor = invert(target.world_T_body[0]) @ mount
+    start = body_T_sensor[:3, 3]
+    directions = scan.directions.reshape(-1, 3).astype(np.float64) @ body_T_sensor[:3, :3].T
     planes = np.stack([(sign * size / 2 - start) / directions for sign in (-1, 1)])
     enter, leave = planes.min(axis=0).max(axis=1), planes.max(axis=0).min(axis=1)
     exact = enter[enter < leave]
-    got = np.linalg.norm(result.cloud.points_m.astype(np.float64) - scan.origin_m, axis=1)
+    got = np.linalg.norm(result.cloud.points_m.astype(np.float64), axis=1)
     assert len(got) == len(exact) > 50
     np.testing.assert_allclose(got, exact, atol=1e-4)
 
 
-def test_no_shot_at_a_body_is_left_out(rng: np.random.Generator) -> None:
-    """The shots selected by a body's angles include every one that hits it, near or far."""
-    scan = Scan.draw("gaussian", LidarModel(), rng, origin_m=(0, 0, 0))
-    directions = scan.directions.reshape(-1, 3)
+@pytest.mark.parametrize("model", [LUMINAR_H2, OS2_64], ids=lambda model: model.name)
+def test_no_shot_at_a_body_is_left_out(model: LidarModel, rng: np.random.Generator) -> None:
+    """The shots selected by a body's angles include every one of which a ray hits it: near, far, behind, tilted."""
+    scan = Scan.draw(model, rng)
+    tilt = np.eye(4)
+    tilt[:3, :3] = [[np.cos(0.03), 0, np.sin(0.03)], [0, 1, 0], [-np.sin(0.03), 0, np.cos(0.03)]]
     for x, y, yaw, length in (
         (4, 3, 0.1, 16),
         (12, 0, 1.57, 12),
-        (30, -8, 0.4, 4.5),
-        (200, 20, 0.0, 4.5),
-        (1, 4, 0.0, 18),
+        (-30, 0.5, 0.4, 4.5),
+        (200, 20, 0, 4.5),
+        (1, 4, 0, 18),
     ):
-        tracer = Tracer(box([length, 2.5, 3.9], [0, 0, 1.95], 0))
-        pose = pose_from_yaw(yaw, (float(x), float(y), -2.0))
-        body = Body(tracer, pose, 0)
-        inverse = invert(pose)
-        start = transform_points(inverse, np.zeros((1, 3)))[0]
-        hits = tracer.cast(start, directions @ inverse[:3, :3].T.astype(np.float32))
-        shots, nearest = shots_towards(scan, body, np.eye(4))
-        assert set(np.flatnonzero(hits.face >= 0)) <= set(shots)
-        assert nearest <= hits.range_m.min() + 1e-3
+        target = body(box([length, 2.5, 3.9], [0, 0, 1.95], 0), x, y, -2.0, yaw_rad=float(yaw))
+        inverse = invert(target.world_T_body[0]) @ tilt
+        rays = np.moveaxis(scan.rays, 0, -1).reshape(-1, 3) @ inverse[:3, :3].T.astype(np.float32)
+        hits = target.tracer.cast(inverse[:3, 3], rays)
+        block = block_towards(scan, target, Path.towards(target, tilt[None], np.zeros(1)))
+        struck = np.unique(np.flatnonzero(hits.face >= 0) % (scan.shape[0] * scan.shape[1]))
+        assert set(struck) <= set(block.shots())
+        assert struck.size == 0 or block.nearest_m <= hits.range_m.min() + 1e-3
+        assert x < 30 or len(block.shots()) < 25 * struck.size
 
 
 def test_the_nearer_body_hides_the_farther_one(rng: np.random.Generator) -> None:
-    model = LidarModel(dropout=0.0)
-
-    def wall(x: int, actor: int) -> Body:
-        mesh = box([0.1, 8, 8], [0, 0, 0], Material.CONCRETE)
-        return Body(Tracer(mesh.painted(rng)), pose_from_yaw(0.0, (float(x), 0.0, 0.0)), actor)
-
-    scan = Scan.draw("uniform", model, rng, origin_m=(0, 0, 0))
-    for bodies in ([wall(30, 0), wall(20, 1)], [wall(20, 1), wall(30, 0)]):
-        assert set(sweep(scan, model, bodies, np.eye(4), rng).actor) == {1}
+    model = quiet(LUMINAR_H2)
+    mesh = box([0.1, 8, 8], [0, 0, 0], Material.CONCRETE).painted(rng)
+    far, near = body(mesh, 30, 0, 0, actor=0), body(coloured(box([0.1, 12, 12], [0, 0, 0], 1), 0.3), 20, 0, 0, actor=1)
+    scan = Scan.draw(model, rng, pattern="uniform")
+    for bodies in ([far, near], [near, far]):
+        assert set(sweep(scan, model, frozen(*bodies), HERE, rng).actor) == {1}
 
 
 def test_glass_lets_most_shots_through(rng: np.random.Generator) -> None:
-    model = LidarModel(dropout=0.0, texture=0.0)
+    model = quiet(LUMINAR_H2)
     pane = quads(np.array([[[10.0, -9, -9], [10, 9, -9], [10, 9, 9], [10, -9, 9]]]), int(Material.GLASS)).painted(rng)
     wall = box([0.1, 30, 30], [15, 0, 0], Material.CONCRETE).painted(rng)
-    bodies = [Body(Tracer(pane), np.eye(4), 0), Body(Tracer(wall), np.eye(4), 1)]
-    scan = Scan.draw("uniform", model, rng, origin_m=(0, 0, 0))
-    result = sweep(scan, model, bodies, np.eye(4), rng)
+    window = frozen(body(pane, 0, 0, 0, actor=0), body(wall, 0, 0, 0, actor=1))
+    result = sweep(Scan.draw(model, rng, pattern="uniform"), model, window, HERE, rng)
     behind_pane = np.abs(result.cloud.points_m[:, 1] / result.cloud.points_m[:, 0]) < 0.85
     assert np.mean(result.actor[behind_pane] == 0) == pytest.approx(0.25, abs=0.02)
 
