@@ -2,8 +2,9 @@
 
     python benchmarks/ray_casting.py [--repeat 9] [--output benchmarks/results/ray_casting.txt]
 
-Both cast the same arrays of origins and directions at the same mesh, in turns, one thread. The simulator's call also gives
-the cosine of incidence. Below them, the seconds of whole frames with five rays a beam (motion, pruning, echoes, detection).
+Both cast the same arrays of origins and directions at the same mesh, in turns, one thread; the simulator's call also
+gives the cosine of incidence. Making the rays is not part of it. It is part of the seconds of whole frames beside them
+(five rays a beam, motion, pruning, echoes, detection).
 Exit status 1 where the simulator casts less than 0.8 of Embree's rays a second.
 """
 
