@@ -1,43 +1,11 @@
-"""What stands beside the road: barriers, poles, signs, trees, walls, buildings, bridges."""
+"""What stands beside the road: poles, signs, trees, buildings, bridges, each in a frame of its own."""
 
 import numpy as np
-from jaxtyping import Float
 
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box, ellipsoid, quads, tube
-from farfield.simulation.world.road import RoadLine, ribbon
 
 _SQUARE = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) / 2
-
-
-def stand(mesh: Mesh, road: RoadLine, s_m: float, d_m: float, *, turn_rad: float = 0.0, raise_m: float = 0.0) -> Mesh:
-    """Put an object on the road's surface at (s, d), its x axis along the road (turned by ``turn_rad``)."""
-    place = np.array(s_m)
-    x, y, z = road.point_m(place, d_m)
-    return mesh.placed(float(x), float(y), float(z) + raise_m, yaw_rad=float(road.heading_rad(place)) + turn_rad)
-
-
-def jersey_barrier(road: RoadLine, s_m: Float[np.ndarray, " k"], d_m: float, height_m: float) -> Mesh:
-    """A concrete safety barrier."""
-    d = np.array([-0.3, -0.25, -0.1, -0.07, 0.07, 0.1, 0.25, 0.3]) + d_m
-    z = np.array([0.0, 0.08, 0.33, 1.0, 1.0, 0.33, 0.08, 0.0])
-    z[[1, 2, 5, 6]] = [0.08, 0.33, 0.33, 0.08]
-    return ribbon(road, s_m, d, z * np.where(z >= 1, height_m, 1.0), int(Material.CONCRETE))
-
-
-def guard_rail(road: RoadLine, s_m: Float[np.ndarray, " k"], d_m: float) -> Mesh:
-    """A W-beam of 0.31 m on posts every 4 m."""
-    d = np.array([0.0, 0.05, 0.0, 0.05, 0.0]) + d_m
-    parts = [ribbon(road, s_m, d, np.array([0.45, 0.53, 0.60, 0.68, 0.76]), int(Material.METAL))]
-    post = box([0.1, 0.1, 0.75], [0, 0, 0.375], int(Material.METAL))
-    parts += [stand(post, road, float(s), d_m + 0.06) for s in np.arange(s_m[0], s_m[-1] - 0.01, 4.0)]
-    return Mesh.merge(parts)
-
-
-def wall(road: RoadLine, s_m: Float[np.ndarray, " k"], d_m: float, height_m: float, material: int) -> Mesh:
-    """A standing wall or hedge of 0.3 m thickness."""
-    d = np.array([-0.15, -0.15, 0.15, 0.15]) + d_m
-    return ribbon(road, s_m, d, np.array([-0.5, height_m, height_m, -0.5]), material)
 
 
 def pole(height_m: float, arm_m: float = 0.0) -> Mesh:
@@ -82,20 +50,34 @@ def bridge(half_span_m: float, width_m: float) -> Mesh:
     return Mesh.merge([deck, *sides, *pillars])
 
 
-def tree(height_m: float, rng: np.random.Generator) -> Mesh:
-    """A trunk and a crown of loose random facets on three to five blobs, so that rays pass between the leaves."""
+def tree(height_m: float, rng: np.random.Generator, *, conifer: bool = False) -> Mesh:
+    """A trunk and a crown of loose random facets, so that rays pass between the leaves.
+
+    Args:
+        height_m: About its height.
+        rng: Draws its shape.
+        conifer: Whether the crown is a cone down to the ground instead of three to five blobs.
+    """
     trunk = tube(
-        [0, 0, -0.5], [0, 0, 0.5 * height_m], (0.05 * height_m**0.7, 0.03 * height_m**0.7), int(Material.BARK), sides=6
+        [0, 0, -1.0], [0, 0, 0.5 * height_m], (0.05 * height_m**0.7, 0.03 * height_m**0.7), int(Material.BARK), sides=6
     )
-    blobs = int(rng.integers(3, 6))
-    spread = 0.16 * height_m
-    middle = np.stack([*(rng.uniform(-spread, spread, (2, blobs))), rng.uniform(0.5, 0.8, blobs) * height_m], axis=1)
-    radius = rng.uniform(0.14, 0.24, (blobs, 1, 1)) * height_m
-    outward = rng.standard_normal((blobs, 30, 3))
-    outward *= rng.uniform(0.55, 1.0, (blobs, 30, 1)) / np.linalg.norm(outward, axis=2, keepdims=True)
-    centre = middle[:, None] + radius * outward
-    leaf = centre[:, :, None] + 0.5 * radius[..., None] * rng.uniform(-1, 1, (blobs, 30, 3, 3))
-    vertices = leaf.reshape(-1, 3)
+    if conifer:
+        z = height_m * rng.uniform(0.12, 1.0, 140)
+        angle, reach = rng.uniform(0, 2 * np.pi, 140), 0.2 * (height_m - z) * rng.uniform(0.4, 1.0, 140)
+        centre = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], axis=1)
+        size = np.full((140, 1, 1), 0.07 * height_m)
+    else:
+        blobs, spread = int(rng.integers(3, 6)), 0.16 * height_m
+        middle = np.stack(
+            [*(rng.uniform(-spread, spread, (2, blobs))), rng.uniform(0.5, 0.8, blobs) * height_m], axis=1
+        )
+        radius = rng.uniform(0.14, 0.24, (blobs, 1, 1)) * height_m
+        outward = rng.standard_normal((blobs, 30, 3))
+        outward *= rng.uniform(0.55, 1.0, (blobs, 30, 1)) / np.linalg.norm(outward, axis=2, keepdims=True)
+        centre = (middle[:, None] + radius * outward).reshape(-1, 3)
+        size = np.repeat(0.5 * radius, 30, axis=1).reshape(-1, 1, 1)
+    vertices = (centre[:, None] + size * rng.uniform(-1, 1, (len(centre), 3, 3))).reshape(-1, 3)
+    vertices[:, 2] = np.maximum(vertices[:, 2], 0.1)
     crown = Mesh.of(vertices, np.arange(len(vertices)).reshape(-1, 3), int(Material.FOLIAGE))
     return Mesh.merge([trunk, crown])
 
@@ -123,3 +105,22 @@ def building(length_m: float, depth_m: float, height_m: float, rng: np.random.Ge
     centre = np.stack([spots[:, 0], np.full(len(spots), -0.03), spots[:, 1]], axis=1)
     panes = centre[:, None] + np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]]) / 2 * [wide, 0, tall]
     return Mesh.merge([body, quads(panes, int(Material.GLASS))]) if len(spots) else body
+
+
+def house(length_m: float, depth_m: float, rng: np.random.Generator) -> Mesh:
+    """A house of one or two floors with a gabled roof and windows; x along the street, front at y = 0."""
+    eaves = float(rng.choice([2.9, 5.4])) + rng.uniform(0, 0.4)
+    walls = building(length_m, depth_m, eaves, rng)
+    ridge, over = eaves + rng.uniform(0.25, 0.45) * depth_m, 0.4
+    x, y = length_m / 2 + over, (-over, depth_m / 2, depth_m + over)
+    low = eaves - 0.15
+    slopes = [
+        [[-x, y[0], low], [x, y[0], low], [x, y[1], ridge], [-x, y[1], ridge]],
+        [[-x, y[2], low], [x, y[2], low], [x, y[1], ridge], [-x, y[1], ridge]],
+    ]
+    gables = [[[e, 0, eaves], [e, depth_m, eaves], [e, y[1], ridge], [e, y[1], ridge]] for e in (-x + over, x - over)]
+    roof = quads(np.array(slopes), int(Material.BRICK))
+    door = quads(
+        np.array([[[-0.5, -0.04, 0], [0.5, -0.04, 0], [0.5, -0.04, 2.1], [-0.5, -0.04, 2.1]]]), int(Material.TRIM)
+    )
+    return Mesh.merge([walls, roof, quads(np.array(gables, dtype=np.float64), int(Material.BRICK)), door])

@@ -162,10 +162,13 @@ def tube(
     start, end = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
     r0, r1 = radius_m if isinstance(radius_m, tuple) else (radius_m, radius_m)
     axis = (end - start) / np.linalg.norm(end - start)
-    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x, y, z = (float(value) for value in axis)
+    side = np.array([y, -x, 0.0] if abs(z) < 0.9 else [0.0, z, -y])
     side /= np.linalg.norm(side)
+    u, v, w = (float(value) for value in side)
     angle = 2 * np.pi * np.arange(sides) / sides
-    circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
+    other = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+    circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
     if round_ends:
         centres = [start, start + 0.6 * r0 * axis, end - 0.6 * r1 * axis, end]
         radii = [0.5 * r0, r0, r1, 0.5 * r1]

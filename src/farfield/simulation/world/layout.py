@@ -1,4 +1,4 @@
-"""What a scene template hands over: the road, its fixed surroundings piece by piece, and its population."""
+"""What a road's builder hands over: the road, its ground and fixed surroundings piece by piece, and its population."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.world.land import Land
 from farfield.simulation.world.population import Population
-from farfield.simulation.world.road import RoadLine
 
 CHUNK_M = 100.0
 
@@ -26,18 +26,18 @@ class Layout:
     """A road and what stands beside it, built in pieces of ``CHUNK_M``.
 
     Args:
-        road: The reference line.
-        surface: Builds ground, barriers and other continuous things over given stations along the road.
+        land: The ground, and with it the reference line.
         population: Its road users.
-        seed: Draws shapes and paint of the fixed objects.
+        seed: Draws paint of the fixed objects.
+        running: Build what runs along the road (markings, rails, walls) over given stations.
         placements: The fixed objects.
-        breaks_m: Stations at which the surface changes and needs a row of its own.
+        breaks_m: Stations at which the ground changes and needs a row of its own.
     """
 
-    road: RoadLine
-    surface: Callable[[Float[np.ndarray, " k"], np.random.Generator], Mesh]
+    land: Land
     population: Population
     seed: np.random.SeedSequence
+    running: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = field(default_factory=list)
     placements: list[Placement] = field(default_factory=list)
     breaks_m: tuple[float, ...] = ()
 
@@ -48,6 +48,6 @@ class Layout:
         first, last = index * CHUNK_M, (index + 1) * CHUNK_M
         inner = [s for s in self.breaks_m if first < s < last]
         rows = np.unique(np.concatenate([np.linspace(first, last, 26), inner]))
-        parts = [self.surface(rows, rng)]
-        parts += [place.build(rng).painted(rng) for place in self.placements if first <= place.s_m < last]
-        return Mesh.merge(parts)
+        parts = [self.land.strips(rows), self.land.beyond(first, last), *(build(rows) for build in self.running)]
+        parts += [place.build(rng) for place in self.placements if first <= place.s_m < last]
+        return Mesh.merge([part.painted(rng) for part in parts if len(part.faces)])

@@ -8,64 +8,112 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.ndimage import uniform_filter1d
 
 from farfield.simulation.bodies.mesh import Mesh, grid
 
 _STEP_M = 1.0
+_MAX_BANK = 0.06
+BANKED_HALF_M = 18.0  # super-elevation tilts the ground so far to both sides
+
+
+@dataclass(frozen=True)
+class Bends:
+    """Bounds of a road's shape.
+
+    Args:
+        curvature_per_m: Greatest curvature.
+        straight_m: Range of the straight pieces' lengths.
+        turn_rad: Range of the bends' angles; headings stay within 1.2 times the greatest of the first one, so that the
+            road never comes back to itself.
+        grade: Greatest slope.
+        climb: Mean slope.
+        bank_gain_m: Super-elevation for a curvature of 1 / m; it stays below 0.06.
+    """
+
+    curvature_per_m: float
+    straight_m: tuple[float, float] = (80.0, 300.0)
+    turn_rad: tuple[float, float] = (0.1, 0.6)
+    grade: float = 0.02
+    climb: float = 0.0
+    bank_gain_m: float = 0.0
+
+
+def _bend_curvature(length: int, bends: Bends, rng: np.random.Generator) -> Float[np.ndarray, " n"]:
+    """Straights and bends in turn; the bends are arcs between clothoids (curvature is a trapezium), then smoothed."""
+    out, heading, at = np.zeros(length), 0.0, int(rng.uniform(20, 60))
+    limit = 1.2 * bends.turn_rad[1] / 2
+    while at < length:
+        turn = rng.uniform(*bends.turn_rad) * (rng.choice([-1, 1]) if abs(heading) < limit / 2 else -np.sign(heading))
+        turn = float(np.clip(heading + turn, -limit, limit)) - heading
+        peak = bends.curvature_per_m * rng.uniform(0.55, 0.97)
+        whole = abs(turn) / peak
+        ramp = max(int(0.5 * whole), 12)
+        flat = max(int(whole - ramp), 1)
+        shape = np.concatenate([np.linspace(0, 1, ramp), np.ones(flat), np.linspace(1, 0, ramp)])
+        shape *= np.sign(turn) * min(peak, abs(turn) / shape.sum())
+        piece = shape[: length - at]
+        out[at : at + len(piece)] = piece
+        heading += float(shape.sum())
+        at += len(shape) + int(rng.uniform(*bends.straight_m))
+    return uniform_filter1d(uniform_filter1d(out, 9, mode="nearest"), 9, mode="nearest")
 
 
 @dataclass(frozen=True, eq=False)
 class RoadLine:
-    """A smooth line with gentle bends and undulation; s = 0 lies at the world's origin, heading along x.
+    """A smooth line with bends, super-elevation and grades; s = 0 lies at the world's origin, heading along x.
 
     Args:
         first_s_m: Where the tabulated line begins.
-        table: x, y, z, heading at every metre, shape (n, 4).
+        table: x, y, z, heading, grade, super-elevation (rise to the right), curvature at every metre, shape (n, 7).
     """
 
     first_s_m: float
-    table: Float[np.ndarray, "n 4"]
+    table: Float[np.ndarray, "n 7"]
 
     @classmethod
-    def draw(
-        cls, rng: np.random.Generator, *, behind_m: float, ahead_m: float, curvature_per_m: float, undulation_m: float
-    ) -> "RoadLine":
-        """Draw a line from ``-behind_m`` to ``ahead_m``.
-
-        Args:
-            rng: Source of randomness.
-            behind_m: Length before the origin.
-            ahead_m: Length after the origin.
-            curvature_per_m: Amplitude of each of the two waves of curvature.
-            undulation_m: Amplitude of each of the two waves of height.
-        """
-        s = np.arange(-np.ceil(behind_m), ahead_m + _STEP_M, _STEP_M)
-        curvature, z = np.zeros_like(s), np.zeros_like(s)
-        for shortest, longest in ((350.0, 800.0), (900.0, 2500.0)):
-            wave = curvature_per_m * rng.uniform(-1, 1)
-            curvature += wave * np.sin(2 * np.pi * s / rng.uniform(shortest, longest) + rng.uniform(0, 2 * np.pi))
-        for shortest, longest in ((200.0, 400.0), (500.0, 1200.0)):
-            wave = undulation_m * rng.uniform(0.1, 1.0)
-            z += wave * np.sin(2 * np.pi * s / rng.uniform(shortest, longest) + rng.uniform(0, 2 * np.pi))
-        heading = np.cumsum(curvature) * _STEP_M
-        origin = int(np.argmin(np.abs(s)))
-        heading -= heading[origin]
-        x, y = np.cumsum(np.cos(heading)) * _STEP_M, np.cumsum(np.sin(heading)) * _STEP_M
-        table = np.stack([x - x[origin], y - y[origin], z - z[origin], heading], axis=1)
-        return cls(float(s[0]), table)
+    def draw(cls, rng: np.random.Generator, *, behind_m: float, ahead_m: float, bends: Bends) -> "RoadLine":
+        """Draw a line from ``-behind_m`` to ``ahead_m`` within the given bounds."""
+        behind, ahead = int(np.ceil(behind_m)), int(np.ceil(ahead_m))
+        s = np.arange(-behind, ahead + 1, dtype=np.float64)
+        back, onward = _bend_curvature(behind, bends, rng), _bend_curvature(ahead + 1, bends, rng)
+        curvature = uniform_filter1d(np.concatenate([back[::-1], onward]), 15, mode="nearest")
+        spare, grade = bends.grade - abs(bends.climb), np.full_like(s, bends.climb)
+        for share, shortest, longest in ((0.35, 120.0, 300.0), (0.65, 350.0, 1200.0)):
+            phase = rng.uniform(0, 2 * np.pi)
+            wave = share * spare * rng.uniform(0.2, 1.0)
+            grade += wave * np.sin(2 * np.pi * s / rng.uniform(shortest, longest) + phase)
+        bank = np.clip(uniform_filter1d(curvature, 41, mode="nearest") * bends.bank_gain_m, -_MAX_BANK, _MAX_BANK)
+        columns = [np.zeros_like(s) for _ in range(3)]
+        heading = np.concatenate([[0.0], np.cumsum((curvature[1:] + curvature[:-1]) / 2)])
+        heading -= heading[behind]
+        for column, rate in zip(columns, (np.cos(heading), np.sin(heading), grade), strict=True):
+            column[1:] = np.cumsum((rate[1:] + rate[:-1]) / 2)
+            column -= column[behind]
+        return cls(float(-behind), np.stack([*columns, heading, grade, bank, curvature], axis=1))
 
     def _column(self, s_m: Float[np.ndarray, "*shape"], column: int) -> Float[np.ndarray, "*shape"]:
         position = (s_m - self.first_s_m) / _STEP_M
         return np.asarray(np.interp(position, np.arange(len(self.table)), self.table[:, column]))
 
+    @property
+    def last_s_m(self) -> float:
+        """Where the tabulated line ends."""
+        return self.first_s_m + (len(self.table) - 1) * _STEP_M
+
     def heading_rad(self, s_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """Direction of growing s."""
         return self._column(s_m, 3)
 
-    def slope(self, s_m: float) -> float:
-        """Rise per metre."""
-        ends = self._column(np.array([s_m - 1.5, s_m + 1.5]), 2)
-        return float(ends[1] - ends[0]) / 3.0
+    def curvature_per_m(self, s_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Change of heading per metre; positive in bends to the left."""
+        return self._column(s_m, 6)
+
+    def slopes(
+        self, s_m: Float[np.ndarray, "*shape"]
+    ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+        """Rise per metre along the line, and to its left."""
+        return self._column(s_m, 4), np.asarray(-self._column(s_m, 5))
 
     def point_m(
         self, s_m: Float[np.ndarray, "*shape"], d_m: Float[np.ndarray, "*shape"] | float
@@ -74,7 +122,8 @@ class RoadLine:
         heading = self.heading_rad(s_m)
         x = self._column(s_m, 0) - d_m * np.sin(heading)
         y = self._column(s_m, 1) + d_m * np.cos(heading)
-        return np.stack([x, y, self._column(s_m, 2)], axis=-1)
+        tilt = -self._column(s_m, 5) * np.clip(d_m, -BANKED_HALF_M, BANKED_HALF_M)
+        return np.stack([x, y, self._column(s_m, 2) + tilt], axis=-1)
 
 
 def ribbon(
@@ -90,7 +139,7 @@ def ribbon(
         road: The reference line.
         s_m: Where the sections stand, shape (k,).
         d_m: Offsets of the section's points, shape (n,) or (k, n).
-        height_m: Their heights above the reference line, the same shape.
+        height_m: Their heights above the road's surface, the same shape.
         material: One material, one for each stretch of the section, or one for each cell.
     """
     n = np.shape(d_m)[-1]

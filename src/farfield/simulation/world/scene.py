@@ -5,18 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from farfield.geometry.poses import pose, pose_from_yaw
+from farfield.errors import ConfigError
+from farfield.geometry.poses import pose
 from farfield.simulation.bodies.actors import Actor
+from farfield.simulation.bodies.gait import PHASES
 from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.bodies.sizes import find_prior
 from farfield.simulation.trace import Body, Tracer
-from farfield.simulation.world.highway import build_highway
 from farfield.simulation.world.layout import CHUNK_M, Layout
-from farfield.simulation.world.traffic import STEP_S
-from farfield.simulation.world.urban import build_urban
+from farfield.simulation.world.motion import STEP_S
+from farfield.simulation.world.roads import BUILDERS, Plot
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
-_BUILDERS = {"highway": build_highway, "urban": build_urban}
-ROADS = tuple(_BUILDERS)
+_MOVES_M = 0.2  # who moves less in the whole sequence stands
+ROADS = tuple(BUILDERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,26 +75,32 @@ class Scene:
         seed: Draws everything; the same seed gives the same world whatever sensors look at it.
         duration_s: How long it lasts.
         sizes: Named prior of the road users' sizes: "us", "korea" or "kitti".
+
+    Raises:
+        ConfigError: If there is no such road or prior.
     """
 
     def __init__(self, road: str, seed: np.random.SeedSequence, *, duration_s: float, sizes: str = "us") -> None:
+        if road not in BUILDERS:
+            raise ConfigError(f"road: expected one of {', '.join(ROADS)}; got {road!r}")
+        find_prior(sizes)
         layout_seed, actor_seed, pose_seed = seed.spawn(3)
         self.road, self.duration_s, self.sizes = road, duration_s, sizes
-        self.layout: Layout = _BUILDERS[road](layout_seed, duration_s=duration_s)
+        self.layout: Layout = BUILDERS[road](Plot(layout_seed, duration_s, sizes))
         self.actors, self.motion = self.layout.population.finish(actor_seed)
         self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
+        self._rows = {actor.track_id: row for row, actor in enumerate(self.actors)}
         self._tracers: dict[tuple[int, int], Tracer] = {}
         self._stage: tuple[tuple[int, float], Tracer] | None = None
 
     def ego_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
-        """Pose of the ego vehicle: middle of its bottom on the road, its heading, the road's slope, some nodding."""
-        position, heading = self.motion.at(time_s, rows=slice(0, 1))
-        (x, y, z), yaw = position[0], heading[0]
+        """Pose of the ego vehicle: middle of its bottom on the road, its heading, the road's slopes, some nodding."""
+        still = self.motion.poses(time_s, rows=slice(0, 1))[0]
         nod = np.radians(0.05) * np.sin(2 * np.pi * np.array([1.1, 0.7]) * time_s + self._sway)
-        pitch = -self.layout.road.slope(self._ego_s_m(time_s)) + nod[0]
-        tilt = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
-        lean = np.array([[1, 0, 0], [0, np.cos(nod[1]), -np.sin(nod[1])], [0, np.sin(nod[1]), np.cos(nod[1])]])
-        return pose_from_yaw(float(yaw), np.array([x, y, z])) @ pose(tilt @ lean, np.zeros(3))
+        (sin, lean_sin), (cos, lean_cos) = np.sin(nod), np.cos(nod)
+        tilt = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+        lean = np.array([[1, 0, 0], [0, lean_cos, -lean_sin], [0, lean_sin, lean_cos]])
+        return still @ pose(tilt @ lean, np.zeros(3))
 
     def _ego_s_m(self, time_s: float) -> float:
         track = self.layout.population.ego_s_m
@@ -104,7 +112,7 @@ class Scene:
             first = int(np.floor((stage * _STAGE_M - behind_m) / CHUNK_M))
             last = int(np.ceil(((stage + 1) * _STAGE_M + reach_m) / CHUNK_M))
             mesh = Mesh.merge([self.layout.chunk(index) for index in range(first, last)])
-            anchor = self.layout.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
+            anchor = self.layout.land.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
             self._stage = ((stage, behind_m), Tracer(mesh, anchor_m=anchor))
         return Body(self._stage[1], np.broadcast_to(np.eye(4), (knots, 4, 4)))
 
@@ -130,19 +138,40 @@ class Scene:
         near = (np.hypot(offset[:, 0], offset[:, 1]) < reach_m) & (ahead > -reach - behind_m)
         near[0] = False
         chosen = np.flatnonzero(near)
-        paths = [self.motion.at(float(moment), rows=chosen) for moment in moments]
+        paths = np.stack([self.motion.poses(float(moment), rows=chosen) for moment in moments])
         bodies = [self._fixed(time_s, reach_m, behind_m, len(knots_s))]
         for row, index in enumerate(chosen):
-            poses = np.stack([pose_from_yaw(float(turn[row]), place[row]) for place, turn in paths])
-            bodies.append(Body(self._tracer(int(index), time_s), poses, row))
+            bodies.append(Body(self._tracer(int(index), time_s), paths[:, row], row))
         actors = [self.actors[index] for index in chosen]
         velocity = self.motion.velocity_m_s(time_s)
         return Window(
             time_s, knots_s, world_T_ego, bodies, actors, position[chosen], yaw[chosen], velocity[chosen], velocity[0]
         )
 
-    def _tracer(self, index: int, time_s: float) -> Tracer:  # noqa: ARG002  gait will need the time
-        key = (index, 0)
+    def gait_phase(self, row: int, time_s: float) -> float | None:
+        """Phase of a walker's gait in [0, 1): it follows the distance walked.
+
+        Args:
+            row: Index into the scene's own ``actors``; not into a window's.
+            time_s: The moment.
+
+        Returns:
+            The phase, or None for rigid bodies and for those that stand through the whole sequence.
+        """
+        actor = self.actors[row]
+        if not actor.cycle_m or self.motion.travelled_m(row, self.duration_s) < _MOVES_M:
+            return None
+        first = (actor.track_id * 0.618034) % 1.0
+        return (first + self.motion.travelled_m(row, time_s) / actor.cycle_m) % 1.0
+
+    def row_of(self, track_id: int) -> int:
+        """Index into ``actors`` of the road user with a track id, such as one of a window's."""
+        return self._rows[track_id]
+
+    def _tracer(self, index: int, time_s: float) -> Tracer:
+        phase = self.gait_phase(index, time_s)
+        key = (index, -1 if phase is None else int(phase * PHASES))
         if key not in self._tracers:
-            self._tracers[key] = Tracer(self.actors[index].build())
+            shape = None if phase is None else (key[1] + 0.5) / PHASES
+            self._tracers[key] = Tracer(self.actors[index].build(shape))
         return self._tracers[key]

@@ -1,151 +1,313 @@
-"""Motion of the road users: car-following along lanes, straight walks and crossings, and no two bodies in one place."""
+"""Drivers: following by the Intelligent Driver Model, lane changes by MOBIL, and stopping at signals.
 
-from dataclasses import dataclass
+IDM: Treiber, Hennecke and Helbing, 2000, equations 3 and 4. MOBIL: Kesting, Treiber and Helbing, 2007. A vehicle that
+changes lanes occupies both until it has left the old one, so that nobody drives beside it.
+"""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
-from farfield.geometry.boxes import wrap_angle_rad
-from farfield.geometry.iou import bev_intersection_m2
+from farfield.simulation.world.motion import STEP_S
 
-STEP_S = 0.1
+_LEAST_GAP_M = 1.0
+_NONE_M = 1e6
+_LANE_KEY_M = 1e7  # keys of lanes lie so far apart
+_POLITENESS, _THRESHOLD_M_S2, _SAFE_M_S2, _KEEP_RIGHT_M_S2 = 0.3, 0.25, 2.5, 0.1
+_CONSIDER_STEPS, _PAUSE_STEPS, _CALM_M = 5, 150, 40.0
+
+
+@dataclass(eq=False)
+class Drivers:
+    """n vehicles before they drive.
+
+    Args:
+        progress_m: Where each one's middle starts, along its own direction.
+        lane: Its lane.
+        length_m: Its length.
+        desired_m_s: The speed it would drive on an empty road.
+        headway_s: Time gap T.
+        standstill_m: Gap s0 at a standstill.
+        accelerate_m_s2: Greatest acceleration a.
+        brake_m_s2: Comfortable deceleration b.
+        steady: Those that keep their lane.
+        surge: Depth of stop-and-go waves in the desired speed, 0 to below 1.
+    """
+
+    progress_m: Float[np.ndarray, " n"]
+    lane: Int[np.ndarray, " n"]
+    length_m: Float[np.ndarray, " n"]
+    desired_m_s: Float[np.ndarray, " n"]
+    headway_s: Float[np.ndarray, " n"]
+    standstill_m: Float[np.ndarray, " n"]
+    accelerate_m_s2: Float[np.ndarray, " n"]
+    brake_m_s2: Float[np.ndarray, " n"]
+    steady: Bool[np.ndarray, " n"]
+    surge: float = 0.0
+
+    def idm_m_s2(
+        self,
+        row: Int[np.ndarray, " m"] | slice,
+        speed_m_s: Float[np.ndarray, " m"],
+        gap_m: Float[np.ndarray, " m"],
+        closing_m_s: Float[np.ndarray, " m"],
+        ease: Float[np.ndarray, " m"] | float = 1.0,
+    ) -> Float[np.ndarray, " m"]:
+        """Acceleration of some vehicles, given the gaps to their leaders and how fast they close."""
+        a, b = self.accelerate_m_s2[row], self.brake_m_s2[row]
+        wish = self.standstill_m[row] + np.maximum(
+            speed_m_s * (self.headway_s[row] + closing_m_s / (2 * np.sqrt(a * b))), 0.0
+        )
+        free = (speed_m_s / (self.desired_m_s[row] * ease)) ** 4
+        change: Float[np.ndarray, " m"] = a * (1 - np.minimum(free, 4.0) - (wish / np.maximum(gap_m, 0.1)) ** 2)
+        return np.clip(change, -8.0, a)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A stop line: red during the first ``red_s`` of each period.
+
+    Args:
+        lane: Lane it holds for.
+        progress_m: Place of the line.
+        shift_s: Time by which its period began before time 0.
+        period_s: Period.
+        red_s: Red time of each.
+    """
+
+    lane: int
+    progress_m: float
+    shift_s: float
+    period_s: float
+    red_s: float
+
+
+@dataclass(frozen=True)
+class LaneChange:
+    """One vehicle's move to another lane.
+
+    Args:
+        row: The vehicle.
+        step: When it began.
+        start_m: Its progress then.
+        length_m: The distance over which it moves sideways.
+        before: Lane it leaves.
+        after: Lane it takes.
+    """
+
+    row: int
+    step: int
+    start_m: float
+    length_m: float
+    before: int
+    after: int
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """Poses of n actors at every 0.1 s, and in between by interpolation.
+class Drive:
+    """What came of it.
 
     Args:
-        position_m: Middle of each body's bottom in the world, shape (n, steps, 3).
-        yaw_rad: Headings in the world, shape (n, steps).
+        progress_m: Progress at every moment, shape (n, steps). Bodies in a lane stay at least one metre apart.
+        changes: Lane changes in the order in which they began.
     """
 
-    position_m: Float[np.ndarray, "n steps 3"]
-    yaw_rad: Float[np.ndarray, "n steps"]
-
-    def at(
-        self, time_s: float, *, rows: slice | Int[np.ndarray, " m"] = slice(None)
-    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-        """Positions (m, 3) and headings (m,) of some actors, all unless named, at a continuous time."""
-        before, share = self._place(time_s)
-        a, b = self.position_m[rows, before], self.position_m[rows, before + 1]
-        turn = wrap_angle_rad(self.yaw_rad[rows, before + 1] - self.yaw_rad[rows, before])
-        return a + share * (b - a), wrap_angle_rad(self.yaw_rad[rows, before] + share * turn)
-
-    def velocity_m_s(self, time_s: float) -> Float[np.ndarray, "n 3"]:
-        """Velocities in the world at a continuous time, shape (n, 3)."""
-        before, _ = self._place(time_s)
-        change: Float[np.ndarray, "n 3"] = self.position_m[:, before + 1] - self.position_m[:, before]
-        return change / STEP_S
-
-    def _place(self, time_s: float) -> tuple[int, float]:
-        last = self.position_m.shape[1] - 1
-        before = min(int(time_s / STEP_S), last - 1)
-        return before, time_s / STEP_S - before
+    progress_m: Float[np.ndarray, "n steps"]
+    changes: list[LaneChange]
 
 
-def follow(
-    progress_m: Float[np.ndarray, " n"],
-    desired_m_s: Float[np.ndarray, " n"],
-    length_m: Float[np.ndarray, " n"],
-    leader: Int[np.ndarray, " n"],
-    *,
-    steps: int,
-) -> Float[np.ndarray, "n steps"]:
-    """Drive along lanes by the Intelligent Driver Model (Treiber, Hennecke and Helbing, 2000, equations 3 and 4).
+def equilibrium_gap_m(speed_m_s: float, desired_m_s: float, headway_s: float, standstill_m: float) -> float:
+    """Gap at which the IDM neither speeds up nor slows down: (s0 + v T) / sqrt(1 - (v / v0)^4)."""
+    return (standstill_m + speed_m_s * headway_s) / float(np.sqrt(1 - (speed_m_s / desired_m_s) ** 4))
 
-    Args:
-        progress_m: Where each vehicle's middle starts, along its own direction.
-        desired_m_s: Speed each would drive on an empty road.
-        length_m: Lengths of the bodies.
-        leader: Index of the vehicle in front in the same lane, or -1.
-        steps: Number of moments, ``STEP_S`` apart, the first at the start.
 
-    Returns:
-        Progress at every moment, shape (n, steps). Bodies in a lane stay at least one metre apart.
-    """
-    time_gap_s, standstill_m, accelerate_m_s2, brake_m_s2 = 1.3, 2.0, 1.2, 2.5
-    led = leader >= 0
-    ahead = np.where(led, leader, 0)
-    reach = (length_m + length_m[ahead]) / 2
-    gap = np.where(led, progress_m[ahead] - progress_m - reach, 1e6)
-    speed = np.minimum(desired_m_s, np.maximum(gap - standstill_m, 0.0) / time_gap_s)
-    path = np.empty((len(progress_m), steps))
-    path[:, 0] = progress_m
-    order = np.argsort(-progress_m, kind="stable")
-    for step in range(1, steps):
-        closing = np.where(led, speed - speed[ahead], 0.0)
-        wish = standstill_m + np.maximum(
-            speed * (time_gap_s + closing / (2 * np.sqrt(accelerate_m_s2 * brake_m_s2))), 0
+@dataclass(eq=False)
+class _Order:
+    """Who follows whom: one entry for each vehicle, and one more for each that still occupies its old lane."""
+
+    row: Int[np.ndarray, " e"]
+    lane: Int[np.ndarray, " e"]
+    leader: Int[np.ndarray, " e"] = field(init=False)
+    sorted_row: Int[np.ndarray, " e"] = field(init=False)
+    sorted_lane: Int[np.ndarray, " e"] = field(init=False)
+
+    def settle(self, progress_m: Float[np.ndarray, " n"]) -> "_Order":
+        order = np.lexsort((progress_m[self.row], self.lane))
+        self.sorted_row, self.sorted_lane = self.row[order], self.lane[order]
+        self.leader = np.full(len(self.row), -1)
+        same = self.sorted_lane[1:] == self.sorted_lane[:-1]
+        self.leader[order[:-1][same]] = self.sorted_row[1:][same]
+        return self
+
+
+class _Simulation:
+    def __init__(self, drivers: Drivers, beside: Int[np.ndarray, "2 lanes"], signals: list[Signal]) -> None:
+        self.drivers, self.beside = drivers, beside
+        self.lane, self.old = drivers.lane.copy(), np.full(len(drivers.lane), -1)
+        self.left_at_m = np.full(len(self.lane), np.inf)
+        self.calm_until = np.arange(len(self.lane)) * 37 % _PAUSE_STEPS  # not all at once in the beginning
+        self.changes: list[LaneChange] = []
+        signals = sorted(signals, key=lambda one: (one.lane, one.progress_m))
+        self.signals = np.array([[s.lane, s.progress_m, s.shift_s, s.period_s, s.red_s] for s in signals]).reshape(
+            -1, 5
         )
-        change = accelerate_m_s2 * (1 - (speed / desired_m_s) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
-        speed = np.maximum(speed + STEP_S * np.clip(change, -8.0, accelerate_m_s2), 0.0)
-        position = path[:, step - 1] + STEP_S * speed
-        gap = np.where(led, position[ahead] - position - reach, 1e6)
-        if (gap < 1.0).any():
-            position = _keep_apart(position, ahead, led, reach, order)
-            speed = (position - path[:, step - 1]) / STEP_S
-            gap = np.where(led, position[ahead] - position - reach, 1e6)
-        path[:, step] = position
-    return path
+        self.order = self._ordered(drivers.progress_m)
+
+    def _ordered(self, progress_m: Float[np.ndarray, " n"]) -> _Order:
+        both = np.flatnonzero(self.old >= 0)
+        rows = np.concatenate([np.arange(len(self.lane)), both])
+        return _Order(rows, np.concatenate([self.lane, self.old[both]])).settle(progress_m)
+
+    def gaps(self, progress_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " e"]:
+        """Free distance of each entry to its leader."""
+        row, leader = self.order.row, self.order.leader
+        reach = (self.drivers.length_m[row] + self.drivers.length_m[leader]) / 2
+        return np.where(leader >= 0, progress_m[leader] - progress_m[row] - reach, _NONE_M)
+
+    def accelerate(
+        self, progress_m: Float[np.ndarray, " n"], speed_m_s: Float[np.ndarray, " n"], time_s: float
+    ) -> Float[np.ndarray, " n"]:
+        """What each driver does: the least of what its leaders and a red signal ask for."""
+        row, leader, n = self.order.row, self.order.leader, len(self.lane)
+        closing = np.where(leader >= 0, speed_m_s[row] - speed_m_s[leader], 0.0)
+        ease: Float[np.ndarray, " e"] | float = 1.0
+        if self.drivers.surge:
+            ease = 1.0 + self.drivers.surge * np.sin(2 * np.pi * (time_s / 30.0 + progress_m[row] / 300.0))
+        each = self.drivers.idm_m_s2(row, speed_m_s[row], self.gaps(progress_m), closing, ease)
+        out = each[:n].copy()
+        np.minimum.at(out, row[n:], each[n:])
+        return np.minimum(out, self._at_signals(progress_m, speed_m_s, time_s)) if len(self.signals) else out
+
+    def _at_signals(
+        self, progress_m: Float[np.ndarray, " n"], speed_m_s: Float[np.ndarray, " n"], time_s: float
+    ) -> Float[np.ndarray, " n"]:
+        front = progress_m + self.drivers.length_m / 2
+        keys = self.signals[:, 0] * _LANE_KEY_M + self.signals[:, 1]
+        index = np.minimum(np.searchsorted(keys, self.lane * _LANE_KEY_M + front), len(keys) - 1)
+        lane, place, shift, period, red = self.signals[index].T
+        gap = place - front
+        holds = (lane == self.lane) & (gap > 0) & ((time_s + shift) % period < red)
+        holds &= speed_m_s**2 < 2 * 3.5 * np.maximum(gap, 0.05)
+        wait = self.drivers.idm_m_s2(slice(None), speed_m_s, np.where(holds, gap, _NONE_M), speed_m_s)
+        return np.where(holds, wait, np.inf)
+
+    def keep_apart(self, progress_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Hold vehicles back, leaders first, so that a metre stays between bodies."""
+        kept, length = progress_m.copy(), self.drivers.length_m
+        entries = np.argsort(-progress_m[self.order.row], kind="stable")
+        for entry in entries[self.order.leader[entries] >= 0]:
+            row, leader = self.order.row[entry], self.order.leader[entry]
+            kept[row] = min(kept[row], kept[leader] - (length[row] + length[leader]) / 2 - _LEAST_GAP_M)
+        return kept
+
+    def finish_changes(self, progress_m: Float[np.ndarray, " n"], step: int) -> None:
+        """Vehicles that have reached their new lane leave the old one."""
+        done = (self.old >= 0) & (progress_m > self.left_at_m)
+        if done.any():
+            self.old[done] = -1
+            self.calm_until[done] = step + _PAUSE_STEPS
+            self.order = self._ordered(progress_m)
+
+    def consider_changes(
+        self,
+        progress_m: Float[np.ndarray, " n"],
+        speed_m_s: Float[np.ndarray, " n"],
+        change_m_s2: Float[np.ndarray, " n"],
+        step: int,
+    ) -> None:
+        """Let those change lanes whom MOBIL tells to, one at a time in any stretch of road."""
+        wish = np.stack([self._incentive(side, progress_m, speed_m_s, change_m_s2, step) for side in (0, 1)])
+        gain, side = wish.max(axis=0), wish.argmax(axis=0)
+        taken: list[float] = []
+        for row in np.argsort(-gain, kind="stable"):
+            if gain[row] <= 0:
+                break
+            if any(abs(progress_m[row] - other) < _CALM_M for other in taken):
+                continue
+            taken.append(float(progress_m[row]))
+            length = max(3.0 * float(speed_m_s[row]), 22.0) + float(self.drivers.length_m[row])
+            before, after = int(self.lane[row]), int(self.beside[side[row], self.lane[row]])
+            self.old[row], self.lane[row] = before, after
+            self.left_at_m[row] = progress_m[row] + length + self.drivers.length_m[row] / 2
+            self.changes.append(LaneChange(int(row), step, float(progress_m[row]), length, before, after))
+        if taken:
+            self.order = self._ordered(progress_m)
+
+    def _incentive(
+        self,
+        side: int,
+        progress_m: Float[np.ndarray, " n"],
+        speed_m_s: Float[np.ndarray, " n"],
+        change_m_s2: Float[np.ndarray, " n"],
+        step: int,
+    ) -> Float[np.ndarray, " n"]:
+        """Gain in acceleration over MOBIL's threshold by moving left (0) or right (1); -inf where unsafe."""
+        drivers, order, n = self.drivers, self.order, len(self.lane)
+        target = self.beside[side, self.lane]
+        keys = order.sorted_lane * _LANE_KEY_M + progress_m[order.sorted_row]
+        place = np.searchsorted(keys, target * _LANE_KEY_M + progress_m)
+        last = len(keys) - 1
+        ahead, behind = np.minimum(place, last), np.maximum(place - 1, 0)
+        lead = np.where((place <= last) & (order.sorted_lane[ahead] == target), order.sorted_row[ahead], -1)
+        tail = np.where((place > 0) & (order.sorted_lane[behind] == target), order.sorted_row[behind], -1)
+        rows = np.arange(n)
+
+        def meet(back: Int[np.ndarray, " n"], front: Int[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
+            there = (back >= 0) & (front >= 0)
+            reach = (drivers.length_m[back] + drivers.length_m[front]) / 2
+            gap = np.where(there, progress_m[front] - progress_m[back] - reach, _NONE_M)
+            closing = np.where(there, speed_m_s[back] - speed_m_s[front], 0.0)
+            return gap, drivers.idm_m_s2(back, speed_m_s[back], gap, closing)
+
+        gap_lead, own = meet(rows, lead)
+        gap_tail, tail_after = meet(tail, rows)
+        follower = np.full(n, -1)
+        led = order.leader[:n] >= 0
+        follower[order.leader[:n][led]] = np.flatnonzero(led)
+        _, follower_after = meet(follower, order.leader[:n])
+        others = np.where(tail >= 0, tail_after - change_m_s2[tail], 0.0)
+        others = others + np.where(follower >= 0, follower_after - change_m_s2[follower], 0.0)
+        gain = (
+            own
+            - change_m_s2
+            + _POLITENESS * others
+            - _THRESHOLD_M_S2
+            + (_KEEP_RIGHT_M_S2 if side else -_KEEP_RIGHT_M_S2)
+        )
+        able = (target >= 0) & (self.old < 0) & (step >= self.calm_until) & ~drivers.steady & (speed_m_s > 4.0)
+        safe = (own > -_SAFE_M_S2) & ((tail < 0) | (tail_after > -_SAFE_M_S2))
+        safe &= (gap_lead > 3.0 + 0.3 * speed_m_s) & (gap_tail > 3.0 + 0.3 * np.where(tail >= 0, speed_m_s[tail], 0.0))
+        return np.where(able & safe, gain, -np.inf)
 
 
-def _keep_apart(
-    position: Float[np.ndarray, " n"],
-    ahead: Int[np.ndarray, " n"],
-    led: Bool[np.ndarray, " n"],
-    reach: Float[np.ndarray, " n"],
-    order: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Hold vehicles back, leaders first, so that a metre stays between bodies."""
-    kept = position.copy()
-    for index in order:
-        if led[index]:
-            kept[index] = min(kept[index], kept[ahead[index]] - reach[index] - 1.0)
-    return kept
-
-
-def in_conflict(
-    position_m: Float[np.ndarray, "n steps 3"],
-    yaw_rad: Float[np.ndarray, "n steps"],
-    size_m: Float[np.ndarray, "n 3"],
-    loose: Bool[np.ndarray, " n"],
-    *,
-    margin_m: float,
-    every: int = 2,
-) -> Bool[np.ndarray, " n"]:
-    """Which loose actors would ever touch another one that stays.
+def drive(
+    drivers: Drivers, beside: Int[np.ndarray, "2 lanes"], *, steps: int, signals: list[Signal] | None = None
+) -> Drive:
+    """Let vehicles drive.
 
     Args:
-        position_m: Positions at all steps.
-        yaw_rad: Headings at all steps.
-        size_m: Sizes.
-        loose: Actors that may be taken away: those that cross or walk freely, later ones yielding to earlier ones.
-        margin_m: Distance below which bodies count as touching.
-        every: Check every so many steps.
-
-    Returns:
-        True for each actor to take away, shape (n,).
+        drivers: The vehicles. Those of one lane must not overlap at the start.
+        beside: The lanes to the left and to the right of each lane in its driving direction, or -1.
+        steps: Number of moments, ``STEP_S`` apart, the first at the start.
+        signals: Stop lines.
     """
-    gone = np.zeros(len(size_m), dtype=bool)
-    if not loose.any():
-        return gone
-    reach = float(np.hypot(size_m[:, 0], size_m[:, 1]).max()) + margin_m
-    seen: list[Int[np.ndarray, "k 2"]] = []
-    for step in range(0, position_m.shape[1], every):
-        tree = cKDTree(position_m[:, step, :2])
-        pairs = tree.query_pairs(reach, output_type="ndarray")
-        pairs = pairs[loose[pairs].any(axis=1)]
-        rows = np.column_stack([position_m[:, step, :2], size_m[:, :2] + margin_m, yaw_rad[:, step]])
-        half = np.hypot(rows[:, 2], rows[:, 3]) / 2
-        offset = rows[pairs[:, 0], :2] - rows[pairs[:, 1], :2]
-        pairs = pairs[np.hypot(offset[:, 0], offset[:, 1]) < half[pairs].sum(axis=1)]
-        if len(pairs):
-            seen.append(pairs[bev_intersection_m2(rows[pairs[:, 0]], rows[pairs[:, 1]]) > 0])
-    touching = np.unique(np.concatenate(seen), axis=0) if seen else np.zeros((0, 2), dtype=np.int64)
-    for first, second in touching[np.argsort(touching.max(axis=1), kind="stable")]:
-        if gone[first] or gone[second]:
-            continue
-        gone[max(first, second) if loose[max(first, second)] else min(first, second)] = True
-    return gone
+    run = _Simulation(drivers, beside, signals or [])
+    gap = np.full(len(drivers.lane), _NONE_M)
+    np.minimum.at(gap, run.order.row, run.gaps(drivers.progress_m))
+    speed = np.minimum(drivers.desired_m_s, np.maximum(gap - drivers.standstill_m, 0.0) / drivers.headway_s)
+    path = np.empty((len(drivers.lane), steps))
+    path[:, 0] = drivers.progress_m
+    for step in range(1, steps):
+        here = path[:, step - 1]
+        change = run.accelerate(here, speed, step * STEP_S)
+        if step % _CONSIDER_STEPS == 0 and (beside >= 0).any():
+            run.consider_changes(here, speed, change, step)
+        speed = np.maximum(speed + STEP_S * change, 0.0)
+        position = here + STEP_S * speed
+        if (run.gaps(position) < _LEAST_GAP_M).any():
+            position = run.keep_apart(position)
+            speed = (position - here) / STEP_S
+        path[:, step] = position
+        run.finish_changes(position, step)
+    return Drive(path, run.changes)

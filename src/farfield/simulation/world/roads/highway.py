@@ -1,0 +1,176 @@
+"""Highways, and the shoulder of one: lanes, median, rails, poles, gantries, bridges, noise walls."""
+
+from functools import partial
+
+import numpy as np
+
+from farfield.simulation.bodies import furniture
+from farfield.simulation.world.land import FarLand, Land, Strip
+from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.motion import STEP_S
+from farfield.simulation.world.population import Population
+from farfield.simulation.world.road import Bends, RoadLine
+from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, SOIL, Plot
+from farfield.simulation.world.roadside import Roadside, dashed_line, guard_rail, jersey_barrier, solid_line
+
+BENDS = Bends(1 / 640, (150.0, 500.0), (0.08, 0.5), grade=0.02, bank_gain_m=8.0)
+_STATES = {
+    "free": (0.45, (45.0, 90.0), (25.0, 33.0)),
+    "busy": (0.38, (24.0, 42.0), (17.0, 28.0)),
+    "jam": (0.17, (7.0, 16.0), (3.0, 9.0)),
+}
+
+
+class Highway:
+    """The dimensions of one highway, drawn at random."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.lanes = int(rng.choice([2, 3, 4], p=[0.35, 0.4, 0.25]))
+        self.lane_m = float(rng.uniform(3.5, 3.75))
+        self.median_m = float(rng.choice([0.6, 1.2, 3.0, 6.0], p=[0.4, 0.25, 0.2, 0.15]))  # half of its width
+        self.inner_m = self.median_m + float(rng.uniform(0.6, 1.2))
+        self.edge_m = self.inner_m + self.lanes * self.lane_m
+        self.shoulder_m = self.edge_m + float(rng.uniform(2.7, 3.3))
+        self.bank = rng.uniform(-0.25, 0.22, 2)  # slope of the ground beside the shoulder, right and left
+        self.rail = rng.random(2) < 0.55
+        self.barrier = bool(rng.random() < 0.75)
+        self.barrier_m = float(rng.uniform(0.75, 1.05))
+
+    def _side(self, bank: float) -> list[Strip]:
+        return [
+            Strip(self.median_m, ASPHALT if self.barrier else GRASS),
+            Strip(self.inner_m - self.median_m, ASPHALT),
+            Strip(self.edge_m - self.inner_m, ASPHALT),
+            Strip(self.shoulder_m - self.edge_m, ASPHALT),
+            Strip(1.5, GRASS, -0.05, 0.02),
+            Strip(2.0, SOIL, -0.45, 0.05),
+            Strip(2.5, GRASS, 0.35, 0.06),
+            Strip(8.0, GRASS, 8 * bank, 0.10),
+            Strip(16.0, GRASS, 5 * bank, 0.25),
+        ]
+
+    def land(self, road: RoadLine, rng: np.random.Generator) -> Land:
+        """Carriageways, median, shoulders, ditches, embankments and the land beside them."""
+        far = (FarLand(GRASS, 0.1 * float(self.bank[0]), 2.0), FarLand(GRASS, 0.1 * float(self.bank[1]), 2.0))
+        return Land(road, self._side(float(self.bank[0])), self._side(float(self.bank[1])), far, rng)
+
+    def run(self, side: Roadside, road: RoadLine) -> None:
+        """Markings, barrier and rails."""
+        for sign in (1, -1):
+            for offset in (self.inner_m, self.edge_m):
+                side.run(partial(solid_line, road, sign * offset))
+            for lane in range(1, self.lanes):
+                side.run(partial(dashed_line, road, sign * (self.inner_m + lane * self.lane_m), 3.0, 12.5))
+        if self.barrier:
+            side.run(partial(jersey_barrier, road, 0.0, self.barrier_m))
+        else:
+            for sign in (1, -1):
+                side.run(partial(guard_rail, road, sign * (self.median_m - 0.4)))
+        for sign, rail in zip((-1, 1), self.rail, strict=True):
+            if rail:
+                side.run(partial(guard_rail, road, sign * (self.shoulder_m + 0.4)))
+
+    def furnish(self, side: Roadside, rng: np.random.Generator) -> None:
+        """Lamp posts, signs, gantries, bridges, noise walls, trees, and buildings in the distance."""
+        out = self.shoulder_m
+        lamps, pitch, height = rng.random() < 0.6, rng.uniform(32, 50), rng.uniform(9, 12)
+        for sign in (-1, 1):
+            if lamps:
+                side.lamps(sign, out + 1.2, float(pitch), float(height), 2.0)
+            side.signs(sign, out + 0.9, float(rng.uniform(60, 150)))
+            walled = rng.random() < 0.3
+            height, material = float(rng.uniform(2.5, 4.5)), int(rng.choice([CONCRETE, FOLIAGE]))
+            for s in np.arange(FIRST_M, side.last_m, 100.0):
+                if walled and rng.random() < 0.85:
+                    side.wall(float(s), 100.0, sign * (out + 6.5), height, material)
+                elif rng.random() < 0.35:
+                    length, depth = float(rng.uniform(12, 50)), float(rng.uniform(10, 30))
+                    side.block(
+                        float(s) + 50.0,
+                        sign,
+                        out + float(rng.uniform(26, 60)),
+                        length,
+                        depth,
+                        float(rng.uniform(5, 14)),
+                    )
+            side.plants(sign, out + 9.0, out + 50.0, float(rng.choice([0.0, 0.03, 0.08, 0.16])))
+        panels = [(-(self.inner_m + (lane + 0.5) * self.lane_m), 3.0) for lane in range(self.lanes)]
+        for s in side.stations(float(rng.uniform(500, 1000))):
+            side.put(furniture.gantry(out + 1.0, panels), float(s), 0.0)
+        for s in side.stations(float(rng.uniform(900, 2000))):
+            side.put(furniture.bridge(out + 1.0, float(rng.uniform(7, 14))), float(s), 0.0)
+
+
+def build_highway(plot: Plot, *, on_shoulder: bool = False) -> Layout:
+    """Draw one highway sequence; ``on_shoulder`` lets the ego vehicle stand or creep on the right shoulder."""
+    rng, around = plot.rng, plot.around
+    highway = Highway(rng)
+    state = str(rng.choice(list(_STATES), p=[value[0] for value in _STATES.values()]))
+    _, gaps, speeds = _STATES[state]
+    speed, gap = float(rng.uniform(*speeds)), float(rng.uniform(*gaps))
+    creep = 0.0 if rng.random() < 0.6 else float(rng.uniform(0.5, 2.5))
+    ego = creep if on_shoulder else speed * float(rng.uniform(0.95, 1.08))
+    road = plot.line(BENDS, ego)
+    land = highway.land(road, around)
+    population = plot.population(road, long_haul=True)
+    if on_shoulder:
+        s_m = creep * STEP_S * np.arange(population.steps)
+        population.place_ego(s_m, -(highway.edge_m + highway.shoulder_m) / 2 - 0.3)
+    _add_traffic(plot, population, highway, speed=speed, gap=gap, state=state, ego_m_s=ego, on_shoulder=on_shoulder)
+    layout, side = plot.layout(land, population, ego)
+    highway.run(side, road)
+    highway.furnish(side, around)
+    return layout
+
+
+def build_shoulder(plot: Plot) -> Layout:
+    """Draw one sequence on a highway's shoulder."""
+    return build_highway(plot, on_shoulder=True)
+
+
+def _add_traffic(
+    plot: Plot,
+    population: Population,
+    highway: Highway,
+    *,
+    speed: float,
+    gap: float,
+    state: str,
+    ego_m_s: float,
+    on_shoulder: bool,
+) -> None:
+    """Lanes both ways (slower and with more trucks to the right), and a few vehicles standing on the shoulder."""
+    rng = population.rng
+    oncoming = float(rng.uniform(*_STATES["busy" if state == "free" else "free"][2])) if rng.random() < 0.7 else speed
+    onward_gap, trucks = float(rng.uniform(25, 90)), float(rng.uniform(0.03, 0.22))
+    lanes = []
+    for index in range(highway.lanes):
+        share = trucks * (0.15, 0.8, 1.8, 2.2)[index + (2 if highway.lanes == 2 and index else 0)]
+        offset = highway.inner_m + (index + 0.5) * highway.lane_m
+        for direction, distance, pace in ((1, gap, speed), (-1, onward_gap, oncoming)):
+            slower = pace * (1.06 - 0.07 * index)
+            lanes.append(
+                plot.lane(
+                    -direction * offset,
+                    direction,
+                    distance,
+                    slower,
+                    highway.lane_m,
+                    ego_m_s,
+                    trucks=share,
+                    trailers=0.06,
+                )
+            )
+    own = -1 if on_shoulder else 2 * int(rng.integers(highway.lanes))
+    population.drive(lanes, ego_lane=own, ego_speed_m_s=ego_m_s, surge=0.5 if state == "jam" else 0.0)
+    middle = (highway.edge_m + highway.shoulder_m) / 2 + 0.25
+    for s in rng.uniform(-150, 420 + plot.travel_m(ego_m_s), rng.poisson(1.0)):
+        kind = None if rng.random() < 0.7 else population.draw_truck()
+        population.add_parked(float(s), -middle, kind=kind)
+        if rng.random() < 0.4:
+            population.add_along("pedestrian", float(s) - 6, -(highway.shoulder_m + 0.4), 1, 0.3)
+    if rng.random() < 0.08:
+        kind = str(rng.choice(["animal", "deer"]))
+        population.add_parked(float(rng.uniform(40, 200)), -(highway.shoulder_m + 4), turn_rad=1.2, kind=kind)
+    if rng.random() < 0.05:
+        population.add_parked(float(rng.uniform(40, 200)), -(highway.shoulder_m - 0.6), kind="object")

@@ -1,0 +1,128 @@
+"""Parking lots: rows of stalls of 2.5 by 5 m along aisles, 30 to 70 % taken, people on foot, a creeping ego vehicle."""
+
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.simulation.bodies import furniture
+from farfield.simulation.bodies.mesh import Mesh, quads
+from farfield.simulation.world.land import FarLand, Land, Strip
+from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.population import Population
+from farfield.simulation.world.road import Bends, RoadLine
+from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, PAINT, Plot
+from farfield.simulation.world.roadside import Roadside
+
+BENDS = Bends(1 / 1500, (200.0, 500.0), (0.02, 0.06), grade=0.015)
+STALL_M, DEPTH_M, AISLE_M = 2.5, 5.0, 6.5
+_MODULE_M = 2 * DEPTH_M + AISLE_M
+
+
+def _rows(modules: int) -> list[tuple[float, int]]:
+    """Middles of the rows of stalls, and where their vehicles' aisle lies (1 towards growing d)."""
+    out: list[tuple[float, int]] = []
+    for module in range(-modules, modules + 1):
+        middle = module * _MODULE_M
+        out += [(middle - (AISLE_M + DEPTH_M) / 2, 1), (middle + (AISLE_M + DEPTH_M) / 2, -1)]
+    return out
+
+
+def _marks(road: RoadLine, rows: list[tuple[float, int]], gap_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh:
+    """Lines between the stalls."""
+    stalls = np.arange(np.ceil(s_m[0] / STALL_M), np.floor((s_m[-1] - 0.01) / STALL_M) + 1) * STALL_M
+    stalls = stalls[~_cross_aisle(stalls + 0.01, gap_m)]
+    middles = np.array([d for d, _ in rows])
+    s, d = (each.reshape(-1, 1) for each in np.meshgrid(stalls, middles, indexing="ij"))
+    along, across = np.array([-0.06, 0.06, 0.06, -0.06]), np.array([-0.5, -0.5, 0.5, 0.5]) * DEPTH_M
+    if not len(s):
+        return Mesh.merge([])
+    return quads(road.point_m(s + along, d + across) + np.array([0.0, 0.0, 0.01]), PAINT)
+
+
+def _cross_aisle(s_m: Float[np.ndarray, " n"], pitch_m: float) -> np.ndarray:
+    """Whether stations lie in one of the aisles across the rows."""
+    return np.asarray(np.mod(s_m, pitch_m) < 3 * STALL_M)
+
+
+def _fill(population: Population, rows: list[tuple[float, int]], pitch_m: float, last_m: float) -> None:
+    """Park vehicles in 30 to 70 % of the stalls, nose in or out."""
+    rng, share = population.rng, float(population.rng.uniform(0.3, 0.7))
+    for d, aisle in rows:
+        for s in np.arange(np.ceil(-280.0 / STALL_M), last_m / STALL_M) * STALL_M + STALL_M / 2:
+            draw, nose, shift = rng.random(3)
+            if draw > share or _cross_aisle(np.array([s]), pitch_m)[0]:
+                continue
+            turn = np.pi / 2 * (-aisle if nose < 0.75 else aisle)
+            population.add_parked(float(s), d - aisle * 0.3 * float(shift), turn_rad=turn)
+
+
+def _people(population: Population, last_m: float, duration_s: float) -> None:
+    """People along and across the aisles, some with carts, prams or children; cars looking for a place."""
+    rng = population.rng
+    kinds = ["pedestrian", "child", "wheelchair", "stroller", "object", "animal"]
+    for s in rng.uniform(-250, last_m, rng.poisson(12 * (last_m + 250) / 250)):
+        module = int(rng.integers(-2, 3))
+        kind = str(rng.choice(kinds, p=[0.74, 0.09, 0.03, 0.05, 0.06, 0.03]))
+        d = module * _MODULE_M + float(rng.choice([-1, 1])) * float(rng.uniform(2.2, 2.9))
+        speed = 0.0 if kind == "object" or rng.random() < 0.25 else float(rng.uniform(0.7, 1.6))
+        population.add_along(kind, float(s), d, int(rng.choice([-1, 1])), speed)
+    for s in rng.uniform(-100, last_m, rng.poisson(0.1 * duration_s)):
+        direction, delay = int(rng.choice([-1, 1])), float(rng.uniform(-5, duration_s))
+        population.add_crossing(
+            "pedestrian", float(s), -direction * 3.0, direction, float(rng.uniform(0.9, 1.5)), delay_s=delay
+        )
+    for module in (-2, -1, 1, 2):
+        for s in rng.uniform(-200, last_m, rng.poisson(0.8)):
+            direction = int(rng.choice([-1, 1]))
+            d = module * _MODULE_M - direction * 1.5
+            population.add_along(population.draw_car(), float(s), d, direction, float(rng.uniform(1, 4)))
+
+
+def build_parking_lot(plot: Plot) -> Layout:
+    """Draw one sequence in a parking lot."""
+    rng, speed = plot.rng, float(plot.rng.uniform(1.0, 3.2))
+    modules, pitch = int(rng.choice([1, 2])), STALL_M * int(rng.integers(22, 36))
+    road, rows = plot.line(BENDS, speed), _rows(modules)
+    edge = modules * _MODULE_M + AISLE_M / 2 + DEPTH_M
+    half = [
+        Strip(edge, ASPHALT),
+        Strip(0.5, ASPHALT),
+        Strip(0.02, CONCRETE, 0.12),
+        Strip(2.0, CONCRETE),
+        Strip(12.0, GRASS, 0.0, 0.1),
+    ]
+    land = Land(road, half, half, (FarLand(GRASS, 0.0, 1.0), FarLand(GRASS, 0.0, 1.0)), plot.around)
+    population = plot.population(road)
+    lanes = [plot.lane(-1.55, 1, 60.0, speed, 2.6, speed, kind=""), plot.lane(1.55, -1, 70.0, 2.5, 2.6, speed)]
+    population.drive(lanes, ego_lane=0, ego_speed_m_s=speed)
+    last = plot.travel_m(speed) + 260.0
+    _people(population, last, plot.duration_s)
+    _fill(population, rows, pitch, last)
+    layout, side = plot.layout(land, population, speed)
+    side.run(partial(_marks, road, rows, float(pitch)))
+    _furnish(side, edge, float(pitch), modules)
+    return layout
+
+
+def _furnish(side: Roadside, edge_m: float, pitch_m: float, modules: int) -> None:
+    """Lamps and trees between the rows, hedges and buildings around."""
+    rng = side.rng
+    lamp = furniture.pole(float(rng.uniform(7, 10)), 1.2)
+    islands = [(module + 0.5) * _MODULE_M for module in range(-modules, modules)]
+    first = np.floor(FIRST_M / pitch_m) * pitch_m
+    for s in np.arange(first, side.last_m, pitch_m):
+        for d in islands:
+            model = lamp if rng.random() < 0.5 else side.trees[int(rng.integers(6))]
+            side.put(model, float(s) - 0.4, d)
+            side.put(lamp, float(s) + pitch_m / 2, d)
+    for sign in (-1, 1):
+        side.plants(sign, edge_m + 3.5, edge_m + 12.0, 0.08)
+        hedge, built = rng.random() < 0.6, rng.random() < 0.6
+        for s in np.arange(FIRST_M, side.last_m, 50.0):
+            if hedge and rng.random() < 0.85:
+                side.wall(float(s), 50.0, sign * (edge_m + 2.9), 1.1, FOLIAGE, 0.8)
+            if built and rng.random() < 0.7:
+                side.block(
+                    float(s) + 25.0, sign, edge_m + 16.0, 48.0, float(rng.uniform(20, 35)), float(rng.uniform(6, 12))
+                )

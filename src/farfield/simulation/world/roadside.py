@@ -1,0 +1,128 @@
+"""Placing what stands and runs beside a road, for all roads: barriers, lamps, signs, trees, hedges, houses."""
+
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.simulation.bodies import furniture
+from farfield.simulation.bodies.materials import Material
+from farfield.simulation.bodies.mesh import Mesh, box
+from farfield.simulation.world.layout import Layout, Placement
+from farfield.simulation.world.road import RoadLine, ribbon
+
+_PAINT, _METAL = int(Material.LANE_PAINT), int(Material.METAL)
+_RAISED = np.full(2, 0.01)
+
+
+def jersey_barrier(road: RoadLine, d_m: float, height_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh:
+    """A concrete safety barrier."""
+    d = np.array([-0.3, -0.25, -0.1, -0.07, 0.07, 0.1, 0.25, 0.3]) + d_m
+    z = np.array([0.0, 0.08, 0.33, height_m, height_m, 0.33, 0.08, 0.0])
+    return ribbon(road, s_m, d, z, int(Material.CONCRETE))
+
+
+def guard_rail(road: RoadLine, d_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh:
+    """A W-beam of 0.31 m on posts every 4 m."""
+    d = np.array([0.0, 0.05, 0.0, 0.05, 0.0]) + d_m
+    parts = [ribbon(road, s_m, d, np.array([0.45, 0.53, 0.60, 0.68, 0.76]), _METAL)]
+    post = box([0.1, 0.1, 1.05], [0, 0, 0.225], _METAL)
+    for s in np.arange(s_m[0], s_m[-1] - 0.01, 4.0):
+        x, y, z = road.point_m(s, d_m + 0.06)
+        parts.append(post.placed(float(x), float(y), float(z), yaw_rad=float(road.heading_rad(s))))
+    return Mesh.merge(parts)
+
+
+def solid_line(road: RoadLine, d_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh:
+    """A painted line of 0.15 m, a centimetre above the asphalt."""
+    return ribbon(road, s_m, d_m + np.array([-0.075, 0.075]), _RAISED, _PAINT)
+
+
+def dashed_line(road: RoadLine, d_m: float, dash_m: float, pitch_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh:
+    """A broken line."""
+    first = np.ceil(s_m[0] / pitch_m) * pitch_m
+    dashes = np.arange(first, s_m[-1] - dash_m, pitch_m)
+    line = d_m + np.array([-0.07, 0.07])
+    return Mesh.merge([ribbon(road, s + np.array([0.0, dash_m]), line, _RAISED, _PAINT) for s in dashes])
+
+
+class Roadside:
+    """Adds fixed objects to a layout.
+
+    Args:
+        layout: Takes them.
+        rng: Draws places and shapes.
+        first_m: Where the surroundings begin, as s.
+        last_m: Where they end.
+    """
+
+    def __init__(self, layout: Layout, rng: np.random.Generator, first_m: float, last_m: float) -> None:
+        self.layout, self.rng, self.first_m, self.last_m = layout, rng, first_m, last_m
+        self.trees = [furniture.tree(rng.uniform(4, 12), rng) for _ in range(6)]
+        self.conifers = [furniture.tree(rng.uniform(5, 15), rng, conifer=True) for _ in range(4)]
+        self.bushes = [furniture.bush(rng) for _ in range(4)]
+
+    def put(self, model: Mesh, s_m: float, d_m: float, *, turn_rad: float = 0.0, raise_m: float = 0.0) -> None:
+        """Stand one object on the ground."""
+        land = self.layout.land
+
+        def build(_: np.random.Generator) -> Mesh:
+            return land.stand(model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m)
+
+        self.layout.placements.append(Placement(s_m, build))
+
+    def place(self, build: "partial[Mesh]", s_m: float) -> None:
+        """Add an object that knows its place in the world."""
+        self.layout.placements.append(Placement(s_m, lambda _: build()))
+
+    def stations(self, pitch_m: float, *, jitter_m: float = 0.0) -> Float[np.ndarray, " n"]:
+        """Stations at regular distances over the whole stretch, from a random beginning."""
+        s = np.arange(self.first_m + self.rng.uniform(0, pitch_m), self.last_m, pitch_m)
+        return s + self.rng.uniform(-0.5, 0.5, len(s)) * jitter_m
+
+    def plants(
+        self, side: int, near_m: float, far_m: float, per_m: float, *, conifers: float = 0.2, bushes: float = 0.3
+    ) -> None:
+        """Scatter trees and shrubs between two distances from the reference line."""
+        rng, count = self.rng, int(self.rng.poisson(per_m * (self.last_m - self.first_m)))
+        for s, d, draw, pick, turn in zip(*rng.uniform(size=(5, count)), strict=True):
+            models = self.conifers if draw < conifers else self.bushes if draw < conifers + bushes else self.trees
+            place = self.first_m + s * (self.last_m - self.first_m)
+            self.put(
+                models[int(pick * len(models))], place, side * (near_m + d * (far_m - near_m)), turn_rad=6.28 * turn
+            )
+
+    def lamps(self, side: int, d_m: float, pitch_m: float, height_m: float, arm_m: float) -> None:
+        """Lamp posts whose arms reach towards the road."""
+        lamp = furniture.pole(height_m, arm_m)
+        for s in self.stations(pitch_m):
+            self.put(lamp, float(s), side * d_m, turn_rad=np.pi if side > 0 else 0.0)
+
+    def signs(self, side: int, d_m: float, pitch_m: float) -> None:
+        """Signs of many sizes that face the traffic of their side."""
+        for s in self.stations(pitch_m, jitter_m=0.6 * pitch_m):
+            model = furniture.sign(self.rng.uniform(1.8, 3.0), self.rng.uniform(0.5, 1.6), self.rng.uniform(0.5, 1.2))
+            self.put(model, float(s), side * (d_m + self.rng.uniform(0.0, 1.0)), turn_rad=0.0 if side < 0 else np.pi)
+
+    def run(self, piece: "partial[Mesh]") -> None:
+        """Add something that runs along the whole road; ``piece`` builds it over given stations."""
+        self.layout.running.append(piece)
+
+    def wall(
+        self, s_m: float, length_m: float, d_m: float, height_m: float, material: int, thick_m: float = 0.3
+    ) -> None:
+        """A piece of wall or hedge along the road."""
+        land = self.layout.land
+        rows = np.linspace(s_m, s_m + length_m, max(2, int(length_m / 4) + 1))
+        d = np.array([-0.5, -0.5, 0.5, 0.5]) * thick_m + d_m
+
+        def build(_: np.random.Generator) -> Mesh:
+            base = land.rise_m(*np.broadcast_arrays(rows[:, None], d))
+            return ribbon(land.road, rows, d, base + np.array([-0.5, height_m, height_m, -0.5]), material)
+
+        self.layout.placements.append(Placement(s_m, build))
+
+    def block(self, s_m: float, side: int, d_m: float, length_m: float, depth_m: float, height_m: float) -> None:
+        """A building whose front stands at a distance from the reference line."""
+        model = furniture.building(length_m, depth_m, height_m, self.rng)
+        self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi)
