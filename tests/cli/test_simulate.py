@@ -1,6 +1,12 @@
 """``farfield simulate``: the files, resuming, workers, refusals."""
 
+import errno
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +111,81 @@ def test_frozen_split_is_compared_with_its_record(tmp_path: Path, capsys: pytest
     assert "0 different" in said
     settings = json.loads((tmp_path / "val" / "simulation.json").read_text())
     assert settings["seed"] == 731002
+
+
+def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp_path: Path) -> None:
+    """SIGKILL to all processes, three times: what carries labels is complete, and the end is as if nothing had been."""
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "farfield.cli", "simulate", "cirrus-sim-mini", str(out)]
+    command += ["--frames", "4", "--workers", "2"]
+    quiet, fewer = subprocess.DEVNULL, 0
+    for frames in (1, 2, 3):
+        run = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+        until = time.monotonic() + 120
+        while (
+            len(list((out / "Cirrus_dataset1" / "dataset1_annotation").glob("*.json"))) < frames and run.poll() is None
+        ):
+            assert time.monotonic() < until
+            time.sleep(0.002)
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait(30)
+        root = out / "Cirrus_dataset1"
+        labelled = sorted(path.stem for path in (root / "dataset1_annotation").glob("*.json"))
+        fewer += len(labelled) < 4
+        assert all((root / "dataset1_gaussian" / f"{stem}.xyz").is_file() for stem in labelled)
+        assert len(list((root / "dataset1_uniform").glob("*.xyz"))) >= len(labelled)
+        expected = contents(written)
+        now = {name: data for name, data in contents(out).items() if not name.startswith(".unfinished-")}
+        assert all(data == expected[name] for name, data in now.items() if name != "simulation.json")
+    assert fewer >= 1
+    assert main(["simulate", "cirrus-sim-mini", str(out), "--frames", "4", "--workers", "1"]) == 0
+    assert contents(out) == {name: data for name, data in contents(written).items() if ".farfield_cache" not in name}
+
+
+def test_a_disk_that_fills_up_stops_the_work_and_loses_nothing(
+    written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    out, real, calls = tmp_path / "full", os.fsync, iter(range(1000))
+
+    def failing(descriptor: int) -> None:
+        if next(calls) >= 9:  # settings, then frames of three files: the third frame's second file
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(descriptor)
+
+    arguments = ["simulate", "cirrus-sim-mini", str(out), "--frames", "4", "--workers", "1"]
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", failing)
+        assert main(arguments) == 1
+    assert "the disk is full" in capsys.readouterr().err
+    expected = {name: data for name, data in contents(written).items() if ".farfield_cache" not in name}
+    left = contents(out)
+    assert sum("annotation" in name for name in left) == 2
+    assert len(left) == 7
+    assert all(data == expected[name] for name, data in left.items())
+    assert main(arguments) == 0
+    assert contents(out) == expected
+
+
+def test_sensors_may_be_added_later_and_change_nothing_else(tmp_path: Path) -> None:
+    out, whole = tmp_path / "later", tmp_path / "whole"
+    few = ["--frames", "2", "--workers", "1"]
+    assert main(["simulate", "cirrus-sim-mini", str(out), *few, "--sensors", "gaussian"]) == 0
+    before = contents(out)
+    assert not any("uniform" in name for name in before)
+    assert main(["simulate", "cirrus-sim-mini", str(out), *few]) == 0
+    assert main(["simulate", "cirrus-sim-mini", str(whole), *few]) == 0
+    assert contents(out) == contents(whole)
+    assert all(contents(out)[name] == data for name, data in before.items() if name != "simulation.json")
+
+
+def test_weather_is_written_beside_the_data(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    out = tmp_path / "snow"
+    arguments = ["simulate", "cirrus-sim-mini", str(out), "--frames", "1", "--workers", "1", "--weather", "heavy_snow"]
+    assert main([*arguments, "--time", "night"]) == 0
+    drawn = json.loads((out / "simulation.json").read_text())["sequences"][0]
+    assert drawn["weather"]["condition"] == "heavy_snow"
+    assert drawn["weather"]["time"] == "night"
+    assert drawn["weather"]["icing"] == 0.6
+    assert 1 <= drawn["weather"]["snow_mm_h"] <= 3
+    assert f"snow {drawn['weather']['snow_mm_h']:.1f} mm/h" in capsys.readouterr().out
+    assert open_dataset(out)[0].conditions["weather"] == "heavy_snow"

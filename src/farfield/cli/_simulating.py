@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 10  # frames a job of a worker
 _STAGING = ".unfinished-"
-_LABELS = ("dataset1_annotation", "info_label", "info_label_v2_1")  # what makes a frame count goes last
+_LABELS = ("dataset1_annotation", "info_label", "KRadar_revised_visibility", "frame_record")  # in this order, last
 
 # Bytes a frame by sensor, generously; an Ouster's point takes 80 bytes of ASCII, a Luminar's 70.
 _BYTES = {
@@ -58,7 +58,7 @@ def writer_for(preset: "Preset", root: Path | str) -> Any:
         return CirrusWriter(root)
     from farfield.datasets.kradar import KRadarWriter
 
-    return KRadarWriter(root)
+    return KRadarWriter(root, columns=preset.columns)
 
 
 def frame_bytes(preset: "Preset", sensors: tuple[str, ...]) -> int:
@@ -151,6 +151,9 @@ def _batches(jobs: list[Job], processes: int) -> Iterator[list[str]]:
 
 
 def _do(job: Job) -> list[str]:
+    from numba import set_num_threads
+
+    set_num_threads(1)  # as many processes as cores are at work already
     return list(_frames(job))
 
 
@@ -185,12 +188,17 @@ def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool) -> 
             for name in frame.clouds:
                 write_rows_cache(paths[name], writer.root)
         files = [path for path in sorted(staging.rglob("*")) if path.is_file()]
-        for path in sorted(files, key=lambda path: any(part in _LABELS for part in path.parts)):
+        for path in sorted(files, key=_rank):
             target = out / path.relative_to(staging)
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _rank(path: Path) -> int:
+    """What makes a frame count is moved last."""
+    return max((_LABELS.index(part) + 1 for part in path.parts if part in _LABELS), default=0)
 
 
 def sweep_out(out: Path) -> None:

@@ -96,7 +96,7 @@ def run(
     _announce(chosen, used_seed, named, plan, count, processes, needed, out)
     _simulating.check_disk(out, round(needed), count)
     verdicts = _simulating.work(jobs, processes, count)
-    _finish(chosen, used_seed, named, plan, out)
+    _finish(chosen, out)
     return _conclude(verdicts, out, frozen=frozen)
 
 
@@ -211,20 +211,13 @@ def _announce(
     print(f"  {processes} process{'es' if processes > 1 else ''}, into {out}")
 
 
-def _finish(preset: "Preset", seed: int, sensors: tuple[str, ...], plan: list[int], out: Path) -> None:
-    """Write what belongs to whole sequences, once all of their frames are there."""
+def _finish(preset: "Preset", out: Path) -> None:
+    """Write what belongs to whole sequences: calibration, times, splits, odometry."""
     if preset.rig != "kradar":
         return
     from farfield.cli._simulating import writer_for
-    from farfield.simulation.sequence import posed_frame
 
-    writer = writer_for(preset, out)
-    for sequence, frames in enumerate(plan):
-        every = [
-            posed_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors) for index in range(frames)
-        ]
-        writer.finish_sequence(every)
-    writer.finish()
+    writer_for(preset, out).finish()
 
 
 def _conclude(verdicts: list[str], out: Path, *, frozen: bool) -> int:

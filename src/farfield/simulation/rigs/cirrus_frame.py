@@ -29,6 +29,7 @@ def cirrus_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
         "seed": lambda: drive.seed,
         "simulated": lambda: True,
         "weather": lambda: drive.weather,
+        "shots": lambda: dict.fromkeys(clouds, drive.preset.lines * drive.preset.columns),
     }
     return Frame(
         sequence=drive.segment.name,

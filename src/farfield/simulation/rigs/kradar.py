@@ -7,31 +7,33 @@ Ousters was ever published; where the os1-128 stands here is an assumption.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, Shaped, UInt8
 
 from farfield.frame import Boxes, Camera, Cloud
 from farfield.geometry.poses import invert, pose
+from farfield.radar.products import polar3d_from_moments, sparse_cloud, zyx_cube
 from farfield.simulation import labels
 from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import rig_cameras
 from farfield.simulation.lidar.model import OS1_128, OS2_64
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
-from farfield.simulation.radar.measure import RadarFrame, measure
-from farfield.simulation.radar.model import RadarModel
-from farfield.simulation.radar.visibility import VISIBLE_SNR_DB
+from farfield.simulation.radar.frame import RadarFrame, measure
+from farfield.simulation.radar.model import RadarModel, radar_mount
+from farfield.simulation.radar.visibility import availability
 from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
 from farfield.simulation.world.scene import Window
 
-LIDAR_T_RADAR = pose(np.eye(3), np.array([2.54, -0.3, -0.7]))
+LIDAR_T_RADAR = radar_mount(np.eye(4))
 OS2_T_OS1 = pose(np.eye(3), np.array([0.35, 0.0, -0.25]))
 _BEHIND_M = 250.0
 _SIDES = ("front", "left", "right", "rear")
 _MIN_HITS = 5
 _LABEL_RANGE_M = 120.0
+_RADAR_HALF_SPAN_S = 0.016  # a frame of 64 loops takes 32 ms
+_RADAR_REACH_M = 130.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,9 @@ class KRadarMoment:
     def radar_window(self) -> Window:
         """The scene when the radar measures; it has no common clock with the LiDARs."""
         time_s = max(self.time_s + self.drive.mounted.radar_offset_s, 0.0)
-        return self.drive.scene.window(time_s, reach_m=_BEHIND_M, behind_m=_BEHIND_M)
+        return self.drive.scene.window(
+            time_s, half_span_s=_RADAR_HALF_SPAN_S, reach_m=_RADAR_REACH_M, behind_m=_BEHIND_M
+        )
 
     @cached_property
     def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
@@ -112,19 +116,13 @@ class KRadarMoment:
         glass = self.drive.window_seed(name)
         return render(self.window, self.cameras[name], self.world_T_lidar, self.drive.weather, rng, window_seed=glass)
 
-    def _radar(self, outputs: tuple[str, ...]) -> RadarFrame:
-        """What the radar measures: "tensor", the "mean" over Doppler, or nothing but each object's strength."""
-        window = self.radar_window
-        world_T_radar = window.world_T_ego_now @ self.drive.mounted.ego_T_lidar @ LIDAR_T_RADAR
-        seed = self.drive.seeds("radar", self.index)
-        return measure(window, RadarModel(), world_T_radar, self.drive.weather, seed, outputs=outputs)
-
-    @cached_property
-    def seen_by_radar(self) -> Float[np.ndarray, " n"]:
-        """Signal-to-noise ratio of each of the LiDAR window's road users for the radar; it needs no tensor."""
-        found = self._radar(())
-        rows = {actor.track_id: float(snr) for actor, snr in zip(self.radar_window.actors, found.snr_db, strict=True)}
-        return np.array([rows.get(actor.track_id, -np.inf) for actor in self.window.actors])
+    def measured(self, outputs: tuple[str, ...]) -> RadarFrame:
+        """What the radar measures: "tensor", its moments over Doppler ("mean"), or only how strong each object is."""
+        window, drive = self.radar_window, self.drive
+        world_T_radar = window.world_T_ego_now @ radar_mount(drive.mounted.ego_T_lidar)
+        return measure(
+            window, RadarModel(), world_T_radar, drive.weather, drive.seeds("radar", self.index), outputs=outputs
+        )
 
     @cached_property
     def annotation(self) -> KRadarAnnotation:
@@ -134,20 +132,41 @@ class KRadarMoment:
         full = full.replace(size_m=full.size_m * self.drive.preset.box_scale)
         owner = self.sweep("os2-64").actor
         hits: Int[np.ndarray, " n"] = np.bincount(owner[owner >= 0], minlength=len(full))
-        radar = self.seen_by_radar >= VISIBLE_SNR_DB
+        snr_db, masked_db = self._radar_strengths()
+        flags = np.array(availability(snr_db, hits >= _MIN_HITS, masked_by_db=masked_db), dtype=np.str_)
         near = (full.range_m < _LABEL_RANGE_M) & (full.centre_m[:, 0] > 0)
-        kept = np.flatnonzero(near & ((hits >= _MIN_HITS) | radar))
+        kept = np.flatnonzero(near & (flags != "L1"))
         boxes = full[kept].replace(point_count=hits[kept])
-        return KRadarAnnotation(boxes, ["R" if radar[i] else "L" for i in kept], self.seen_by_radar[kept])
+        return KRadarAnnotation(boxes, [str(flag) for flag in flags[kept]], snr_db[kept])
+
+    def _radar_strengths(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Signal over noise of the LiDAR window's road users, and by how much others outshine them."""
+        found = self.__dict__.get("moments") or self.measured(())
+        rows = {actor.track_id: row for row, actor in enumerate(self.radar_window.actors)}
+        where = np.array([rows.get(actor.track_id, -1) for actor in self.window.actors], dtype=np.int64)
+        none = np.array([-np.inf])
+        return np.append(found.snr_db, none)[where], np.append(found.masked_db, none)[where]
 
     @cached_property
-    def products(self) -> dict[str, Any]:
-        """Radar products made so far, by name."""
-        return {}
+    def moments(self) -> RadarFrame:
+        """The radar's measurement reduced over Doppler."""
+        return self.measured(("mean",))
 
-    def product(self, name: str, wanted: tuple[str, ...]) -> Float32[np.ndarray, "..."]:
-        """One radar product; the tensor is made once for all the ``wanted`` ones."""
-        if name not in self.products:
-            self.products.update(radar_products(self._radar, {name, *wanted}))
-        product: Float32[np.ndarray, "..."] = self.products[name]
-        return product
+    def product(self, name: str) -> Shaped[np.ndarray, "..."]:
+        """One radar product; all but the tensor come from one measurement of the moments."""
+        if name == "tesseract":
+            tensor = self.measured(("tensor",)).tensor
+            assert tensor is not None
+            return tensor
+        if name == "polar3d":
+            moments = self.moments.moments
+            assert moments is not None
+            return polar3d_from_moments(moments.mean_power_63, moments.velocity_moment)
+        return self.cube if name == "cube" else sparse_cloud(self.cube)
+
+    @cached_property
+    def cube(self) -> Float32[np.ndarray, "150 400 250"]:
+        """The Cartesian cube."""
+        power = self.moments.power
+        assert power is not None
+        return zyx_cube(power)

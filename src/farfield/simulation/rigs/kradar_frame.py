@@ -31,7 +31,7 @@ def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
         clouds=Lazy({n: partial(lambda each: moment().cloud(each), n) for n in _LIDARS if n in sensors}),
         images=Lazy({name: partial(lambda each: moment().image(each), name) for name in eyes}),
         cameras=Lazy({name: partial(lambda each: moment().cameras[each], name) for name in eyes}),
-        radar=Lazy({name: partial(lambda each: moment().product(each, products), name) for name in products}),
+        radar=Lazy({name: partial(lambda each: moment().product(each), name) for name in products}),
         annotation=lambda: moment().annotation.boxes,
         conditions={"road": drive.segment.road, "weather": drive.segment.condition, "time": drive.segment.time},
         reference="os2-64",
@@ -61,4 +61,5 @@ def _metadata(drive: Drive, index: int, moment: Any) -> dict[str, Any]:
         "seed": lambda: drive.seed,
         "simulated": lambda: True,
         "weather": lambda: drive.weather,
+        "shots": lambda: {"os2-64": 64 * drive.preset.columns, "os1-128": 128 * drive.preset.columns},
     }
