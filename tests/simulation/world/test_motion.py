@@ -29,7 +29,7 @@ def test_paths_pass_through_their_steps_with_continuous_velocity() -> None:
         assert motion.at(time_s)[0][0, 0] == pytest.approx(x[step], abs=1e-6)
         before, after = (motion.velocity_m_s(time_s + sign * small)[0, 0] for sign in (-1, 1))
         assert before == pytest.approx(after, abs=1e-4)
-        measured = (motion.at(time_s + 0.031)[0] - motion.at(time_s + 0.029)[0])[0, 0] / 0.002
+        measured = (motion.at(time_s + 0.0301)[0] - motion.at(time_s + 0.0299)[0])[0, 0] / 0.0002
         assert motion.velocity_m_s(time_s + 0.03)[0, 0] == pytest.approx(measured, abs=1e-3)
 
 

@@ -1,7 +1,7 @@
 """All eight roads: they build, nobody touches, everybody stands on the ground, walkers walk, lines stay within bounds."""
 
 from collections import Counter
-from functools import lru_cache
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from farfield.errors import ConfigError
 from farfield.frame import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.simulation.bodies.gait import PHASES
-from farfield.simulation.trace import Tracer
 from farfield.simulation.world.roads import alleyway, highway, mountain, parking_lot, suburban, university, urban
 from farfield.simulation.world.scene import ROADS, Scene
 
@@ -27,9 +26,20 @@ BOUNDS = {  # curvature, grade
 }
 
 
-@lru_cache(maxsize=None)
+_SCENES: dict[tuple[str, int], Scene] = {}
+
+
 def _scene(road: str, seed: int) -> Scene:
-    return Scene(road, np.random.SeedSequence(seed), duration_s=DURATION_S)
+    if (road, seed) not in _SCENES:
+        _SCENES[road, seed] = Scene(road, np.random.SeedSequence(seed), duration_s=DURATION_S)
+    return _SCENES[road, seed]
+
+
+@pytest.fixture(autouse=True)
+def _forget_tracers() -> Iterator[None]:
+    yield
+    for scene in _SCENES.values():
+        scene._tracers.clear()
 
 
 def test_the_roads_are_those_of_kradar() -> None:
@@ -62,6 +72,7 @@ def test_wheels_stand_on_the_ground_ahead_and_behind(road: str) -> None:
     for time_s in (0.0, 7.0):
         window = scene.window(time_s, behind_m=240.0)
         ground = window.bodies[0].tracer
+        scene._tracers.clear()
         poses = [(window.world_T_ego_now, np.array([4.8, 1.9, 1.6]))]
         poses += [
             (body.world_T_body[0], np.array(window.actors[body.actor].size_m))
@@ -232,12 +243,8 @@ def test_a_walker_takes_sixteen_shapes_and_a_standing_one_a_single() -> None:
         for row, a in enumerate(scene.actors)
         if a.kind == "pedestrian" and scene.motion.travelled_m(row, DURATION_S) > 5.0
     )
-    shapes: set[int] = set()
-    keep: list[Tracer] = []
-    for time_s in np.linspace(0, DURATION_S, 400):
-        keep.append(scene._tracer(walker, float(time_s)))
-        shapes.add(id(keep[-1]))
-    assert len(shapes) == PHASES
+    keep = [scene._tracer(walker, float(time_s)) for time_s in np.linspace(0, DURATION_S, 400)]
+    assert len({id(tracer) for tracer in keep}) == PHASES
     car = next(row for row, actor in enumerate(scene.actors) if actor.label == "vehicle")
     assert scene._tracer(car, 0.0) is scene._tracer(car, 9.0)
     assert scene.row_of(scene.actors[walker].track_id) == walker

@@ -12,7 +12,6 @@ from farfield.simulation.bodies.mesh import Mesh, quads
 from farfield.simulation.world.road import RoadLine, ribbon
 
 _CELL_M = 16.0
-_BELOW_M = 1.5  # the land's cells reach under the strips so far down
 _SAMPLE_M = 4.0
 LAND_REACH_M = 300.0
 
@@ -74,6 +73,7 @@ class Land:
         left: Strips from the reference line to the left.
         far: What lies beyond, right and left.
         rng: Draws the height noise.
+        below_m: How far below the strips the land reaches under their edges; steep sections need more.
     """
 
     def __init__(
@@ -83,8 +83,9 @@ class Land:
         left: Sequence[Strip],
         far: tuple[FarLand, FarLand],
         rng: np.random.Generator,
+        below_m: float = 0.15,
     ) -> None:
-        self.road, self.far = road, far
+        self.road, self.far, self._below_m = road, far, below_m
         self._noise, self._hills = Noise(rng), Noise(rng, shortest_m=50.0, longest_m=220.0)
 
         def edges(strips: Sequence[Strip], name: str) -> Float[np.ndarray, " n"]:
@@ -149,7 +150,7 @@ class Land:
         xy = node.reshape(-1, 2) * _CELL_M
         s, d = self._locate(xy)
         under = (d > self.d_m[0] - 1.0) & (d < self.d_m[-1] + 1.0)
-        z = self.road.point_m(s, d)[:, 2] + self.rise_m(s, d) - np.where(under, _BELOW_M, 0.0)
+        z = self.road.point_m(s, d)[:, 2] + self.rise_m(s, d) - np.where(under, self._below_m, 0.0)
         points = np.concatenate([xy, z[:, None]], axis=1).reshape(*shape, 3)
         own_s, own_d = self._locate((xy.reshape(*shape, 2)[:-1, :-1] + _CELL_M / 2).reshape(-1, 2))
         kept = (own_s >= first_m) & (own_s < last_m) & (np.abs(own_d) < LAND_REACH_M)

@@ -28,8 +28,8 @@ def guard_rail(road: RoadLine, d_m: float, s_m: Float[np.ndarray, " k"]) -> Mesh
     parts = [ribbon(road, s_m, d, np.array([0.45, 0.53, 0.60, 0.68, 0.76]), _METAL)]
     post = box([0.1, 0.1, 1.05], [0, 0, 0.225], _METAL)
     for s in np.arange(s_m[0], s_m[-1] - 0.01, 4.0):
-        x, y, z = road.point_m(s, d_m + 0.06)
-        parts.append(post.placed(float(x), float(y), float(z), yaw_rad=float(road.heading_rad(s))))
+        x, y, z = road.point_m(np.array(s), d_m + 0.06)
+        parts.append(post.placed(float(x), float(y), float(z), yaw_rad=float(road.heading_rad(np.array(s)))))
     return Mesh.merge(parts)
 
 

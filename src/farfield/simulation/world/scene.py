@@ -17,6 +17,7 @@ from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, Plot
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
+_KEPT_TRACERS = 450  # Embree fails in one process beyond about a thousand devices
 _MOVES_M = 0.2  # who moves less in the whole sequence stands
 ROADS = tuple(BUILDERS)
 
@@ -174,4 +175,7 @@ class Scene:
         if key not in self._tracers:
             shape = None if phase is None else (key[1] + 0.5) / PHASES
             self._tracers[key] = Tracer(self.actors[index].build(shape))
+        self._tracers[key] = self._tracers.pop(key)  # the latest stands last
+        while len(self._tracers) > _KEPT_TRACERS:
+            del self._tracers[next(iter(self._tracers))]
         return self._tracers[key]

@@ -262,12 +262,13 @@ class _Simulation:
 
         gap_lead, own = meet(rows, lead)
         gap_tail, tail_after = meet(tail, rows)
-        follower = np.full(n, -1)
-        led = order.leader[:n] >= 0
-        follower[order.leader[:n][led]] = np.flatnonzero(led)
-        _, follower_after = meet(follower, order.leader[:n])
-        others = np.where(tail >= 0, tail_after - change_m_s2[tail], 0.0)
-        others = others + np.where(follower >= 0, follower_after - change_m_s2[follower], 0.0)
+        if side == 0:  # who moves left minds those on the left, who moves right minds those behind
+            minded, after = tail, tail_after
+        else:
+            minded, led = np.full(n, -1), order.leader[:n] >= 0
+            minded[order.leader[:n][led]] = np.flatnonzero(led)
+            _, after = meet(minded, order.leader[:n])
+        others = np.where(minded >= 0, after - change_m_s2[minded], 0.0)
         gain = (
             own
             - change_m_s2

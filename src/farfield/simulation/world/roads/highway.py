@@ -52,7 +52,7 @@ class Highway:
     def land(self, road: RoadLine, rng: np.random.Generator) -> Land:
         """Carriageways, median, shoulders, ditches, embankments and the land beside them."""
         far = (FarLand(GRASS, 0.1 * float(self.bank[0]), 2.0), FarLand(GRASS, 0.1 * float(self.bank[1]), 2.0))
-        return Land(road, self._side(float(self.bank[0])), self._side(float(self.bank[1])), far, rng)
+        return Land(road, self._side(float(self.bank[0])), self._side(float(self.bank[1])), far, rng, below_m=0.5)
 
     def run(self, side: Roadside, road: RoadLine) -> None:
         """Markings, barrier and rails."""

@@ -37,7 +37,10 @@ def build_mountain(plot: Plot) -> Layout:
     road = plot.line(bends, speed)
     halves = [_strips(lane_m, shoulder, side == cut_side, steep) for side in (-1, 1)]
     far = [FarLand(GRASS, 0.3 if side == cut_side else -0.15, 4.0) for side in (-1, 1)]
-    land, population = Land(road, halves[0], halves[1], (far[0], far[1]), plot.around), plot.population(road)
+    land, population = (
+        Land(road, halves[0], halves[1], (far[0], far[1]), plot.around, below_m=1.5),
+        plot.population(road),
+    )
     gap = float(np.exp(rng.uniform(np.log(20), np.log(120))))
     lanes = [plot.lane(-lane_m / 2, 1, gap, speed, lane_m, speed, trucks=0.05)]
     lanes.append(plot.lane(lane_m / 2, -1, float(rng.uniform(40, 150)), speed, lane_m, speed, trucks=0.05))

@@ -114,8 +114,8 @@ def _furnish(side: Roadside, edge_m: float, pitch_m: float, modules: int) -> Non
     for s in np.arange(first, side.last_m, pitch_m):
         for d in islands:
             model = lamp if rng.random() < 0.5 else side.trees[int(rng.integers(6))]
-            side.put(model, float(s) - 0.4, d)
-            side.put(lamp, float(s) + pitch_m / 2, d)
+            side.put(model, float(s) + 1.0, d)
+            side.put(lamp, float(s) + STALL_M * round(pitch_m / 2 / STALL_M), d)
     for sign in (-1, 1):
         side.plants(sign, edge_m + 3.5, edge_m + 12.0, 0.08)
         hedge, built = rng.random() < 0.6, rng.random() < 0.6

@@ -90,7 +90,7 @@ def draw_junctions(
 class StreetLand(Land):
     """A street's ground: side streets interrupt the kerbs, and are paved."""
 
-    def __init__(self, road: RoadLine, street: Street, rng: np.random.Generator, hills_m: float = 0.5) -> None:
+    def __init__(self, road: RoadLine, street: Street, rng: np.random.Generator, hills_m: float = 0.15) -> None:
         self.street = street
         halves = [
             [
@@ -99,7 +99,8 @@ class StreetLand(Land):
                 Strip(_KERB_M, CONCRETE, street.kerb_m),
                 Strip(float(street.walk_m[i]) - _KERB_M, CONCRETE),
                 Strip(6.0, street.front, 0.0, 0.03),
-                Strip(24.0, street.front, 0.0, 0.05),
+                Strip(18.0, street.front, 0.0, 0.05),
+                Strip(22.0, street.front, 0.0, 0.05),
             ]
             for i in (0, 1)
         ]

@@ -67,7 +67,7 @@ def build_suburban(plot: Plot) -> Layout:
         front=GRASS,
     )
     road = plot.line(BENDS, speed)
-    land, population = StreetLand(road, street, plot.around, 1.0), plot.population(road)
+    land, population = StreetLand(road, street, plot.around, 0.3), plot.population(road)
     offset = street.lane_offset_m(0)
     lanes = [
         plot.lane(-offset, 1, float(rng.uniform(30, 120)), speed, street.lane_m, speed, trucks=0.06, trailers=0.04)

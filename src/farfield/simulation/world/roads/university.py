@@ -35,7 +35,7 @@ def build_university(plot: Plot) -> Layout:
         front=GRASS,
     )
     road = plot.line(BENDS, speed)
-    land, population = StreetLand(road, street, plot.around, 1.0), plot.population(road)
+    land, population = StreetLand(road, street, plot.around, 0.3), plot.population(road)
     offset, gap = street.lane_offset_m(0), float(rng.uniform(25, 90))
     lanes = [plot.lane(-offset, 1, gap, speed, street.lane_m, speed, trucks=0.05)]
     lanes.append(plot.lane(offset, -1, float(rng.uniform(25, 120)), max(speed, 5.0), street.lane_m, speed, trucks=0.05))
