@@ -31,7 +31,7 @@ def test_free_vehicle_keeps_its_desired_speed() -> None:
 
 @pytest.mark.parametrize("pace", [8.0, 20.0])
 def test_follower_settles_at_the_equilibrium_gap(pace: float) -> None:
-    """s_e(v) = (s0 + v T) / sqrt(1 - (v / v0)^4) (Treiber et al., 2000, equation 5), s0 = 2 m, T = 1.8 s, v0 = 30 m/s."""
+    """s_e(v) = (s0 + v T) / sqrt(1 - (v / v0)^4) (Treiber et al., 2000, equation 5): s0 2 m, T 1.8 s, v0 30 m/s."""
     path = drive(_drivers([100.0, 0.0], [pace, 30.0], [0, 0]), ALONE, steps=6000).progress_m
     gap = path[0, -1] - path[1, -1] - 4.5
     assert gap == pytest.approx((2 + pace * 1.8) / np.sqrt(1 - (pace / 30) ** 4), rel=1e-3)
@@ -48,9 +48,9 @@ def test_no_rear_end_collision_even_behind_a_standing_vehicle() -> None:
 def test_a_fast_vehicle_passes_a_slow_one_on_the_other_lane() -> None:
     beside = np.array([[1, -1], [-1, 0]])  # lane 1 lies to the left of lane 0
     result = drive(_drivers([60.0, 0.0], [15.0, 30.0], [0, 0]), beside, steps=600)
-    assert [(change.row, change.before, change.after) for change in result.changes][0] == (1, 0, 1)
     assert result.progress_m[1, -1] > result.progress_m[0, -1]
     change = result.changes[0]
+    assert (change.row, change.before, change.after) == (1, 0, 1)
     speed = np.diff(result.progress_m[1])[change.step] / STEP_S
     assert change.length_m / speed == pytest.approx(3.0, abs=0.6)
 

@@ -90,7 +90,7 @@ def draw_junctions(
 class StreetLand(Land):
     """A street's ground: side streets interrupt the kerbs, and are paved."""
 
-    def __init__(self, road: RoadLine, street: Street, rng: np.random.Generator, hills_m: float = 0.15) -> None:
+    def __init__(self, road: RoadLine, street: Street, rng: np.random.Generator, hills_m: float = 0.08) -> None:
         self.street = street
         halves = [
             [
