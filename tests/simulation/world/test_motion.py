@@ -63,3 +63,19 @@ def test_of_two_parked_in_one_place_the_later_goes() -> None:
     size = np.full((3, 3), [4.5, 1.9, 1.5])
     gone = in_conflict(position, np.zeros((3, 12)), size, np.full(3, True), margin_m=0.3)
     assert gone.tolist() == [False, True, False]
+
+
+def test_those_that_pass_side_by_side_both_stay() -> None:
+    """Rounding leaves areas of about 1e-16 m2 between rectangles apart; they must not count as touching."""
+    rng = np.random.default_rng(3)
+    count, steps = 200, 12
+    position = np.zeros((2 * count, steps, 3))
+    yaw = np.repeat(rng.uniform(-np.pi, np.pi, count), 2)
+    position[..., 0] = 40.0 * np.repeat(np.arange(count), 2)[:, None]
+    aside = np.where(np.arange(2 * count) % 2 == 0, 1.3, -1.3)
+    position[..., 0] -= (aside * np.sin(yaw))[:, None]
+    position[..., 1] += (aside * np.cos(yaw))[:, None]
+    size = np.column_stack([rng.uniform(4, 6, 2 * count), np.full(2 * count, 1.9), np.full(2 * count, 1.5)])
+    turned = yaw + np.where(np.arange(2 * count) % 2 == 0, 0.0, np.pi)
+    gone = in_conflict(position, np.tile(turned[:, None], (1, steps)), size, np.full(2 * count, True), margin_m=0.25)
+    assert not gone.any()

@@ -9,6 +9,7 @@ from farfield.geometry.boxes import wrap_angle_rad
 from farfield.geometry.iou import bev_intersection_m2
 
 STEP_S = 0.1
+_TOUCH_M2 = 1e-6  # rounding leaves 1e-16 between bodies apart
 _BLOCK = 10  # steps that one coarse test of distance covers
 
 
@@ -163,5 +164,5 @@ def _touching(
         close = pairs[np.einsum("ij,ij->i", offset, offset) < (half[a] + half[b]) ** 2]
         if len(close):
             rows = np.column_stack([position_m[:, step, :2], size_m[:, :2] + margin_m, yaw_rad[:, step]])
-            found.append(close[bev_intersection_m2(rows[close[:, 0]], rows[close[:, 1]]) > 0])
+            found.append(close[bev_intersection_m2(rows[close[:, 0]], rows[close[:, 1]]) > _TOUCH_M2])
     return np.concatenate(found)

@@ -232,8 +232,11 @@ def add_walkers(
             population.add_along(kind, place, side * (d + 0.85 * mate), heading, speed, raise_m=raised)
     for s in rng.uniform(first, last_m, rng.poisson(cyclists * span / 250)):
         side = int(rng.choice([-1, 1]))
-        d = street.edge_m + street.cycle_m / 2 if street.cycle_m else street.edge_m - 0.45
-        population.add_along("cyclist", float(s), side * d, -side, float(rng.uniform(3.0, 6.5)))
+        if street.cycle_m:
+            d, lift = street.edge_m + street.cycle_m / 2, 0.0
+        else:  # a shared path on the pavement
+            d, lift = float(street.front_m[0 if side < 0 else 1]) - 0.5, raised
+        population.add_along("cyclist", float(s), side * d, -side, float(rng.uniform(3.0, 6.5)), raise_m=lift)
     for junction in street.junctions_m:
         for _ in range(int(rng.poisson(people * plot.duration_s / 120)) if -260 < junction < last_m else 0):
             direction = int(rng.choice([-1, 1]))
