@@ -10,6 +10,7 @@ from farfield.errors import ConfigError
 from farfield.frame import Frame
 from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.poses import transform_points
 from farfield.simulation import find_preset, simulate_frame, simulate_sequence
 from farfield.simulation.bodies.actors import CLASSES
 from farfield.simulation.frozen import frame_record
@@ -52,14 +53,34 @@ def test_ground_lies_two_metres_below_the_sensor(frame: Frame) -> None:
     assert np.median(near[:, 2]) == pytest.approx(-2.0, abs=0.2)
 
 
+def _standing(frame: Frame) -> set[int]:
+    """Road users of a frame that are at the same place of the world half a second later."""
+    later = simulate_frame(SHORT, seed=12, sequence=int(frame.sequence[-2:]), index=4)
+    places = []
+    for each in (frame, later):
+        full = each.metadata["full_boxes"]
+        places.append(dict(zip(full.track_id, transform_points(each.world_T_lidar, full.centre_m), strict=True)))
+    return {
+        track
+        for track in places[0].keys() & places[1].keys()
+        if np.linalg.norm(places[0][track] - places[1][track]) < 0.05
+    }
+
+
 def test_boxes_hold_the_points_they_count(frame: Frame) -> None:
-    """Every box holds at least the hits counted on its body (others may stray in), and enough to be annotated."""
+    """Boxes hold the hits counted on their bodies (others may stray in): all where nothing moves during a sweep.
+
+    Labels stand where the Gaussian points show a road user; the uniform sweep met it a few hundredths later or earlier.
+    """
     boxes = frame.boxes
     assert boxes is not None
-    for name in ("gaussian", "uniform"):
+    still = _standing(frame)
+    for name, share in (("gaussian", 0.9), ("uniform", 0.75)):
         counted = frame.metadata[f"point_count_{name}"]
         inside = count_points_in_boxes(frame.clouds[name].points_m, boxes, margin_m=0.01)
-        assert (inside >= np.floor(0.95 * counted) - 1).all()
+        assert np.minimum(inside, counted).sum() >= share * counted.sum()
+        standing = np.array([track in still for track in boxes.track_id], dtype=bool)
+        assert (inside >= np.floor(0.95 * counted) - 1)[standing].all()
     both = frame.metadata["point_count_gaussian"] + frame.metadata["point_count_uniform"]
     assert (both >= 5).all()
     assert (frame.metadata["point_count_gaussian"] >= 3).all()
@@ -144,8 +165,8 @@ def test_a_later_uniform_sweep_sees_moving_bodies_elsewhere() -> None:
         counted = frame.metadata["point_count_uniform"][np.cos(full.yaw_rad) < 0].sum()
         held = count_points_in_boxes(frame.clouds["uniform"].points_m, oncoming, margin_m=0.05).sum()
         inside[offset] = held / counted
-    assert inside[0.0] > 0.95
-    assert inside[80.0] < 0.9
+    assert inside[0.0] > 0.85  # a sweep takes 0.1 s itself
+    assert inside[80.0] < 0.8 * inside[0.0]
 
 
 def test_frames_beyond_the_sequence_are_refused() -> None:

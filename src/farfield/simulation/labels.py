@@ -65,6 +65,25 @@ def full_boxes(
     return boxes.transform(lidar_T_world)
 
 
+def mean_times_s(time_s: Float[np.ndarray, " p"], actor: Int[np.ndarray, " p"], count: int) -> Float[np.ndarray, " n"]:
+    """When each road user was seen: the mean time of its points.
+
+    A sweep takes a tenth of a second, in which traffic moves by metres. Annotators draw boxes round points, so a label
+    shows its road user where it was when the points were measured.
+
+    Args:
+        time_s: Times of the points relative to the frame's moment, shape (p,).
+        actor: Row of the road user each lies on, -1 for none, shape (p,).
+        count: Number n of road users.
+
+    Returns:
+        Mean times, shape (n,); 0 for those without points.
+    """
+    on = actor >= 0
+    total = np.bincount(actor[on], weights=time_s[on], minlength=count)
+    return total / np.maximum(np.bincount(actor[on], minlength=count), 1)
+
+
 def visible_boxes(full: Boxes, points_m: Float[np.ndarray, "p 3"], actor: Int[np.ndarray, " p"]) -> Boxes:
     """Shrink full boxes to the points that lie on their bodies.
 

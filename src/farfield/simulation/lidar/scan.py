@@ -95,7 +95,7 @@ def _cone_rad(model: LidarModel) -> float:
 
 
 def _lines(model: LidarModel, pattern: str, rng: np.random.Generator) -> Scan:
-    """A Luminar's frame: one line after the other; Gaussian lines from the top down, uniform ones from the bottom up.
+    """A Luminar's frame: one line after the other, from the top down (the real order is not published).
 
     Every line has a random phase of its columns, a smile (its ends lie higher) and a jitter of each shot.
     """
@@ -110,7 +110,7 @@ def _lines(model: LidarModel, pattern: str, rng: np.random.Generator) -> Scan:
     smile = model.smile_deg * ((azimuth / half) ** 2 - 1 / 3)
     az = np.radians(azimuth + jitter[0]).astype(np.float32)
     el = np.radians(line_deg[:, None] + smile + jitter[1]).astype(np.float32)
-    order = np.arange(rings)[::-1] if pattern == "gaussian" else np.arange(rings)
+    order = np.arange(rings)[::-1]
     shot = order[:, None] * columns + np.arange(columns)
     loose = np.radians(6 * model.jitter_deg) + _cone_rad(model)
     return Scan(

@@ -118,7 +118,7 @@ class CirrusMoment:
 
     @cached_property
     def annotation(self) -> labels.Annotation:
-        """Boxes of the road users that the two patterns see."""
+        """Boxes of the road users that the two patterns see, where the Gaussian pattern's points show them."""
         window = self.window
         full = labels.full_boxes(window.actors, window.bottom_m, window.yaw_rad, invert(self.world_T_lidar))
         owner = self._owners()
@@ -128,10 +128,14 @@ class CirrusMoment:
         kept &= full.centre_m[:, 0] > 0
         row = np.full(len(full) + 1, -1)
         row[np.flatnonzero(kept)] = np.arange(kept.sum())
-        points = np.concatenate([self.gaussian.cloud.points_m.astype(np.float64), self._moved_back(owner["uniform"])])
+        velocity = window.velocity_m_s @ self.world_T_lidar[:3, :3]
+        seen_s = labels.mean_times_s(self._times_s("gaussian"), owner["gaussian"], len(full))
+        full = full.replace(centre_m=full.centre_m + velocity * seen_s[:, None])
+        points = [self._as_seen(name, owner[name], velocity, seen_s) for name in ("gaussian", "uniform")]
         rows = row[np.concatenate([owner["gaussian"], owner["uniform"]])]
         chosen = full[kept].replace(point_count=counts["gaussian"][kept])
-        visible = labels.visible_boxes(chosen, points[rows >= 0], rows[rows >= 0]) if len(chosen) else chosen
+        joined = np.concatenate(points)[rows >= 0]
+        visible = labels.visible_boxes(chosen, joined, rows[rows >= 0]) if len(chosen) else chosen
         return labels.Annotation(visible, chosen, counts["gaussian"][kept], counts["uniform"][kept])
 
     def _owners(self) -> dict[str, Int[np.ndarray, " _"]]:
@@ -140,12 +144,19 @@ class CirrusMoment:
         table = np.array([rows.get(actor.track_id, -1) for actor in self.later.actors] + [-1])
         return {"gaussian": self.gaussian.actor, "uniform": table[self.uniform.actor]}
 
-    def _moved_back(self, owner: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        """The uniform pattern's points where they were on their road users at this moment."""
-        points = self.uniform.cloud.points_m.astype(np.float64)
-        offset_s = self.drive.mounted.uniform_offset_s
-        if offset_s == 0 or not self.window.actors:
-            return points
-        rotation = self.world_T_lidar[:3, :3]
-        velocity = np.concatenate([self.window.velocity_m_s @ rotation, np.zeros((1, 3))])
-        return points - velocity[owner] * offset_s
+    def _times_s(self, pattern: str) -> Float[np.ndarray, " _"]:
+        """When each point was measured, relative to the Gaussian sensor's reference moment."""
+        later_s = 0.0 if pattern == "gaussian" else self.drive.mounted.uniform_offset_s
+        return self.cloud(pattern).extra["time_ns"].astype(np.float64) * 1e-9 + later_s
+
+    def _as_seen(
+        self,
+        pattern: str,
+        owner: Int[np.ndarray, " n"],
+        velocity_m_s: Float[np.ndarray, "m 3"],
+        seen_s: Float[np.ndarray, " m"],
+    ) -> Float[np.ndarray, "n 3"]:
+        """Points moved with their road users to the times at which the labels show these."""
+        late_s = self._times_s(pattern) - np.append(seen_s, 0.0)[owner]
+        moving = np.concatenate([velocity_m_s, np.zeros((1, 3))])[owner]
+        return self.cloud(pattern).points_m.astype(np.float64) - moving * late_s[:, None]

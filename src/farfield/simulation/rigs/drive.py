@@ -125,7 +125,7 @@ def _mount(mounting: Mounting, rng: np.random.Generator) -> Mounted:
     return Mounted(ego_T_lidar, focus_deg, sigma_deg, mounting.uniform_origin_m, uniform_s, radar_s)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def drive_of(preset: Preset, seed: int, sequence: int) -> Drive:
     """The sequence of a preset; building its world takes a fraction of a second, so the last ones are kept."""
     return Drive(preset, seed, sequence)

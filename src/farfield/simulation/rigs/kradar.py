@@ -126,11 +126,19 @@ class KRadarMoment:
 
     @cached_property
     def annotation(self) -> KRadarAnnotation:
-        """Full boxes of the road users ahead that the os2-64 hits at least five times or the radar sees."""
+        """Full boxes of the road users ahead that the os2-64 hits at least five times or the radar sees.
+
+        They stand where the spinning LiDAR shows them.
+        """
         window = self.window
         full = labels.full_boxes(window.actors, window.bottom_m, window.yaw_rad, invert(self.world_T_lidar))
-        full = full.replace(size_m=full.size_m * self.drive.preset.box_scale)
-        owner = self.sweep("os2-64").actor
+        swept = self.sweep("os2-64")
+        owner = swept.actor
+        seen_s = labels.mean_times_s(swept.cloud.extra["time_ns"].astype(np.float64) * 1e-9, owner, len(full))
+        velocity = (window.velocity_m_s - window.ego_velocity_m_s) @ self.world_T_lidar[:3, :3]  # not compensated
+        full = full.replace(
+            centre_m=full.centre_m + velocity * seen_s[:, None], size_m=full.size_m * self.drive.preset.box_scale
+        )
         hits: Int[np.ndarray, " n"] = np.bincount(owner[owner >= 0], minlength=len(full))
         snr_db, masked_db = self._radar_strengths()
         flags = np.array(availability(snr_db, hits >= _MIN_HITS, masked_by_db=masked_db), dtype=np.str_)
