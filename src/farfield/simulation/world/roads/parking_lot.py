@@ -49,7 +49,7 @@ def _fill(population: Population, rows: list[tuple[float, int]], pitch_m: float,
     """Park vehicles in 30 to 70 % of the stalls, nose in or out."""
     rng, share = population.rng, float(population.rng.uniform(0.3, 0.7))
     for d, aisle in rows:
-        for s in np.arange(np.ceil(-280.0 / STALL_M), last_m / STALL_M) * STALL_M + STALL_M / 2:
+        for s in np.arange(np.ceil(-130.0 / STALL_M), last_m / STALL_M) * STALL_M + STALL_M / 2:
             draw, nose, shift = rng.random(3)
             if draw > share or _cross_aisle(np.array([s]), pitch_m)[0]:
                 continue
@@ -98,7 +98,7 @@ def build_parking_lot(plot: Plot) -> Layout:
     population.drive(lanes, ego_lane=0, ego_speed_m_s=speed)
     last = plot.travel_m(speed) + 260.0
     _people(population, last, plot.duration_s)
-    _fill(population, rows, pitch, last)
+    _fill(population, rows, pitch, last - 160.0)
     layout, side = plot.layout(land, population, speed)
     side.run(partial(_marks, road, rows, float(pitch)))
     _furnish(side, edge, float(pitch), modules)
