@@ -1,6 +1,7 @@
 """Ray casting: a bounding volume hierarchy over one mesh, searched by Embree."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,20 @@ class Hits:
     cosine: Float32[np.ndarray, " n"]
 
 
+@cache
+def _device() -> Any:
+    """The one device of this process: Embree fails beyond about a thousand of them."""
+    from embreex.rtcore import EmbreeDevice
+
+    return EmbreeDevice()
+
+
 def _embree_scene() -> Any:
     try:
         from embreex.rtcore_scene import EmbreeScene
     except ImportError as error:
         raise MissingExtraError("embreex", "simulate", "The simulator's ray casting") from error
-    return EmbreeScene()
+    return EmbreeScene(_device())
 
 
 class Tracer:

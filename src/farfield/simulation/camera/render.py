@@ -122,7 +122,7 @@ def _sunlight(
     placed: list[Placed], picture: Picture, table: FaceTable, grid: RayGrid, sky: Sky
 ) -> Float32[np.ndarray, " n"]:
     """Whether the sun reaches what each ray hit, cast at one pixel in four and spread from there."""
-    from farfield.simulation.camera import kernels
+    from farfield.simulation.camera import shadow_kernels
 
     lit = np.ones(len(picture.face), dtype=np.float32)
     if not sky.sun_rgb.any():
@@ -141,7 +141,7 @@ def _sunlight(
     known = np.zeros(len(lit), dtype=np.bool_)
     known[chosen] = True
     out = np.empty_like(lit)
-    kernels.fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
+    shadow_kernels.fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
     return out
 
 
@@ -181,7 +181,7 @@ def _contact_shadows(
     world_T_camera: Float[np.ndarray, "4 4"],
 ) -> Float32[np.ndarray, " n"]:
     """Share of the sky's light that reaches each place: less on the ground under and beside road users."""
-    from farfield.simulation.camera import kernels
+    from farfield.simulation.camera import shadow_kernels
 
     dimmed = np.ones(len(picture.face), dtype=np.float32)
     camera_T_world = invert(world_T_camera)
@@ -196,7 +196,7 @@ def _contact_shadows(
         if rows.stop > rows.start and least < 120.0:
             body_T_world = invert(body.world_T_body)
             shift = picture.origin_m - body.world_T_body[:3, 3]
-            kernels.contact(
+            shadow_kernels.contact(
                 dimmed, picture.range_m, picture.directions, picture.face, table.moving_from,
                 (rows.start, rows.stop), (columns.start, columns.stop), grid.width, body_T_world[:3, :3], shift, half,
             )  # fmt: skip

@@ -86,7 +86,7 @@ class Preset:
         mountings: How the sensors are mounted and set; each sequence draws one.
         lines: Lines of a Luminar.
         columns: Shots a line of a Luminar, or columns of an Ouster.
-        box_scale: Factor on the sizes of annotated full boxes; K-Radar's enclose the bodies loosely.
+        loose_boxes: Whether annotated full boxes are as much larger than the bodies as K-Radar's.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Preset:
     mountings: tuple[Mounting, ...] = (Mounting(),)
     lines: int = 64
     columns: int = 938
-    box_scale: Number = 1.0
+    loose_boxes: bool = False
 
     def segment(self, sequence: int) -> Segment:
         """The segment of a sequence of any number."""
@@ -195,7 +195,7 @@ PRESETS: dict[str, Preset] = {
             sizes=("korea",),
             mountings=(_KRADAR_RIG,),
             columns=2048,
-            box_scale=1.15,
+            loose_boxes=True,
         ),
         Preset(
             "kradar-sim-mini",
@@ -215,7 +215,7 @@ PRESETS: dict[str, Preset] = {
             sizes=("korea",),
             mountings=(_KRADAR_RIG,),
             columns=512,
-            box_scale=1.15,
+            loose_boxes=True,
         ),
     )
 }

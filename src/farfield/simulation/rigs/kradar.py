@@ -15,6 +15,7 @@ from farfield.frame import Boxes, Camera, Cloud
 from farfield.geometry.poses import invert, pose
 from farfield.radar.products import polar3d_from_moments, sparse_cloud, zyx_cube
 from farfield.simulation import labels
+from farfield.simulation.bodies.sizes import inflated
 from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import rig_cameras
 from farfield.simulation.lidar.model import OS1_128, OS2_64
@@ -136,9 +137,8 @@ class KRadarMoment:
         owner = swept.actor
         seen_s = labels.mean_times_s(swept.cloud.extra["time_ns"].astype(np.float64) * 1e-9, owner, len(full))
         velocity = (window.velocity_m_s - window.ego_velocity_m_s) @ self.world_T_lidar[:3, :3]  # not compensated
-        full = full.replace(
-            centre_m=full.centre_m + velocity * seen_s[:, None], size_m=full.size_m * self.drive.preset.box_scale
-        )
+        full = full.replace(centre_m=full.centre_m + velocity * seen_s[:, None])
+        full = inflated(full) if self.drive.preset.loose_boxes else full
         hits: Int[np.ndarray, " n"] = np.bincount(owner[owner >= 0], minlength=len(full))
         snr_db, masked_db = self._radar_strengths()
         flags = np.array(availability(snr_db, hits >= _MIN_HITS, masked_by_db=masked_db), dtype=np.str_)

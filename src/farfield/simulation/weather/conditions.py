@@ -77,8 +77,9 @@ class Weather:
 def draw_weather(condition: str, time: str, rng: np.random.Generator) -> Weather:
     """Draw one sequence's weather within the bounds of a condition.
 
-    Rates and visibilities follow K-Radar's descriptions: fog thins LiDAR only lightly (MOR 400 to 1000 m), sleet freezes
-    to a layer on the sensors' windows, heavy snow (over 1 cm/h) piles up on their front within minutes, rain runs off.
+    Rates and visibilities follow K-Radar's descriptions: fog thins LiDAR only lightly (MOR 400 to 1000 m), sleet
+    freezes to a layer on the sensors' windows, heavy snow (over 1 cm/h) piles up on their front within minutes, rain
+    runs off.
 
     Args:
         condition: One of ``CONDITIONS``.

@@ -17,7 +17,7 @@ from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, Plot
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
-_KEPT_TRACERS = 450  # Embree fails in one process beyond about a thousand devices
+_KEPT_TRACERS = 2000  # about 60 MB
 _MOVES_M = 0.2  # who moves less in the whole sequence stands
 ROADS = tuple(BUILDERS)
 
