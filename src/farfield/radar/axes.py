@@ -78,3 +78,7 @@ KRADAR_AXES = RadarAxes(
     doppler_m_s=np.arange(-32, 32) * 0.060393475572047,
 )
 """K-Radar's axes (``resources/info_arr.mat``, ``arr_doppler.mat``); its files count both angles the other way round."""
+
+KRADAR_ORIGIN_M = (2.54, -0.3, -0.7)
+"""Where K-Radar's radar stands in the frame of its os2-64, without rotation, in all sequences: x and y are in every
+``calib_radar_lidar.txt``, z is in the development kit's configuration."""

@@ -9,20 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from farfield.radar.axes import KRADAR_ORIGIN_M
+
 LIDARS = {"os2-64": 64, "os1-128": 128}  # lines of each
 COLUMNS = 2048
 CAMERAS = ("cam-front", "cam-right", "cam-rear", "cam-left")
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 1280, 720  # of one eye
 RIGHT_EYE = "-right"  # image "cam-front" is the left eye, "cam-front-right" the right one
 INDEX_NAMES = ("radar", "os2-64", "cam-front", "os1-128", "cam-lrr")
-RADAR_ORIGIN_M = (2.54, -0.3, -0.7)  # the radar in the os2-64's frame: no rotation, the same in all sequences
-POWER_UNIT = 1e13  # by which the development kit divides the radar's linear power
-OUTSIDE = -1.0  # what a cell of the cube outside the field of view holds
-
-RANGE_M = np.arange(256) * 0.462890625
-AZIMUTH_RAD = np.deg2rad(np.arange(-53.0, 54.0))  # rising: to the left
-ELEVATION_RAD = np.deg2rad(np.arange(-18.0, 19.0))  # rising: up
-DOPPLER_M_S = -1.932591218305504 + np.arange(64) * ((1.872197742733457 + 1.932591218305504) / 63)
 
 # Index of the radar's frame minus that of the LiDAR's, sequences 1 to 58, as every label file has it.
 FRAME_DIFFERENCES = (
@@ -133,8 +127,8 @@ def our_name(kind: str, spelling: str) -> str:
     return names.get(spelling, spelling)
 
 
-def os2_T_radar(x_m: float = RADAR_ORIGIN_M[0], y_m: float = RADAR_ORIGIN_M[1]) -> Float[np.ndarray, "4 4"]:
+def os2_T_radar(x_m: float = KRADAR_ORIGIN_M[0], y_m: float = KRADAR_ORIGIN_M[1]) -> Float[np.ndarray, "4 4"]:
     """Pose of the radar in the os2-64's frame: a translation."""
     pose = np.eye(4)
-    pose[:3, 3] = x_m, y_m, RADAR_ORIGIN_M[2]
+    pose[:3, 3] = x_m, y_m, KRADAR_ORIGIN_M[2]
     return pose

@@ -13,13 +13,13 @@ from farfield.datasets.kradar.layout import (
     CONDITIONS,
     IMAGE_HEIGHT_PX,
     IMAGE_WIDTH_PX,
-    RADAR_ORIGIN_M,
     our_name,
     spelled,
 )
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
+from farfield.radar.axes import KRADAR_ORIGIN_M
 
 _MAX_BYTES = 4 << 20
 _LARGEST = 1e9
@@ -65,7 +65,7 @@ def read_description(path: Path) -> dict[str, str]:
 
 def format_radar_calibration(difference: int) -> str:
     """Frame difference, and what is added to a LiDAR point's x and y to get the radar's."""
-    x, y, _ = RADAR_ORIGIN_M
+    x, y, _ = KRADAR_ORIGIN_M
     return f"frame difference,x,y\n{difference},{-x},{-y}\n"
 
 

@@ -35,7 +35,6 @@ class Segment:
         time: "day" or "night".
         frames: How many frames are written unless asked otherwise.
         duration_s: How long its traffic lasts.
-        radar_lead: Index of the radar's frame minus that of the LiDAR's (K-Radar).
     """
 
     name: str
@@ -44,7 +43,6 @@ class Segment:
     time: str = "day"
     frames: int = 20
     duration_s: Number = 60.0
-    radar_lead: int = 0
 
 
 @dataclass(frozen=True)
@@ -125,8 +123,8 @@ def _cirrus(roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s:
 
 def _kradar() -> tuple[Segment, ...]:
     return tuple(
-        Segment(str(i + 1), road, weather, time, frames, duration_s=frames * 0.1 + 1.0, radar_lead=lead)
-        for i, (frames, road, weather, time, lead) in enumerate(KRADAR_SEQUENCES)
+        Segment(str(i + 1), road, weather, time, frames, duration_s=frames * 0.1 + 1.0)
+        for i, (frames, road, weather, time) in enumerate(KRADAR_SEQUENCES)
     )
 
 
@@ -201,12 +199,12 @@ PRESETS: dict[str, Preset] = {
             "kradar-sim-mini",
             "kradar",
             tuple(
-                Segment(str(i + 1), road, weather, time, frames=2, duration_s=6.0, radar_lead=lead)
-                for i, (road, weather, time, lead) in enumerate(
+                Segment(str(i + 1), road, weather, time, frames=2, duration_s=6.0)
+                for i, (road, weather, time) in enumerate(
                     (
-                        ("urban", "normal", "day", 31),
-                        ("highway", "heavy_snow", "night", 5),
-                        ("mountain", "fog", "day", 8),
+                        ("urban", "normal", "day"),
+                        ("highway", "heavy_snow", "night"),
+                        ("mountain", "fog", "day"),
                     )
                 )
             ),

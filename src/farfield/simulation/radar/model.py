@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32
 
 from farfield.errors import ConfigError
 from farfield.geometry.poses import pose
-from farfield.radar.axes import KRADAR_AXES, RadarAxes
+from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M, RadarAxes
 
 LIGHT_M_S = 299_792_458.0
 WINDOWS = ("none", "hann", "hamming")
@@ -225,4 +225,4 @@ def beams(model: RadarModel) -> Beams:
 
 def radar_mount(ego_T_lidar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Pose of K-Radar's radar in the ego vehicle: 2.54 m ahead, 0.3 m right and 0.7 m below its os2-64, not turned."""
-    return ego_T_lidar @ pose(np.eye(3), np.array([2.54, -0.3, -0.7]))
+    return ego_T_lidar @ pose(np.eye(3), np.array(KRADAR_ORIGIN_M))

@@ -10,6 +10,7 @@ _LIDARS = ("os2-64", "os1-128")
 _CAMERAS = ("cam-front", "cam-left", "cam-right", "cam-rear")
 _PRODUCTS = ("sparse", "polar3d", "cube", "tesseract")
 _CAMERA_HZ = 30
+_RADAR_LEAD = 5  # the radar's recording began half a second before the LiDARs'
 
 
 def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
@@ -42,7 +43,7 @@ def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
 def _indices(drive: Drive, index: int) -> tuple[int, int, int, int]:
     """Numbers of the radar's, the os2-64's, the front camera's and the os1-128's frames; LiDARs count from 1."""
     lidar = round(index * drive.preset.stride_s * 10) + 1
-    return lidar + max(drive.segment.radar_lead, 0), lidar, (lidar - 1) * _CAMERA_HZ // 10 + 2, lidar
+    return lidar + _RADAR_LEAD, lidar, (lidar - 1) * _CAMERA_HZ // 10 + 2, lidar
 
 
 def _metadata(drive: Drive, index: int, moment: Any) -> dict[str, Any]:
