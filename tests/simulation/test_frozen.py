@@ -9,7 +9,7 @@ from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.frozen import compare, frame_record, frozen_records, split_digest
 
 NAME = "cirrus-sim-val-v2"
-SHA256 = "ccbb6866684aed7b54eb70f54750d9862d7b7824b61d94d434e67c6b43915556"
+SHA256 = "0e2da4fda727f4d782a1ec724069c05e265ddca1ce70cb62d054cb8aa0fd8b45"
 
 
 def test_the_record_has_not_changed() -> None:
