@@ -2,7 +2,7 @@
 
 usage: python benchmarks/simulated_detection.py [DATA] [--models NAME_OR_RUN ...] [--json OUT]
 
-DATA is what ``farfield simulate cirrus-sim-val-v1 DATA --cache`` wrote; it is made where it is absent.
+DATA is what ``farfield simulate cirrus-sim-val-v2 DATA --cache`` wrote; it is made where it is absent.
 Trained and scored on simulation only.
 """
 
@@ -38,13 +38,13 @@ def rows_of(result: dict) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, nargs="?", default=ROOT / "data" / "cirrus-sim-val-v1")
+    parser.add_argument("data", type=Path, nargs="?", default=ROOT / "data" / "cirrus-sim-val-v2")
     parser.add_argument("--models", nargs="+", default=["pointpillars-cirrus-sim"])
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     print(header(), "\n", sep="")
     if not options.data.exists():
-        simulate.run("cirrus-sim-val-v1", options.data, cache=True)
+        simulate.run("cirrus-sim-val-v2", options.data, cache=True)
     data = open_dataset(options.data)
     print(f"{options.data.name}: {len(data)} frames, fingerprint {data.fingerprint()[:16]}")
     found = {}

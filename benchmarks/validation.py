@@ -48,7 +48,7 @@ from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
 
-DETECTORS = ROOT / "benchmarks" / "results" / "simulated_detection.txt"
+DETECTORS = ROOT / "benchmarks" / "results" / "simulated_detection_v1.txt"
 SEED = 20260101
 CAR_REAR = {"uniform": {50: 61.0, 100: 15.0, 200: 3.8}, "gaussian": {50: 145.0, 100: 35.0, 200: 8.6}}
 

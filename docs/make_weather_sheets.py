@@ -43,14 +43,20 @@ def draw_row(axes: Any, frame: Frame, title: str) -> None:
     above.set(xlim=(-20, 100), ylim=(-40, 40), aspect="equal")
     above.set_title(f"os2-64: {len(cloud):,} returns", fontsize=7, loc="left")
     power = frame.radar["polar3d"][0].mean(axis=2) * POWER_UNIT
-    azimuth, distance = np.meshgrid(np.radians(KRADAR_AXES.azimuth_deg), KRADAR_AXES.range_m)
+    azimuth, distance = np.meshgrid(np.radians(edges(KRADAR_AXES.azimuth_deg)), edges(KRADAR_AXES.range_m))
     level = 10 * np.log10(np.maximum(power, 1.0))
     x_m, y_m = distance * np.cos(azimuth), distance * np.sin(azimuth)
-    radar.pcolormesh(x_m, y_m, level, vmin=108.5, vmax=116, shading="nearest", cmap="magma")
+    radar.pcolormesh(x_m, y_m, level, vmin=108.5, vmax=116, cmap="magma")
     radar.set(xlim=(-20, 100), ylim=(-40, 40), aspect="equal", facecolor="black")
     radar.set_title("radar, mean over Doppler and elevation, 108.5 to 116 dB", fontsize=7, loc="left")
     for each in (above, radar):
         each.tick_params(labelsize=6)
+
+
+def edges(centres: np.ndarray) -> np.ndarray:
+    """Borders of evenly spaced cells."""
+    half = (centres[1] - centres[0]) / 2
+    return np.append(centres - half, centres[-1] + half)
 
 
 def draw_boxes(axes: Any, frame: Frame) -> None:
