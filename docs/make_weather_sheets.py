@@ -7,6 +7,7 @@ Each row is one weather, every third at night; world, traffic and moment are the
 
 import argparse
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ def draw_row(axes: Any, frame: Frame, title: str) -> None:
     """Camera, LiDAR from above, radar range-azimuth map."""
     camera, above, radar = axes
     camera.imshow(frame.images["cam-front"][::2, ::2])
-    camera.set_title(title, fontsize=8, loc="left")
+    camera.set_title(title, fontsize=7, loc="left")
     camera.set_axis_off()
     cloud = frame.clouds["os2-64"]
     x, y, z = cloud.points_m.T
@@ -71,15 +72,15 @@ def draw_boxes(axes: Any, frame: Frame) -> None:
 
 def sheet(road: str, seed: int) -> Path:
     """All weathers of one road."""
-    figure = Figure(figsize=(13, 2.75 * len(CONDITIONS)), layout="constrained")
-    grid = figure.subplots(len(CONDITIONS), 3, gridspec_kw={"width_ratios": [1.3, 1, 1]})
+    figure = Figure(figsize=(13, 2.6 * len(CONDITIONS)), layout="constrained")
+    grid = figure.subplots(len(CONDITIONS), 3, gridspec_kw={"width_ratios": [1.2, 1, 1]})
     for row, weather in enumerate(CONDITIONS):
         time = "night" if (row + ROADS.index(road)) % 3 == 2 else "day"
         frame = moment(road, weather, time, seed)
-        draw_row(grid[row], frame, f"{road}, {frame.metadata['weather'].describe()}")
+        draw_row(grid[row], frame, "\n".join(wrap(f"{road}, {frame.metadata['weather'].describe()}", 84)))
     IMAGES.mkdir(parents=True, exist_ok=True)
     path = IMAGES / f"{road}.jpg"
-    figure.savefig(path, dpi=100, pil_kwargs={"quality": 82})
+    figure.savefig(path, dpi=100, pil_kwargs={"quality": 80})
     return path
 
 

@@ -189,3 +189,24 @@ def test_weather_is_written_beside_the_data(tmp_path: Path, capsys: pytest.Captu
     assert 1 <= drawn["weather"]["snow_mm_h"] <= 3
     assert f"snow {drawn['weather']['snow_mm_h']:.1f} mm/h" in capsys.readouterr().out
     assert open_dataset(out)[0].conditions["weather"] == "heavy_snow"
+
+
+def test_kradar_frames_read_back_and_do_not_depend_on_the_workers(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    arguments = ["--frames", "2", "--sequences", "2", "--sensors", "os2-64,sparse"]
+    assert main(["simulate", "kradar-sim-mini", str(one), *arguments, "--workers", "1"]) == 0
+    assert main(["simulate", "kradar-sim-mini", str(two), *arguments, "--workers", "2"]) == 0
+    assert contents(one) == contents(two)
+    dataset = open_dataset(one)
+    assert dataset.name == "kradar"
+    assert list(dataset.sequences) == ["1", "2"]
+    frame, expected = dataset[1], simulate_frame("kradar-sim-mini", sequence=1, index=0)
+    assert frame.conditions == {"road": "highway", "weather": "heavy_snow", "time": "night"} == expected.conditions
+    np.testing.assert_array_equal(frame.clouds["os2-64"].points_m, expected.clouds["os2-64"].points_m)
+    np.testing.assert_array_equal(frame.clouds["os2-64"].extra["ring"], expected.clouds["os2-64"].extra["ring"])
+    np.testing.assert_array_equal(frame.radar["sparse"], expected.radar["sparse"])
+    assert frame.boxes is not None
+    assert expected.boxes is not None
+    np.testing.assert_allclose(frame.boxes.centre_m, expected.boxes.centre_m, atol=1e-6)
+    np.testing.assert_array_equal(frame.boxes.label, expected.boxes.label)
+    assert list(frame.metadata["availability"]) == list(expected.metadata["availability"])

@@ -1,4 +1,4 @@
-"""Physics to Frame: roads, traffic, meshes, ray casting, LiDAR."""
+"""Physics to Frame: roads, traffic, LiDARs, radar, cameras and weather; two measuring cars with their sensors."""
 
 from farfield.simulation.presets import PRESETS, Preset, find_preset
 from farfield.simulation.sequence import simulate_frame, simulate_sequence

@@ -69,7 +69,7 @@ class Weather:
         parts += [f"{'wet ' * self.wet_snow}snow {self.snow_mm_h:.1f} mm/h"] * (self.snow_mm_h > 0)
         parts += [f"water {self.water_mm:.2f} mm"] * (self.water_mm > 0)
         parts += [f"snow covers {self.snow_cover:.0%}"] * (self.snow_cover > 0)
-        parts += [f"windows iced to {self.icing:.0%} in {self.icing_tau_s:.0f} s"] * (self.icing > 0)
+        parts += [f"windows covered to {self.icing:.0%} within {self.icing_tau_s:.0f} s"] * (self.icing > 0)
         parts += [f"radome film {self.film_mm:.2f} mm"] * (self.film_mm > 0)
         return "; ".join([*parts, f"{self.temperature_c:.0f} degrees C"])
 
