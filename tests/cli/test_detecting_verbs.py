@@ -14,7 +14,7 @@ from farfield.files.boxes_csv import read_boxes_csv
 
 EXPERIMENT = """
 name: tiny
-data: {path: data, clouds: [gaussian], simulate: {preset: mini, sequences: 1, frames: 2, seed: 3}}
+data: {path: data, clouds: [gaussian], simulate: {preset: cirrus-sim-mini, sequences: 1, frames: 2, seed: 3}}
 detector:
   {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 16, 16], depths: [0, 0, 0], neck_width: 16,
    score_threshold: 0.0}

@@ -105,15 +105,18 @@ def _plan(preset: "Preset", frames: int | None, sequences: int | None, *, frozen
     count = len(preset.segments) if sequences is None else sequences
     if count < 1:
         raise ConfigError(f"--sequences: expected at least 1, got {count}")
+    most = len(preset.segments) * preset.segments[0].frames
+    if frozen and (count > len(preset.segments) or (frames or 0) > most):
+        raise ConfigError(
+            f"{preset.name} is frozen: expected at most {len(preset.segments)} x {preset.segments[0].frames} frames"
+        )
     if frames is None:
         plan = [preset.segment(sequence).frames for sequence in range(count)]
     elif frames < 1:
         raise ConfigError(f"--frames: expected at least 1, got {frames}")
     else:
-        plan = _spread(frames, [preset.longest(sequence) for sequence in range(min(count, frames))])
-    if frozen and (count > len(preset.segments) or max(plan) > preset.segments[0].frames):
-        most = f"{len(preset.segments)} x {preset.segments[0].frames}"
-        raise ConfigError(f"{preset.name} is frozen: expected at most {most} frames")
+        used = range(min(count, frames))
+        plan = _spread(frames, [preset.segment(i).frames if frozen else preset.longest(i) for i in used])
     for sequence, planned in enumerate(plan):
         if planned > preset.longest(sequence):
             raise ConfigError(
