@@ -1,6 +1,7 @@
 """The tensor's arithmetic, compiled by numba. Import this module only where a tensor is made.
 
 Every output row belongs to one range bin and is summed in a fixed order, so that the number of threads changes nothing.
+No ``fastmath``: with it, code compiled now and code from numba's cache round differently.
 ``no_type_check`` keeps runtime type checkers, which tests switch on, out of compiled functions.
 """
 
@@ -17,7 +18,7 @@ except ImportError as error:
     raise MissingExtraError("numba", "simulate", "The radar's tensor") from error
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _size(x, length, count):
     """sin(pi x length / count) / (count sin(pi x / count)): ``length`` of ``count`` turning unit vectors, summed."""
@@ -28,7 +29,7 @@ def _size(x, length, count):
     return math.sin(math.pi * x * length / count) / (count * bottom)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _part_sum(x, first, length, count):
     """Mean over ``count`` of exp(2 pi j x m / count) for m = first ... first + length - 1, as (real, imaginary)."""
@@ -37,14 +38,14 @@ def _part_sum(x, first, length, count):
     return size * math.cos(phase), size * math.sin(phase)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _wrap(x, count):
     """Move ``x`` by a multiple of ``count`` into -count/2 ... count/2."""
     return x - count * math.floor(x / count + 0.5)
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True)
 @no_type_check
 def scatter(
     channel_re, channel_im, range_bin, walk_bins, doppler_bin, amplitude, phase, reach, azimuth, elevation,
@@ -108,7 +109,7 @@ def scatter(
                 )  # fmt: skip
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _doppler_width(reach, least, dopplers):
     if least <= 0.0:
@@ -116,7 +117,7 @@ def _doppler_width(reach, least, dopplers):
     return min(dopplers // 2, max(2, math.ceil(reach / (math.pi * least))))
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _row(
     row_re, row_im, steer_re, steer_im, doppler_re, doppler_im, blocks, middle, walk, reach, least, centre, ranges
@@ -146,7 +147,7 @@ def _row(
             out_im[c] += a * steer_im[c] + b * steer_re[c]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 @no_type_check
 def _beam_power(cell_re, cell_im, az_re, az_im, el_re, el_im, y_re, y_im, sum_re, sum_im, scale, out):
     """Power of one range-Doppler cell in every beam: azimuth first, then elevation."""
@@ -174,7 +175,7 @@ def _beam_power(cell_re, cell_im, az_re, az_im, el_re, el_im, y_re, y_im, sum_re
             out[q, j] = scale * (sum_re[j] * sum_re[j] + sum_im[j] * sum_im[j])
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True)
 @no_type_check
 def form_tensor(channel_re, channel_im, az_re, az_im, el_re, el_im, scale, out):
     """Beam power of every cell into ``out`` (Doppler, range, elevation, azimuth); ``scale`` is one a range bin."""
@@ -191,7 +192,7 @@ def form_tensor(channel_re, channel_im, az_re, az_im, el_re, el_im, scale, out):
             )  # fmt: skip
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True)
 @no_type_check
 def form_moments(channel_re, channel_im, az_re, az_im, el_re, el_im, scale, velocity, out):
     """Three means over Doppler into ``out`` (3, range, elevation, azimuth), without the tensor.
