@@ -154,10 +154,10 @@ def test_readme_links_lead_somewhere() -> None:
             assert re.match(r"https?://", target) or (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-if __name__ == "__main__":
-    SNAPSHOT.write_text(_public_api(), encoding="utf-8")
-
-
 def test_compiled_code_keeps_the_order_of_its_sums() -> None:
     """With numba's fastmath, code compiled now and code from the cache round differently: other bytes for one seed."""
     assert not [path.name for path in SOURCES if "fastmath=" in path.read_text(encoding="utf-8")]
+
+
+if __name__ == "__main__":
+    SNAPSHOT.write_text(_public_api(), encoding="utf-8")
