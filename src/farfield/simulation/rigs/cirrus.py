@@ -17,23 +17,14 @@ from farfield.simulation.camera.rig import rig_cameras
 from farfield.simulation.lidar.model import LUMINAR_H2, LidarModel
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
 from farfield.simulation.world.scene import Window
 
 _RACK_M = 2.0  # height of the LiDAR at which the camera's place on the rack was chosen
 
 
-class CirrusMoment:
-    """One frame of the Cirrus car; everything is measured when it is first asked for.
-
-    Args:
-        drive: The sequence.
-        index: Number of the frame.
-    """
-
-    def __init__(self, drive: Drive, index: int) -> None:
-        self.drive, self.index = drive, index
-        self.time_s = drive.time_s(index)
+class CirrusMoment(Moment):
+    """One frame of the Cirrus car."""
 
     @cached_property
     def window(self) -> Window:
@@ -51,11 +42,6 @@ class CirrusMoment:
     @property
     def _behind_m(self) -> float:
         return 20.0 if self.drive.mounted.ego_T_lidar[0, 0] > 0 else 260.0
-
-    @cached_property
-    def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the Gaussian sensor."""
-        return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
 
     def _sweep(self, pattern: str, window: Window, origin_m: tuple[float | int, float | int, float | int]) -> Sweep:
         drive = self.drive

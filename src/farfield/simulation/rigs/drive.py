@@ -1,5 +1,6 @@
 """One sequence at work: its world, its weather, how its sensors are mounted; drawn once, the same for every sensor."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.presets import Mounting, Number, Preset, Segment
 from farfield.simulation.weather.conditions import Weather, draw_weather
-from farfield.simulation.world.scene import Scene
+from farfield.simulation.world.scene import Scene, Window
 
 HALF_SWEEP_S = 0.05  # every LiDAR turns at 10 Hz, half before and half after a frame's moment
 
@@ -129,3 +130,26 @@ def _mount(mounting: Mounting, rng: np.random.Generator) -> Mounted:
 def drive_of(preset: Preset, seed: int, sequence: int) -> Drive:
     """The sequence of a preset; building its world takes a fraction of a second, so the last ones are kept."""
     return Drive(preset, seed, sequence)
+
+
+class Moment(ABC):
+    """One frame of a sequence; everything is measured when it is first asked for.
+
+    Args:
+        drive: The sequence.
+        index: Number of the frame.
+    """
+
+    def __init__(self, drive: Drive, index: int) -> None:
+        self.drive, self.index = drive, index
+        self.time_s = drive.time_s(index)
+
+    @cached_property
+    @abstractmethod
+    def window(self) -> Window:
+        """The scene while the reference LiDAR sweeps."""
+
+    @cached_property
+    def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the reference LiDAR."""
+        return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar

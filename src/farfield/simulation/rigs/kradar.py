@@ -24,7 +24,7 @@ from farfield.simulation.lidar.sweep import Sweep, sweep
 from farfield.simulation.radar.frame import RadarFrame, measure
 from farfield.simulation.radar.model import RadarModel, radar_mount
 from farfield.simulation.radar.visibility import availability
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
 from farfield.simulation.world.scene import Window
 
 LIDAR_T_RADAR = radar_mount(np.eye(4))
@@ -52,17 +52,8 @@ class KRadarAnnotation:
     snr_db: Float[np.ndarray, " n"]
 
 
-class KRadarMoment:
-    """One frame of the K-Radar car; everything is measured when it is first asked for.
-
-    Args:
-        drive: The sequence.
-        index: Number of the frame.
-    """
-
-    def __init__(self, drive: Drive, index: int) -> None:
-        self.drive, self.index = drive, index
-        self.time_s = drive.time_s(index)
+class KRadarMoment(Moment):
+    """One frame of the K-Radar car."""
 
     @cached_property
     def window(self) -> Window:
@@ -76,11 +67,6 @@ class KRadarMoment:
         return self.drive.scene.window(
             time_s, half_span_s=_RADAR_HALF_SPAN_S, reach_m=_RADAR_REACH_M, behind_m=_BEHIND_M
         )
-
-    @cached_property
-    def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the os2-64."""
-        return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
 
     @cached_property
     def sweeps(self) -> dict[str, Sweep]:
