@@ -118,7 +118,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     samples = TrainingSamples(
         data,
         clouds=experiment.data.clouds,
-        classes=tuple(experiment.detector.anchors),
+        classes=experiment.detector.class_names,
         targets=network.targets,
         augmentation=experiment.augmentation,
         min_points=experiment.training.min_points,

@@ -101,8 +101,7 @@ def evaluate_clouds(
         settings={
             "detector": type(detector.network).__name__,
             "classes": ", ".join(detector.class_names),
-            "range_m": detector.config.grid.range_m,
-            "pillar_m": detector.config.grid.cell_m,
+            "range_m": detector.config.reach_m,
             "precision": detector.precision,
             "score_threshold": detector.config.score_threshold,
             "nms_iou": detector.config.nms_iou,

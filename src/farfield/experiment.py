@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
-from farfield.detectors.pointpillars import PointPillarsConfig
+from farfield.detectors import detector_classes
+from farfield.detectors.blocks.config import DetectorConfig
 from farfield.errors import ConfigError
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
@@ -46,9 +47,21 @@ class Experiment(BaseModel):
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     data: DataConfig
-    detector: PointPillarsConfig = PointPillarsConfig()
+    detector: SerializeAsAny[DetectorConfig] = Field({"name": "pointpillars"}, validate_default=True)
     augmentation: AugmentationConfig = AugmentationConfig()
     training: TrainingConfig = TrainingConfig()
+
+    @field_validator("detector", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: Any) -> Any:
+        """The settings of the detector that ``name`` names; PointPillars if it names none."""
+        if not isinstance(value, dict):
+            return value
+        try:
+            kind = detector_classes(str(value.get("name", "pointpillars")))[1]
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return kind.model_validate(value)
 
 
 def load_experiment(path: Path, overrides: list[str] | None = None) -> Experiment:

@@ -6,9 +6,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from farfield.detectors.blocks.anchors import cirrus_anchors
 from farfield.detectors.blocks.folding import fold_batch_norm
 from farfield.detectors.blocks.grid import GridConfig
-from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig, cirrus_anchors
+from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FarfieldError, FileFormatError
@@ -18,6 +19,10 @@ from farfield.metrics import score
 SMALL = PointPillarsConfig(
     grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2
 )
+
+
+def scene_points(scene):
+    return cloud_tensor(scene.cloud()).numpy()
 
 
 @pytest.fixture
@@ -32,7 +37,7 @@ def test_default_covers_the_range_asked_for_and_knows_all_eight_classes():
     assert len(config.anchors) == 8
     network = PointPillars(config)
     assert (network.encoder.nx * 0.25, network.encoder.ny * 0.25) == (250.0, 100.0)
-    assert len(network.anchors) == 250 * 100 * 16
+    assert len(network.head.anchors) == 250 * 100 * 16
 
 
 @pytest.mark.parametrize("range_m", [60.0, 69.12, 120.3, 250.0])
@@ -48,14 +53,14 @@ def test_any_range_gives_a_grid_that_the_strides_divide(range_m):
 def test_forward_has_no_nan_and_every_parameter_gets_a_gradient(network, scene):
     outputs = network([cloud_tensor(scene.cloud())])
     assert all(torch.isfinite(part).all() for part in outputs)
-    assert outputs[0].shape == (1, len(network.anchors))
-    sum(network.loss(outputs, [network.targets(scene.boxes)])).backward()
+    assert outputs[0].shape == (1, len(network.head.anchors))
+    sum(network.loss(outputs, [network.targets(scene.boxes, scene_points(scene))])).backward()
     without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert without == []
 
 
 def test_overfits_one_frame(network, scene):
-    cloud, targets = cloud_tensor(scene.cloud()), network.targets(scene.boxes)
+    cloud, targets = cloud_tensor(scene.cloud()), network.targets(scene.boxes, scene_points(scene))
     optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
     for _ in range(90):
         losses = network.loss(network([cloud]), [targets])
@@ -73,7 +78,7 @@ def test_overfits_one_frame(network, scene):
 def test_batch_of_two_equals_two_of_one(network, scene):
     network.eval()
     first = cloud_tensor(scene.cloud())
-    second = first[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0])
+    second = first[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
     with torch.no_grad():
         together = network([first, second])
         apart = [network([first]), network([second])]
@@ -97,7 +102,7 @@ def test_clouds_without_usable_points_give_no_error(network, points):
     cloud = Cloud(points.astype(np.float32), np.zeros(len(points), np.float32))
     assert len(Detector(network, precision="fp32")(cloud)) >= 0
     network.train()
-    losses = network.loss(network([cloud_tensor(cloud)]), [network.targets(Boxes.empty())])
+    losses = network.loss(network([cloud_tensor(cloud)]), [network.targets(Boxes.empty(), cloud_tensor(cloud).numpy())])
     assert all(torch.isfinite(loss) for loss in losses)
 
 

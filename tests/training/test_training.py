@@ -94,7 +94,7 @@ def samples(data, **changes) -> TrainingSamples:
     settings = {
         "clouds": ("gaussian", "uniform"),
         "classes": ("vehicle", "large_vehicle"),
-        "targets": lambda boxes: boxes,
+        "targets": lambda boxes, points: boxes,
         "augmentation": AugmentationConfig(pasted={"vehicle": 3}),
         "seed": 4,
     }
@@ -130,7 +130,7 @@ def test_aliases_and_min_points_choose_the_boxes(data):
 
 def test_thinning_drops_points_and_the_boxes_they_leave(rng):
     """Whatever share goes, no point moves, no box keeps none of the points it had, and one that had none stays."""
-    points = rng.uniform(0, 40, (4000, 4)).astype(np.float32)
+    points = rng.uniform(0, 40, (4000, 5)).astype(np.float32)
     centre = np.array([[10.0, 10.0, 10.0], [20.0, 20.0, 20.0], [90.0, 0.0, 0.0]])
     boxes = Boxes(centre_m=centre, size_m=np.array([[2.5] * 3] * 3), yaw_rad=np.zeros(3), label=["vehicle"] * 3)
     plain = AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0, thinning=0.99)

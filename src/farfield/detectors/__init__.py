@@ -11,7 +11,10 @@ from farfield.errors import ConfigError, MissingExtraError
 if TYPE_CHECKING:
     from torch import nn
 
-DETECTORS = {"pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig")}
+DETECTORS = {
+    "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
+}
+"""Name: module, network, configuration."""
 
 
 def detector_classes(name: str) -> tuple[Any, Any]:

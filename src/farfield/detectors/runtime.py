@@ -70,8 +70,8 @@ class Detector:
         keep_freed_memory()
         network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
         if self.precision == "bf16":
-            network.backbone.bfloat16()
-            network.head.bfloat16()
+            for name in network.low_precision:
+                network.get_submodule(name).bfloat16()
         self.network = network
 
     @classmethod
@@ -83,7 +83,7 @@ class Detector:
     @property
     def class_names(self) -> tuple[str, ...]:
         """The classes that this detector tells apart."""
-        return tuple(self.config.anchors)
+        return tuple(self.config.class_names)
 
     def with_cloud(self, cloud: str | None) -> "Detector":
         """The same detector reading another of a frame's clouds; weights are shared."""
@@ -103,9 +103,11 @@ class Detector:
 
 
 def cloud_tensor(cloud: Cloud) -> Tensor:
-    """A cloud as the tensor that networks read: x, y, z (metres), intensity, shape (n, 4), float32.
+    """A cloud as the tensor that networks read: x, y, z (metres), intensity, lag (seconds), shape (n, 5), float32.
 
-    Points that are not finite are dropped.
+    The lag is the age of a point's sweep: the cloud's column ``lag_s``, or zero. Points that are not
+    finite are dropped.
     """
-    rows = np.column_stack([cloud.points_m, cloud.intensity]).astype(np.float32, copy=False)
+    lag_s = cloud.extra["lag_s"] if "lag_s" in cloud.extra else np.zeros(len(cloud))
+    rows = np.column_stack([cloud.points_m, cloud.intensity, lag_s]).astype(np.float32, copy=False)
     return torch.from_numpy(rows[np.isfinite(rows).all(axis=1)])

@@ -10,7 +10,7 @@ from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import count_points_in_boxes, points_in_boxes
 from farfield.training.config import AugmentationConfig
 
-Points = Float32[np.ndarray, "_ 4"]
+Points = Float32[np.ndarray, "_ 5"]
 
 
 @dataclass
@@ -66,7 +66,7 @@ def augment(
     """Apply all random changes to one frame.
 
     Args:
-        points: x, y, z (metres), intensity, shape (n, 4).
+        points: x, y, z (metres), intensity, lag (s), shape (n, 5).
         boxes: Annotated boxes; they carry no scores, ids or counts afterwards.
         config: How much of each change.
         rng: The only source of randomness.

@@ -135,8 +135,9 @@ class Training:
     def _update(self, fabric: Fabric, network: Any, optimizer: Any, batch: list[Any]) -> dict[str, float]:
         for group in optimizer.param_groups:
             group["lr"] = one_cycle(self.step, self.config)
-        outputs = network([fabric.to_device(sample.points) for sample in batch])
-        losses = self.network.loss(outputs, [sample.targets for sample in batch])
+        targets = [sample.targets for sample in batch]
+        outputs = network([fabric.to_device(sample.points) for sample in batch], targets)
+        losses = self.network.loss(outputs, targets)
         total = sum(losses)
         optimizer.zero_grad(set_to_none=True)
         fabric.backward(total)

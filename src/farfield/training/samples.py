@@ -36,7 +36,7 @@ class TrainingSamples(TorchDataset[Sample]):
         data: Annotated frames.
         clouds: Names of the clouds to train on; each frame gives one sample a cloud.
         classes: Class names of the detector; boxes of other classes are left out.
-        targets: The network's target function.
+        targets: The network's target function, of a frame's boxes and points.
         augmentation: Random changes.
         min_points: Boxes with fewer points in the sample's cloud are left out.
         seed: Seed of order and changes.
@@ -49,7 +49,7 @@ class TrainingSamples(TorchDataset[Sample]):
         *,
         clouds: Sequence[str],
         classes: Sequence[str],
-        targets: Callable[[Boxes], Any],
+        targets: Callable[[Boxes, np.ndarray], Any],
         augmentation: AugmentationConfig,
         min_points: int = 1,
         seed: int = 0,
@@ -97,7 +97,8 @@ class TrainingSamples(TorchDataset[Sample]):
         epoch, place = divmod(position, self.epoch_length)
         points, boxes = self.load(int(self._order(epoch)[place]))
         points, boxes = augment(points, boxes, self.augmentation, self._generator(3, position), self.bank)
-        return Sample(torch.from_numpy(np.ascontiguousarray(points, dtype=np.float32)), self.targets(boxes))
+        points = np.ascontiguousarray(points, dtype=np.float32)
+        return Sample(torch.from_numpy(points), self.targets(boxes, points))
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key != "_order"}

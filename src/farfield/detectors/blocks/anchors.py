@@ -24,6 +24,21 @@ class AnchorConfig(BaseModel):
     z_m: float = Field(description="height of the centre in the sensor's frame")
 
 
+def cirrus_anchors() -> dict[str, AnchorConfig]:
+    """Anchors for the eight classes of Cirrus, sensor on the roof (ground near z = -2 m)."""
+    sizes = {
+        "vehicle": (4.6, 1.95, 1.7),
+        "large_vehicle": (9.0, 2.7, 3.2),
+        "pedestrian": (0.75, 0.7, 1.75),
+        "bicycle": (1.75, 0.65, 1.6),
+        "animal": (0.8, 0.4, 0.6),
+        "wheeled_pedestrian": (1.0, 0.7, 1.4),
+        "motorcycle": (2.2, 0.9, 1.5),
+        "trailer": (11.0, 2.8, 3.6),
+    }
+    return {name: AnchorConfig(size_m=size, z_m=size[2] / 2 - 2.0) for name, size in sizes.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Targets:
     """What a frame asks of the network; indices count anchors of that frame.
@@ -33,12 +48,14 @@ class Targets:
         code: Encoded box of each positive anchor, shape (p, 7).
         backwards: 1 where the box looks against its anchor's heading, shape (p,).
         ignored: Anchors that are neither right nor wrong, shape (i,).
+        weight: Weight of each positive anchor in the loss, shape (p,).
     """
 
     positive: Int[np.ndarray, " p"]
     code: Float[np.ndarray, "p 7"]
     backwards: Int[np.ndarray, " p"]
     ignored: Int[np.ndarray, " i"]
+    weight: Float[np.ndarray, " p"]
 
 
 class AnchorGrid:
@@ -74,7 +91,9 @@ class AnchorGrid:
         """Class names of the anchors with these flat indices, shape (k,)."""
         return np.array(self.names, dtype=np.str_)[index % self.per_cell // 2]
 
-    def assign(self, boxes: Boxes, *, positive_m: float, ignore_m: float) -> Targets:
+    def assign(
+        self, boxes: Boxes, *, positive_m: float, ignore_m: float, weights: Float[np.ndarray, " n"] | None = None
+    ) -> Targets:
         """Choose the anchors that answer for each box, by the distance of their cell from the box's centre.
 
         The nearest cell and all within ``positive_m`` answer; those within ``ignore_m`` are left alone. Overlap, the
@@ -86,6 +105,7 @@ class AnchorGrid:
             boxes: Annotated boxes in the sensor's frame.
             positive_m: Radius within which a cell answers for the box.
             ignore_m: Radius within which a cell is not blamed.
+            weights: Weight of each box in the loss, shape (n,); 1 if left out.
         """
         kind = np.array([self.names.index(name) if name in self.names else -1 for name in boxes.label], dtype=np.int64)
         column = np.floor(boxes.centre_m[:, 0] / self.cell_m).astype(np.int64)
@@ -109,7 +129,8 @@ class AnchorGrid:
         spare = base[spare_box, spare_where]
         ignored = np.setdiff1d(np.concatenate([spare, spare + 1, positive ^ 1]), positive)
         code, backwards = encode(boxes[winner], self.rows(positive))
-        return Targets(positive, code, backwards, ignored)
+        weight = np.ones(len(positive)) if weights is None else weights[winner]
+        return Targets(positive, code, backwards, ignored, weight)
 
 
 def encode(boxes: Boxes, anchors: Float[np.ndarray, "k 7"]) -> tuple[Float[np.ndarray, "k 7"], Int[np.ndarray, " k"]]:

@@ -6,36 +6,45 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from farfield.detectors.blocks.pillars import PillarEncoder
+_CONVOLUTIONS = (nn.Conv1d, nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d)
+_NORMS = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
 
 
 def fold_batch_norm(model: nn.Module) -> nn.Module:
-    """Return an evaluation-mode copy in which every (convolution, batch norm) pair is one convolution.
+    """Return an evaluation-mode copy in which every (convolution or linear layer, batch norm) pair is one layer.
 
-    Linear layers of :class:`PillarEncoder` are folded too. Only adjacent pairs inside ``nn.Sequential`` count.
+    Adjacent pairs inside ``nn.Sequential`` count, and whatever a module with a method ``fold_norm`` folds by itself.
     """
     folded = copy.deepcopy(model).eval()
     for module in list(folded.modules()):
         if isinstance(module, nn.Sequential):
             _fold_sequence(module)
-        elif isinstance(module, PillarEncoder) and isinstance(module.norm, nn.BatchNorm1d):
-            module.linear, module.norm = _fold_linear(module.linear, module.norm), nn.Identity()
+        elif hasattr(module, "fold_norm"):
+            module.fold_norm()
     return folded
 
 
 def _fold_sequence(sequence: nn.Sequential) -> None:
     for index in range(len(sequence) - 1):
         first, second = sequence[index], sequence[index + 1]
-        if isinstance(second, nn.BatchNorm2d) and isinstance(first, nn.Conv2d | nn.ConvTranspose2d):
+        if not isinstance(second, _NORMS):
+            continue
+        if isinstance(first, _CONVOLUTIONS):
             transpose = isinstance(first, nn.ConvTranspose2d)
             sequence[index] = fuse_conv_bn_eval(first, second, transpose=transpose)
-            sequence[index + 1] = nn.Identity()
+        elif isinstance(first, nn.Linear) and isinstance(second, nn.BatchNorm1d):
+            sequence[index] = fold_linear(first, second)
+        else:
+            continue
+        sequence[index + 1] = nn.Identity()
 
 
-def _fold_linear(linear: nn.Linear, norm: nn.BatchNorm1d) -> nn.Linear:
+def fold_linear(linear: nn.Linear, norm: nn.BatchNorm1d) -> nn.Linear:
+    """One linear layer that does what a linear layer and its normalisation do in evaluation mode."""
     scale: Tensor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+    shift = norm.bias - norm.running_mean * scale
     folded = nn.Linear(linear.in_features, linear.out_features)
     with torch.no_grad():
         folded.weight.copy_(linear.weight * scale[:, None])
-        folded.bias.copy_(norm.bias - norm.running_mean * scale)
+        folded.bias.copy_(shift if linear.bias is None else shift + linear.bias * scale)
     return folded

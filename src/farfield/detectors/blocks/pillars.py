@@ -7,6 +7,7 @@ sorting their cell numbers.
 import torch
 from torch import Tensor, nn
 
+from farfield.detectors.blocks.folding import fold_linear
 from farfield.detectors.blocks.grid import GridConfig
 
 
@@ -18,21 +19,25 @@ class PillarEncoder(nn.Module):
         multiple: The network's coarsest stride, which must divide the grid.
         channels: Features a pillar.
         use_intensity: Feed the return strength too. Its scale differs from sensor to sensor, so it is off by default.
+        use_lag: Feed the age of each point's sweep too.
     """
 
-    def __init__(self, grid: GridConfig, *, multiple: int, channels: int, use_intensity: bool = False) -> None:
+    def __init__(
+        self, grid: GridConfig, *, multiple: int, channels: int, use_intensity: bool = False, use_lag: bool = False
+    ) -> None:
         super().__init__()
-        self.grid, self.channels, self.use_intensity = grid, channels, use_intensity
+        self.grid, self.channels = grid, channels
+        self.columns = [3] * use_intensity + [4] * use_lag
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
-        self.linear = nn.Linear(9 + int(use_intensity), channels, bias=False)
-        self.norm = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.1)
+        self.linear = nn.Linear(9 + len(self.columns), channels, bias=False)
+        self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.1)
 
     def forward(self, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
         """Encode points.
 
         Args:
-            points: x, y, z (metres) and intensity of all frames of the batch, shape (n, 4).
+            points: x, y, z (metres), intensity and lag (s) of all frames of the batch, shape (n, 5).
             batch: Frame number of each point, shape (n,), int64.
             batch_size: Number of frames.
 
@@ -48,6 +53,11 @@ class PillarEncoder(nn.Module):
         pooled = pooled.scatter_reduce(0, member[:, None].expand(-1, self.channels), features, "amax")
         canvas = pooled.new_zeros(batch_size * self.nx * self.ny, self.channels).index_copy(0, pillars, pooled)
         return canvas.view(batch_size, self.nx, self.ny, self.channels).permute(0, 3, 1, 2)
+
+    def fold_norm(self) -> None:
+        """Fold the normalisation into the linear layer, for inference."""
+        if isinstance(self.norm, nn.BatchNorm1d):
+            self.linear, self.norm = fold_linear(self.linear, self.norm), nn.Identity()
 
     def _inside(self, points: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
         """Drop points outside the grid; number the cell of each remaining point."""
@@ -73,4 +83,4 @@ class PillarEncoder(nn.Module):
         to_centre = (xyz[:, :2] - centre) / self.grid.cell_m
         scaled = xyz / xyz.new_tensor([self.grid.range_m, self.grid.half_width_m, self.grid.z_max_m])
         parts = [scaled, to_mean / self.grid.cell_m, to_centre, torch.log1p(count)[member]]
-        return torch.cat([*parts, points[:, 3:4]] if self.use_intensity else parts, 1)
+        return torch.cat([*parts, points[:, self.columns]], 1)

@@ -1,0 +1,133 @@
+"""The anchor head that VoxelNet, SECOND and PointPillars share: one 1 x 1 convolution, its loss and its boxes.
+
+Every anchor gives one class logit, a box code of seven numbers and two direction logits.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid, Targets, cirrus_anchors, decode
+from farfield.detectors.blocks.config import DetectorConfig
+from farfield.detectors.blocks.losses import box_loss, direction_loss, focal_loss
+from farfield.detectors.blocks.nms import rotated_nms
+from farfield.geometry.boxes import Boxes
+
+_NUMBERS = 10  # class, seven of the box, two of the direction
+
+
+class AnchorHeadConfig(DetectorConfig):
+    """Settings of a detector with anchors."""
+
+    anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
+    positive_m: float = Field(1.0, description="anchor cells this near to a box's centre answer for it")
+    ignore_m: float = Field(2.0, description="anchor cells this near are not blamed")
+    box_weight: float = 2.0
+    direction_weight: float = 0.2
+    candidates: int = Field(1000, ge=1, description="best anchors that go into the suppression")
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """The classes that have an anchor."""
+        return tuple(self.anchors)
+
+
+class AnchorMaps(NamedTuple):
+    """What the head says of each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2)."""
+
+    logits: Tensor
+    codes: Tensor
+    directions: Tensor
+
+
+class AnchorLosses(NamedTuple):
+    """The parts of the training loss, each normalised by the weight of the positive anchors."""
+
+    classification: Tensor
+    box: Tensor
+    direction: Tensor
+
+
+class AnchorHead(nn.Conv2d):
+    """From a bird's-eye feature map (b, c, nx, ny) to anchors, their loss and their boxes.
+
+    Args:
+        config: Settings of the detector.
+        c_in: Channels of the map.
+        grid: The anchors, one set at each cell of the map.
+    """
+
+    def __init__(self, config: AnchorHeadConfig, c_in: int, grid: AnchorGrid) -> None:
+        super().__init__(c_in, grid.per_cell * _NUMBERS, 1)
+        self.config, self.anchors = config, grid
+        self._start_unsure()
+
+    def _start_unsure(self) -> None:
+        """Begin with every anchor at a score of 0.01, so that the many negatives do not drown the first steps."""
+        bias = torch.zeros(_NUMBERS, self.anchors.per_cell)
+        bias[0] = -float(np.log((1 - 0.01) / 0.01))
+        with torch.no_grad():
+            self.weight.normal_(std=0.01)
+            if self.bias is not None:
+                self.bias.copy_(bias.reshape(-1))
+
+    def forward(self, image: Tensor) -> AnchorMaps:  # the anchors' order is channels last
+        """Map (b, c, nx, ny) to what is said of each anchor, in the order of the anchor grid."""
+        maps = super().forward(image).permute(0, 2, 3, 1)
+        maps = maps.reshape(len(image), -1, _NUMBERS, self.anchors.per_cell)
+        return AnchorMaps(
+            maps[:, :, 0].reshape(len(image), -1),
+            maps[:, :, 1:8].transpose(2, 3).reshape(len(image), -1, 7),
+            maps[:, :, 8:].transpose(2, 3).reshape(len(image), -1, 2),
+        )
+
+    def targets(self, boxes: Boxes) -> Targets:
+        """What one frame's annotation asks of the anchors."""
+        config = self.config
+        weights = config.box_weights(boxes)
+        return self.anchors.assign(boxes, positive_m=config.positive_m, ignore_m=config.ignore_m, weights=weights)
+
+    def loss(self, maps: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
+        """Focal, smooth-L1 and direction losses over a batch (PointPillars, equations 1 to 3)."""
+        device = maps.logits.device
+
+        def flat(name: Literal["positive", "ignored"]) -> Tensor:
+            parts = [getattr(target, name) + i * len(self.anchors) for i, target in enumerate(targets)]
+            return torch.from_numpy(np.concatenate(parts)).to(device)
+
+        def joined(name: Literal["code", "backwards", "weight"]) -> Tensor:
+            return torch.from_numpy(np.concatenate([getattr(target, name) for target in targets])).to(device)
+
+        positive, weight, config = flat("positive"), joined("weight").float(), self.config
+        total = weight.sum().clamp(min=1.0)
+        code, direction = maps.codes.reshape(-1, 7)[positive].float(), maps.directions.reshape(-1, 2)[positive].float()
+        return AnchorLosses(
+            focal_loss(maps.logits, positive, flat("ignored"), weight=weight) / total,
+            config.box_weight * box_loss(code, joined("code").float(), weight=weight) / total,
+            config.direction_weight * direction_loss(direction, joined("backwards"), weight=weight) / total,
+        )
+
+    def boxes(self, maps: AnchorMaps) -> list[Boxes]:
+        """The boxes of each frame after suppression, best first."""
+        return [self._frame(*frame) for frame in zip(*maps, strict=True)]
+
+    def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
+        best, index = torch.topk(logits.float(), min(self.config.candidates, len(logits)))
+        score = torch.sigmoid(best)
+        keep = score >= self.config.score_threshold
+        index, score = index[keep], score[keep]
+        anchor = index.cpu().numpy()
+        backwards = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
+        rows = decode(codes[index].double().cpu().numpy(), backwards, self.anchors.rows(anchor))
+        boxes = Boxes(
+            centre_m=rows[:, :3],
+            size_m=rows[:, 3:6],
+            yaw_rad=rows[:, 6],
+            label=self.anchors.labels(anchor),
+            score=score.double().cpu().numpy(),
+        )
+        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
