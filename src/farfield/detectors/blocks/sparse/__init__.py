@@ -1,0 +1,30 @@
+"""Sparse convolution in plain PyTorch: features on a sorted list of occupied cells, nothing to compile."""
+
+from farfield.detectors.blocks.sparse.functional import sparse_conv
+from farfield.detectors.blocks.sparse.layers import InverseConv, SparseBlock, SparseConv, SubmanifoldConv
+from farfield.detectors.blocks.sparse.rulebook import (
+    Rulebook,
+    dilate,
+    kernel_offsets,
+    neighbour_table,
+    strided_rulebook,
+    submanifold_rulebook,
+)
+from farfield.detectors.blocks.sparse.tensor import SparseTensor, decode_keys, encode_keys
+
+__all__ = [
+    "InverseConv",
+    "Rulebook",
+    "SparseBlock",
+    "SparseConv",
+    "SparseTensor",
+    "SubmanifoldConv",
+    "decode_keys",
+    "dilate",
+    "encode_keys",
+    "kernel_offsets",
+    "neighbour_table",
+    "sparse_conv",
+    "strided_rulebook",
+    "submanifold_rulebook",
+]

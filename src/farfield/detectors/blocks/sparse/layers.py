@@ -1,0 +1,179 @@
+"""Sparse convolution layers. Each maps a SparseTensor to a SparseTensor.
+
+Weights have shape (K, c_in, c_out); the K kernel elements run over z, x and y as in ``nn.Conv3d``. A flat map is a grid
+of depth 1 with kernels (1, 3, 3).
+"""
+
+import math
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from farfield.detectors.blocks.sparse.functional import sparse_conv
+from farfield.detectors.blocks.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
+from farfield.detectors.blocks.sparse.tensor import SparseTensor, Triple
+
+
+class _Conv(nn.Module):
+    def __init__(self, c_in: int, c_out: int, kernel: Triple, bias: bool, book: str | None) -> None:
+        super().__init__()
+        self.c_in, self.c_out, self.kernel, self.book = c_in, c_out, kernel, book
+        self.weight = nn.Parameter(torch.empty(math.prod(kernel), c_in, c_out))
+        self.bias = nn.Parameter(torch.empty(c_out)) if bias else None
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw weights as ``nn.Conv3d`` does: uniform within the inverse square root of the fan-in."""
+        bound = 1 / math.sqrt(self.weight.shape[0] * self.c_in)
+        nn.init.uniform_(self.weight, -bound, bound)
+        if self.bias is not None:
+            nn.init.uniform_(self.bias, -bound, bound)
+
+    def rulebook(self, sparse: SparseTensor) -> Rulebook:
+        raise NotImplementedError
+
+    def forward(self, sparse: SparseTensor) -> SparseTensor:
+        book = self.rulebook(sparse)
+        device = sparse.features.device.type
+        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else self.weight.dtype
+        bias = None if self.bias is None else self.bias.to(dtype)
+        features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias)
+        return SparseTensor(features, book.keys, book.shape, sparse.batch_size, sparse.rulebooks)
+
+    def extra_repr(self) -> str:
+        return f"{self.c_in}, {self.c_out}, kernel={self.kernel}, book={self.book!r}"
+
+
+class SubmanifoldConv(_Conv):
+    """Convolution whose outputs stand where its inputs do (Graham et al., 2018).
+
+    Args:
+        c_in: Input channels.
+        c_out: Output channels.
+        kernel: Size along z, x and y, each odd.
+        bias: Add a learned constant.
+        book: Name of the rulebook. Layers on the same cells with the same kernel share one in any case.
+    """
+
+    def __init__(
+        self, c_in: int, c_out: int, kernel: Triple = (3, 3, 3), bias: bool = False, book: str | None = None
+    ) -> None:
+        super().__init__(c_in, c_out, kernel, bias, book)
+
+    def rulebook(self, sparse: SparseTensor) -> Rulebook:
+        """The shared rulebook, found on first use."""
+        # The stored rulebook keeps the keys alive, so that their id stays theirs.
+        name = ("submanifold", self.kernel, id(sparse.keys))
+        if name not in sparse.rulebooks:
+            sparse.rulebooks[name] = submanifold_rulebook(sparse.keys, sparse.shape, self.kernel)
+        return cast(Rulebook, sparse.rulebooks[name])
+
+
+class SparseConv(_Conv):
+    """Convolution, possibly strided, that makes every cell occupied which an input reaches.
+
+    Args:
+        c_in: Input channels.
+        c_out: Output channels.
+        kernel: Size along z, x and y.
+        stride: Step along z, x and y.
+        padding: Empty cells added on both sides along z, x and y.
+        bias: Add a learned constant.
+        book: Name under which an :class:`InverseConv` finds the rulebook.
+    """
+
+    def __init__(
+        self,
+        c_in: int,
+        c_out: int,
+        kernel: Triple = (3, 3, 3),
+        stride: Triple = (2, 2, 2),
+        padding: Triple = (1, 1, 1),
+        bias: bool = False,
+        book: str | None = None,
+    ) -> None:
+        super().__init__(c_in, c_out, kernel, bias, book)
+        self.stride, self.padding = stride, padding
+
+    def rulebook(self, sparse: SparseTensor) -> Rulebook:
+        """The shared rulebook, found on first use."""
+        name = ("strided", self.kernel, self.stride, self.padding, id(sparse.keys))
+        if name not in sparse.rulebooks:
+            sparse.rulebooks[name] = strided_rulebook(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
+        book = cast(Rulebook, sparse.rulebooks[name])
+        if self.book is not None and sparse.rulebooks.setdefault(self.book, book) is not book:
+            raise ValueError(f"Expected rulebook {self.book!r} at one set of cells; got a second: name it otherwise.")
+        return book
+
+
+class InverseConv(_Conv):
+    """The way back of a :class:`SparseConv`: its outputs stand where that layer's inputs were.
+
+    Args:
+        c_in: Input channels.
+        c_out: Output channels.
+        kernel: Size along z, x and y, that of the layer to undo.
+        book: Name of that layer's rulebook.
+        bias: Add a learned constant.
+    """
+
+    def __init__(self, c_in: int, c_out: int, kernel: Triple, book: str, bias: bool = False) -> None:
+        super().__init__(c_in, c_out, kernel, bias, book)
+
+    def rulebook(self, sparse: SparseTensor) -> Rulebook:
+        """That layer's rulebook with input and output exchanged."""
+        book = sparse.rulebooks.get(self.book)
+        if book is None or book.keys is not sparse.keys:
+            raise ValueError(f"Expected cells made by the SparseConv with book={self.book!r}; got others.")
+        if book.table.shape[1] != len(self.weight):
+            raise ValueError(f"Expected the kernel of book {self.book!r}; got {self.kernel}.")
+        return cast(Rulebook, book.inverse)
+
+
+class SparseBlock(nn.Module):
+    """Sparse convolution, batch normalisation, ReLU.
+
+    Args:
+        conv: The convolution.
+        norm: Normalises its outputs. With fewer than two cells it uses its running statistics, in training too.
+        relu: Apply ReLU at the end.
+    """
+
+    def __init__(self, conv: _Conv, norm: nn.Module, relu: bool = True) -> None:
+        super().__init__()
+        self.conv, self.norm, self.relu = conv, norm, relu
+
+    def forward(self, sparse: SparseTensor) -> SparseTensor:
+        """Apply the block."""
+        sparse = self.conv(sparse)
+        features = _normalise(self.norm, sparse.features)
+        return sparse.replace(torch.relu(features) if self.relu else features)
+
+    @torch.no_grad()
+    def fold_norm(self) -> None:
+        """Move the normalisation of evaluation mode into the convolution, in place."""
+        norm, conv = self.norm, self.conv
+        if not isinstance(norm, nn.BatchNorm1d):
+            return
+        scale, shift = _affine(norm)
+        bias = shift if conv.bias is None else conv.bias * scale + shift
+        conv.weight.mul_(scale)
+        conv.bias = nn.Parameter(bias.clone())
+        self.norm = nn.Identity()
+
+
+def _affine(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
+    """Scale and shift of a batch normalisation in evaluation mode."""
+    scale = torch.rsqrt(norm.running_var + norm.eps)
+    if norm.weight is not None:
+        scale = scale * norm.weight
+    shift = -norm.running_mean * scale
+    return scale, shift if norm.bias is None else shift + norm.bias
+
+
+def _normalise(norm: nn.Module, features: Tensor) -> Tensor:
+    if isinstance(norm, nn.BatchNorm1d) and len(features) < 2:
+        scale, shift = _affine(norm)
+        return (features * scale + shift).to(features.dtype)
+    return cast(Tensor, norm(features))
