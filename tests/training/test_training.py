@@ -149,14 +149,14 @@ def test_thinning_drops_points_and_the_boxes_they_leave(rng):
 
 
 def test_raising_the_scene_raises_points_and_boxes_alike(rng):
-    points = rng.uniform(0, 40, (100, 4)).astype(np.float32)
+    points = rng.uniform(0, 40, (100, 5)).astype(np.float32)
     box = Boxes(centre_m=np.full((1, 3), 5.0), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1), label=["vehicle"])
     raised = AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0, height_m=0.5)
     moved, above = augment(points, box, raised, rng)
     rise = above.centre_m[0, 2] - 5.0
     assert 0 < abs(rise) <= 0.5
     np.testing.assert_allclose(moved[:, 2] - points[:, 2], rise, atol=1e-5)
-    np.testing.assert_array_equal(moved[:, [0, 1, 3]], points[:, [0, 1, 3]])
+    np.testing.assert_array_equal(moved[:, [0, 1, 3, 4]], points[:, [0, 1, 3, 4]])
 
 
 def test_augmentation_keeps_points_in_their_boxes(data, rng):
@@ -177,10 +177,10 @@ def test_mirrored_boxes_by_hand(rng):
         yaw_rad=np.array([0.4]),
         label="vehicle",
     )
-    points = np.array([[10.0, 4.0, -1.0, 0.5]], dtype=np.float32)
+    points = np.array([[10.0, 4.0, -1.0, 0.5, 0.1]], dtype=np.float32)
     settings = AugmentationConfig(flip_probability=1.0, rotation_rad=0.0, scale=0.0)
     moved, mirrored = augment(points, box, settings, rng)
-    np.testing.assert_allclose(moved[0], [10, -4, -1, 0.5])
+    np.testing.assert_allclose(moved[0], [10, -4, -1, 0.5, 0.1])
     np.testing.assert_allclose(mirrored.centre_m[0], [10, -4, -1])
     np.testing.assert_allclose(mirrored.yaw_rad, [-0.4])
 
@@ -189,10 +189,10 @@ def test_pasted_objects_touch_nothing_and_clear_their_place(rng):
     bank = ObjectBank(capacity=10)
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    bank.add(np.array([[20, 0, 0, 1]] * 6, dtype=np.float32), car, min_points=5, rng=rng)
-    bank.add(np.array([[40, 0, 0, 1]] * 4, dtype=np.float32), car.replace(centre_m=place * 2), min_points=5, rng=rng)
+    bank.add(np.array([[20, 0, 0, 1, 0]] * 6, dtype=np.float32), car, min_points=5, rng=rng)
+    bank.add(np.array([[40, 0, 0, 1, 0]] * 4, dtype=np.float32), car.replace(centre_m=place * 2), min_points=5, rng=rng)
     assert len(bank.objects["vehicle"]) == 1  # the second has too few points
-    ground = np.array([[20.5, 0, -0.5, 0], [60, 0, 0, 0]], dtype=np.float32)
+    ground = np.array([[20.5, 0, -0.5, 0, 0], [60, 0, 0, 0, 0]], dtype=np.float32)
     points, boxes = bank.paste(ground, Boxes.empty(), {"vehicle": 3}, rng)
     assert len(boxes) == 1
     assert len(points) == 7  # one of the ground's two points stood where the car is now
