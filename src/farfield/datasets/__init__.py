@@ -22,6 +22,12 @@ def _kitti(root: Path, **options: Any) -> Dataset:
     return Kitti(root, **options)
 
 
+def _view_of_delft(root: Path, **options: Any) -> Dataset:
+    from farfield.datasets.view_of_delft import ViewOfDelft
+
+    return ViewOfDelft(root, **options)
+
+
 def _kitti_tracking(root: Path, **options: Any) -> Dataset:
     from farfield.datasets.kitti_tracking import KittiTracking
 
@@ -49,6 +55,7 @@ def _folder(root: Path, **options: Any) -> Dataset:
 FORMATS: dict[str, Callable[..., Dataset]] = {
     "cirrus": _cirrus,
     "kitti": _kitti,
+    "view_of_delft": _view_of_delft,
     "kitti_tracking": _kitti_tracking,
     "argoverse2": _argoverse2,
     "kradar": _kradar,
@@ -58,6 +65,7 @@ FORMATS: dict[str, Callable[..., Dataset]] = {
 _LOOKED_FOR = {
     "cirrus": "dataset<N>_gaussian/*.xyz or dataset<N>_uniform/*.xyz, or the authors' dataset/raw_data/lidar/*.xyz",
     "kitti": "training/velodyne/*.bin",
+    "view_of_delft": "training/velodyne/*.bin with training/pose/*.json",
     "kitti_tracking": "training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     "argoverse2": "<log>/sensors/lidar/*.feather",
     "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt or another part",
@@ -82,7 +90,7 @@ def recognise(root: Path, *, mapping: Any = None) -> str | None:
         return "cirrus"
     bases = [root, root / "training", root / "testing"]
     if any(_has(base, "velodyne/*.bin") for base in bases):
-        return "kitti"
+        return "view_of_delft" if any(_has(base, "pose/*.json") for base in bases) else "kitti"
     tracking = ("velodyne/*/*.bin", "label_02/*.txt", "label/*.txt")
     if any(_has(base, pattern) for base in bases for pattern in tracking):
         return "kitti_tracking"

@@ -32,6 +32,16 @@ CIRRUS_FROM_KITTI = {
     "Misc": "unknown",
 }
 
+CIRRUS_FROM_VIEW_OF_DELFT = {
+    "Car": "vehicle",
+    "truck": "large_vehicle",
+    "Pedestrian": "pedestrian",
+    "Cyclist": "bicycle",
+    "bicycle": "bicycle",
+    "moped_scooter": "motorcycle",
+    "motor": "motorcycle",
+}
+
 KITTI_FROM_CIRRUS = {
     "vehicle": "Car",
     "large_vehicle": "Truck",

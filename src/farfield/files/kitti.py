@@ -87,6 +87,7 @@ def read_calib(path: Path | str) -> dict[str, Float[np.ndarray, "rows columns"]]
 
     Returns:
         12 numbers as a (3, 4) and 9 numbers as a (3, 3) matrix, by name (``P2``, ``R0_rect``, ``Tr_velo_to_cam``...).
+        A name without numbers is left out: View-of-Delft ends its files with an empty ``Tr_imu_to_velo:``.
 
     Raises:
         FileFormatError: If a line has another number of values, is no number, or a name comes twice.
@@ -94,11 +95,12 @@ def read_calib(path: Path | str) -> dict[str, Float[np.ndarray, "rows columns"]]
     matrices: dict[str, np.ndarray] = {}
     for number, line in _lines(path):
         name, *values = line.replace(":", " ", 1).split()
-        if len(values) not in (9, 12):
+        if len(values) not in (0, 9, 12):
             raise _wrong(path, number, "a name and 9 or 12 numbers", f"{len(values)} values after {name[:40]!r}")
         if name in matrices:
             raise _wrong(path, number, "each name once", f"{name[:40]!r} for the second time")
-        matrices[name] = _numbers(path, [values], [number])[0].reshape(3, -1)
+        if values:
+            matrices[name] = _numbers(path, [values], [number])[0].reshape(3, -1)
     if not matrices:
         raise _wrong(path, 1, "calibration matrices", "an empty file")
     return matrices
