@@ -47,7 +47,7 @@ def test_real_frames_have_their_points_in_their_boxes(shared_real):
     assert (data.name, len(data)) == ("view_of_delft", 2)
     for frame in data:
         inside = count_points_in_boxes(frame.cloud().points_m, frame.boxes, margin_m=0.05)
-        assert (inside > 0).mean() > 0.9
+        assert (inside > 0).mean() > 0.85
         assert np.median(inside) > 40
         assert "camera" in frame.images
 
