@@ -7,14 +7,11 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from farfield.detectors.blocks.anchors import cirrus_anchors
-from farfield.detectors.blocks.folding import fold_batch_norm
 from farfield.detectors.blocks.grid import GridConfig
 from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FarfieldError, FileFormatError
-from farfield.frame import Boxes, Cloud
-from farfield.metrics import score
 
 SMALL = PointPillarsConfig(
     grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2
@@ -50,43 +47,6 @@ def test_any_range_gives_a_grid_that_the_strides_divide(range_m):
     assert ny * 0.16 >= 2 * 39.68 - 1e-9
 
 
-def test_forward_has_no_nan_and_every_parameter_gets_a_gradient(network, scene):
-    outputs = network([cloud_tensor(scene.cloud())])
-    assert all(torch.isfinite(part).all() for part in outputs)
-    assert outputs[0].shape == (1, len(network.head.anchors))
-    sum(network.loss(outputs, [network.targets(scene.boxes, scene_points(scene))])).backward()
-    without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
-    assert without == []
-
-
-def test_overfits_one_frame(network, scene):
-    cloud, targets = cloud_tensor(scene.cloud()), network.targets(scene.boxes, scene_points(scene))
-    optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
-    for _ in range(90):
-        losses = network.loss(network([cloud]), [targets])
-        optimizer.zero_grad()
-        sum(losses).backward()
-        optimizer.step()
-    predicted = Detector(network, precision="fp32")(scene)
-    result = score({scene.key: predicted}, {scene.key: scene.boxes}, protocol="dds")
-    assert result.to_json()["dds"]["0"]["dds"] > 0.9
-    best = predicted[:5]
-    near = np.argmin(np.hypot(*(best.centre_m[:, None, :2] - scene.boxes.centre_m[None, :, :2]).transpose(2, 0, 1)), 1)
-    assert np.cos(best.yaw_rad - scene.boxes.yaw_rad[near]).min() > 0.95  # the whole heading, not only its axis
-
-
-def test_batch_of_two_equals_two_of_one(network, scene):
-    network.eval()
-    first = cloud_tensor(scene.cloud())
-    second = first[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
-    with torch.no_grad():
-        together = network([first, second])
-        apart = [network([first]), network([second])]
-    for index in range(2):
-        for joint, single in zip(together, apart[index], strict=True):
-            torch.testing.assert_close(joint[index], single[0], rtol=1e-4, atol=1e-5)
-
-
 def test_same_input_same_output_whatever_the_order_of_points(network, scene, rng):
     network.eval()
     cloud = cloud_tensor(scene.cloud())
@@ -95,27 +55,6 @@ def test_same_input_same_output_whatever_the_order_of_points(network, scene, rng
         one, again, other = network([cloud])[0], network([cloud])[0], network([shuffled])[0]
     assert torch.equal(one, again)
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4)
-
-
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((7, 3), 500.0), np.full((3, 3), np.nan)])
-def test_clouds_without_usable_points_give_no_error(network, points):
-    cloud = Cloud(points.astype(np.float32), np.zeros(len(points), np.float32))
-    assert len(Detector(network, precision="fp32")(cloud)) >= 0
-    network.train()
-    losses = network.loss(network([cloud_tensor(cloud)]), [network.targets(Boxes.empty(), cloud_tensor(cloud).numpy())])
-    assert all(torch.isfinite(loss) for loss in losses)
-
-
-def test_folding_changes_nothing_but_speed(network, scene):
-    network.train()
-    for _ in range(5):
-        network([cloud_tensor(scene.cloud())])
-    network.eval()
-    folded = fold_batch_norm(network)
-    assert not any(isinstance(m, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d) for m in folded.modules())
-    with torch.no_grad():
-        for a, b in zip(network([cloud_tensor(scene.cloud())]), folded([cloud_tensor(scene.cloud())]), strict=True):
-            torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
 
 
 def test_pillar_image_equals_a_loop_over_pillars(network, scene):
@@ -136,16 +75,6 @@ def test_pillar_image_equals_a_loop_over_pillars(network, scene):
         with torch.no_grad():
             expected = torch.relu(encoder.norm(encoder.linear(features))).max(0).values
         torch.testing.assert_close(image[:, ix, iy], expected, rtol=1e-4, atol=1e-4)
-
-
-def test_weights_round_trip_with_their_provenance(network, scene, tmp_path):
-    save_weights(tmp_path / "w.safetensors", network.state_dict(), config=network.config, provenance={"seed": 3})
-    loaded, provenance = load_weights(tmp_path / "w.safetensors")
-    assert provenance == {"seed": 3}
-    assert loaded.config == network.config
-    network.eval()
-    with torch.no_grad():
-        assert torch.equal(loaded([cloud_tensor(scene.cloud())])[0], network([cloud_tensor(scene.cloud())])[0])
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"\x80\x04pickle", (2**40).to_bytes(8, "little") + b"{}"])

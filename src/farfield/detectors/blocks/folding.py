@@ -3,8 +3,10 @@
 import copy
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from farfield.detectors.blocks.norm import affine
 
 _CONVOLUTIONS = (nn.Conv1d, nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
@@ -41,8 +43,7 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
 
 def fold_linear(linear: nn.Linear, norm: nn.BatchNorm1d) -> nn.Linear:
     """One linear layer that does what a linear layer and its normalisation do in evaluation mode."""
-    scale: Tensor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-    shift = norm.bias - norm.running_mean * scale
+    scale, shift = affine(norm)
     folded = nn.Linear(linear.in_features, linear.out_features)
     with torch.no_grad():
         folded.weight.copy_(linear.weight * scale[:, None])

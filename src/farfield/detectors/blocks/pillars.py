@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.blocks.folding import fold_linear
 from farfield.detectors.blocks.grid import GridConfig
+from farfield.detectors.blocks.norm import normalise_rows
 
 
 class PillarEncoder(nn.Module):
@@ -47,7 +48,7 @@ class PillarEncoder(nn.Module):
         points, key = self._inside(points, batch)
         pillars, member = torch.unique(key, return_inverse=True)
         features = self._decorate(points, key, member, len(pillars))
-        features = torch.relu(self.norm(self.linear(features)) if len(features) else self.linear(features))
+        features = torch.relu(normalise_rows(self.norm, self.linear(features)))
         # ReLU makes zero the least feature, so a maximum that starts from zero is the plain maximum.
         pooled = features.new_zeros(len(pillars), self.channels)
         pooled = pooled.scatter_reduce(0, member[:, None].expand(-1, self.channels), features, "amax")
