@@ -125,11 +125,10 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
         seed=experiment.training.seed,
         aliases=experiment.data.aliases,
     )
-    samples.fill_bank(progress)
     provenance = {
         "experiment": experiment.model_dump(mode="json"),
         "data_fingerprint": data.fingerprint(),
         "frames": len(data),
         "environment": environment(),
     }
-    return Training(network, samples, experiment.training, folder, provenance)
+    return Training(network, samples, experiment.training, folder, provenance, progress=progress)

@@ -1,6 +1,7 @@
 import itertools
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -18,7 +19,8 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.experiment import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.geometry.points import count_points_in_boxes
-from farfield.training.augmentation import ObjectBank, augment
+from farfield.training.augmentation import augment
+from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out, draw
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig, TrainingConfig
 from farfield.training.loop import one_cycle
@@ -98,9 +100,7 @@ def samples(data, **changes) -> TrainingSamples:
         "augmentation": AugmentationConfig(pasted={"vehicle": 3}),
         "seed": 4,
     }
-    made = TrainingSamples(open_dataset(data), **{**settings, **changes})
-    made.fill_bank()
-    return made
+    return TrainingSamples(open_dataset(data), **{**settings, **changes})
 
 
 def test_samples_are_a_function_of_seed_and_position(data):
@@ -111,6 +111,46 @@ def test_samples_are_a_function_of_seed_and_position(data):
         assert torch.equal(a.points, b.points)
         np.testing.assert_array_equal(a.targets.centre_m, b.targets.centre_m)
     assert not torch.equal(first[0].points, samples(data, seed=5)[0].points)
+
+
+def test_bank_depends_on_the_position_alone(data):
+    """Whatever was asked for before, and in whatever process: the bank rolls on, and each frame passes through it."""
+    settings = {"augmentation": AugmentationConfig(pasted={"vehicle": 3}, bank_frames=2)}
+    used, fresh = samples(data, **settings), pickle.loads(pickle.dumps(samples(data, targets=len, **settings)))
+    read = []
+    used._bank.cut = lambda number: read.append(number) or samples(data, **settings)._cut_out(number)
+    for position in (0, SAMPLES_PER_FRAME - 1):
+        used._bank.at(position)
+    assert len(read) == 2
+    for position in range(0, 5 * SAMPLES_PER_FRAME, SAMPLES_PER_FRAME):
+        used._bank.at(position)
+    assert sorted(read) == list(range(6))  # one frame more a time, none read twice while it stays
+    for position in (5 * SAMPLES_PER_FRAME, 3):
+        one, other = used._bank.at(position).objects, fresh._bank.at(position).objects
+        assert one.keys() == other.keys()
+        for name in one:
+            assert [len(points) for points, _ in one[name]] == [len(points) for points, _ in other[name]]
+
+
+def test_starting_reads_few_frames(data):
+    made = samples(data, augmentation=AugmentationConfig(pasted={"vehicle": 3}, bank_frames=2))
+    read = []
+    made.fill_bank(7, lambda numbers: read.extend(numbers) or numbers)
+    assert len(read) == 2
+
+
+def test_bands_are_drawn_from_evenly(rng):
+    range_m = np.concatenate([np.full(900, 30.0), np.full(90, 100.0), np.full(10, 200.0), np.full(50, 300.0)])
+    bands = (0.0, 70.0, 150.0, 250.0)
+    counts = sum(
+        np.histogram(range_m[draw(range_m, 3, rng, bands_m=bands)], bins=(*bands, 400.0))[0] for _ in range(1000)
+    )
+    np.testing.assert_allclose(counts[:3], 1000, rtol=0.1)  # five standard deviations are 0.13
+    assert counts[3] == 0
+    everything = draw(range_m, 2000, rng, bands_m=bands)
+    assert len(everything) == len(set(everything.tolist())) == 1000
+    plain = range_m[draw(range_m, 1000, rng)]
+    assert (plain < 70).mean() > 0.8
 
 
 def test_every_sample_comes_once_an_epoch(data):
@@ -186,11 +226,12 @@ def test_mirrored_boxes_by_hand(rng):
 
 
 def test_pasted_objects_touch_nothing_and_clear_their_place(rng):
-    bank = ObjectBank(capacity=10)
+    bank = ObjectBank()
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    bank.add(np.array([[20, 0, 0, 1, 0]] * 6, dtype=np.float32), car, min_points=5, rng=rng)
-    bank.add(np.array([[40, 0, 0, 1, 0]] * 4, dtype=np.float32), car.replace(centre_m=place * 2), min_points=5, rng=rng)
+    bank.add(cut_out(np.array([[20, 0, 0, 1, 0]] * 6, dtype=np.float32), car, min_points=5))
+    farther = car.replace(centre_m=place * 2)
+    bank.add(cut_out(np.array([[40, 0, 0, 1, 0]] * 4, dtype=np.float32), farther, min_points=5))
     assert len(bank.objects["vehicle"]) == 1  # the second has too few points
     ground = np.array([[20.5, 0, -0.5, 0, 0], [60, 0, 0, 0, 0]], dtype=np.float32)
     points, boxes = bank.paste(ground, Boxes.empty(), {"vehicle": 3}, rng)

@@ -1,8 +1,9 @@
 """Typed settings of a training; unknown keys are errors."""
 
+import itertools
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 
 class _Settings(BaseModel):
@@ -21,7 +22,17 @@ class AugmentationConfig(_Settings):
     thinning: float = Field(0.0, ge=0, lt=1, description="drop up to this share of a frame's points: sparser sensors")
     pasted: dict[str, int] = Field(default_factory=dict, description="objects of each class pasted from other frames")
     pasted_min_points: int = Field(5, ge=1, description="pasted objects have at least this many points")
-    bank_size: int = Field(4000, ge=1, description="objects of each class kept for pasting")
+    pasted_bands_m: tuple[float, ...] = Field(
+        (), description="edges of range bands, such as 0, 70, 150, 250, that pasted objects are drawn evenly from"
+    )
+    bank_frames: int = Field(256, ge=1, description="frames whose objects can be pasted at a time; they change slowly")
+
+    @field_validator("pasted_bands_m")
+    @classmethod
+    def _rising(cls, edges_m: tuple[float, ...]) -> tuple[float, ...]:
+        if edges_m and (len(edges_m) < 2 or any(a >= b for a, b in itertools.pairwise(edges_m)) or edges_m[0] < 0):
+            raise ValueError(f"expected at least two rising edges from 0 up, got {list(edges_m)}")
+        return edges_m
 
 
 class TrainingConfig(_Settings):

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import default_precision, save_weights
 from farfield.errors import ConfigError
+from farfield.training.bank import Progress
 from farfield.training.checkpoints import load_checkpoint, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.samples import TrainingSamples, batches
@@ -41,6 +42,8 @@ class Training:
         config: The loop's settings.
         folder: Receives checkpoint.pt, log.jsonl and at the end weights.safetensors.
         provenance: Travels in every checkpoint and in the weights.
+        step: Steps done.
+        progress: Wraps the numbers of the frames that are read before the first step.
     """
 
     network: nn.Module
@@ -49,6 +52,7 @@ class Training:
     folder: Path
     provenance: dict[str, Any] = field(default_factory=dict)
     step: int = 0
+    progress: Progress = iter
 
     def run(self, report: Report | None = None) -> Path:
         """Train to the last step and write the weights.
@@ -60,6 +64,7 @@ class Training:
         network, optimizer = fabric.setup(self.network, self._optimizer())
         average = {name: value.detach().clone().float() for name, value in self.network.state_dict().items()}
         self._resume(optimizer, average)
+        self.samples.fill_bank(self.step * self.config.batch_size, self.progress)
         saved_at = time.monotonic()
         self.network.train()
         stream = batches(

@@ -4,7 +4,7 @@ A sample is a function of (seed, position) alone. A run that is resumed at any s
 sees exactly the same samples.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,7 +18,8 @@ from farfield.datasets.base import Dataset
 from farfield.detectors.runtime import cloud_tensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import count_points_in_boxes
-from farfield.training.augmentation import ObjectBank, augment
+from farfield.training.augmentation import augment
+from farfield.training.bank import Points, Progress, RollingBank, cut_out
 from farfield.training.config import AugmentationConfig
 
 
@@ -38,7 +39,7 @@ class TrainingSamples(TorchDataset[Sample]):
         classes: Class names of the detector; boxes of other classes are left out.
         targets: The network's target function, of a frame's boxes and points.
         augmentation: Random changes.
-        min_points: Boxes with fewer points in the sample's cloud are left out.
+        min_points: Boxes with fewer points in the present sweep of the sample's cloud are left out.
         seed: Seed of order and changes.
         aliases: Renames classes before they are looked up: trains ``large_vehicle`` as ``vehicle``.
     """
@@ -57,8 +58,20 @@ class TrainingSamples(TorchDataset[Sample]):
     ) -> None:
         self.data, self.clouds, self.classes, self.targets = data, tuple(clouds), tuple(classes), targets
         self.augmentation, self.min_points, self.seed, self.aliases = augmentation, min_points, seed, aliases or {}
-        self.bank: ObjectBank | None = None
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Make what cannot travel to another process."""
         self._order = lru_cache(maxsize=2)(lambda epoch: self._generator(1, epoch).permutation(self.epoch_length))
+        bank_order = lru_cache(maxsize=4)(lambda epoch: self._generator(2, epoch).permutation(self.epoch_length))
+        frames = min(self.augmentation.bank_frames, self.epoch_length)
+        self._bank = None
+        if self.augmentation.pasted:
+            self._bank = RollingBank(
+                self._cut_out,
+                lambda place: int(bank_order(place // self.epoch_length)[place % self.epoch_length]),
+                frames,
+            )
 
     @property
     def epoch_length(self) -> int:
@@ -75,19 +88,17 @@ class TrainingSamples(TorchDataset[Sample]):
         boxes = (frame.boxes if frame.boxes is not None else Boxes.empty()).relabel(self.aliases)
         boxes = boxes[np.isin(boxes.label, self.classes)]
         if self.min_points and len(boxes):
-            boxes = boxes[count_points_in_boxes(points[:, :3], boxes, margin_m=0.05) >= self.min_points]
+            present = points[points[:, 4] == 0, :3]
+            boxes = boxes[count_points_in_boxes(present, boxes, margin_m=0.05) >= self.min_points]
         return points, boxes
 
-    def fill_bank(self, progress: Callable[[Iterable[int]], Iterable[int]] = iter) -> None:
-        """Cut objects out of all frames, if the augmentation pastes any."""
-        if not self.augmentation.pasted:
-            return
-        bank, rng = ObjectBank(self.augmentation.bank_size), self._generator(2)
-        for number in progress(range(self.epoch_length)):
-            points, boxes = self.load(number)
-            boxes = boxes.replace(score=None, track_id=None, point_count=None)
-            bank.add(points, boxes, min_points=self.augmentation.pasted_min_points, rng=rng)
-        self.bank = bank
+    def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
+        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
+
+    def fill_bank(self, position: int = 0, progress: Progress = iter) -> None:
+        """Read the frames whose objects are pasted at ``position``; without this the first sample does it."""
+        if self._bank is not None:
+            self._bank.at(position, progress)
 
     def __len__(self) -> int:
         return self.epoch_length
@@ -96,16 +107,17 @@ class TrainingSamples(TorchDataset[Sample]):
         """The sample at a position of the stream; position // epoch_length is its epoch."""
         epoch, place = divmod(position, self.epoch_length)
         points, boxes = self.load(int(self._order(epoch)[place]))
-        points, boxes = augment(points, boxes, self.augmentation, self._generator(3, position), self.bank)
+        bank = None if self._bank is None else self._bank.at(position)
+        points, boxes = augment(points, boxes, self.augmentation, self._generator(3, position), bank)
         points = np.ascontiguousarray(points, dtype=np.float32)
         return Sample(torch.from_numpy(points), self.targets(boxes, points))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "_order"}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_order", "_bank")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._order = lru_cache(maxsize=2)(lambda epoch: self._generator(1, epoch).permutation(self.epoch_length))
+        self._prepare()
 
 
 def batches(
