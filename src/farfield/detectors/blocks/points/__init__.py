@@ -1,0 +1,33 @@
+"""Point operators in plain PyTorch: one code for CPU and CUDA, ragged rather than padded.
+
+Points of a batch are the rows of one tensor, frame after frame, and ``lengths`` says how many rows each frame has.
+Neighbourhoods are lists of pairs, so that their cost follows the neighbours there are and not the limit.
+"""
+
+from farfield.detectors.blocks.points.neighbours import Groups, ball_query, group_max, interpolate, three_nearest
+from farfield.detectors.blocks.points.roi import points_in_rois
+from farfield.detectors.blocks.points.sampling import (
+    BandConfig,
+    content_rank,
+    farthest_points,
+    prefix_rows,
+    sample_bands,
+    share_budget,
+    spread_points,
+)
+
+__all__ = [
+    "BandConfig",
+    "Groups",
+    "ball_query",
+    "content_rank",
+    "farthest_points",
+    "group_max",
+    "interpolate",
+    "points_in_rois",
+    "prefix_rows",
+    "sample_bands",
+    "share_budget",
+    "spread_points",
+    "three_nearest",
+]
