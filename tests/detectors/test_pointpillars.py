@@ -18,10 +18,6 @@ SMALL = PointPillarsConfig(
 )
 
 
-def scene_points(scene):
-    return cloud_tensor(scene.cloud()).numpy()
-
-
 @pytest.fixture
 def network():
     torch.manual_seed(3)

@@ -12,6 +12,7 @@ VERBS = {
     "doctor": "say what a data set holds, what is missing and how to mend it",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
+    "detectors": "list the detectors with their size, speed and score",
     "train": "train a detector from one YAML file; resumes by itself",
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
@@ -23,7 +24,7 @@ VERBS = {
 
 def overview() -> str:
     """Return the text of ``farfield --help``."""
-    verbs = "\n".join(f"  {verb:<10}{what}" for verb, what in VERBS.items())
+    verbs = "\n".join(f"  {verb:<11}{what}" for verb, what in VERBS.items())
     return (
         "farfield: 3D object detection at long range and in all weather\n\n"
         "examples:\n"

@@ -1,0 +1,99 @@
+"""``farfield detectors``."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from farfield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from farfield.detectors.catalogue import Entry
+
+_RANGES = ("0-70", "70-150", "150-250", "overall")
+
+
+def run(
+    *,
+    cloud: Literal["gaussian", "uniform"] = "gaussian",
+    epsilon: str = "0.006",
+    measure: bool = False,
+    json_out: Path | None = None,
+) -> int:
+    """List the detectors with their size, speed and score.
+
+    examples:
+      farfield detectors
+      farfield detectors --cloud uniform --epsilon 0
+      farfield detectors --measure
+
+    Speed and score are records of this version, on the machine and the frozen split named below the table; --measure
+    times the bundled weights on this machine instead, on simulated frames.
+
+    Args:
+        cloud: The scan pattern of the scores.
+        epsilon: Weight of wDDS: 0 (DDS), 0.003, 0.006 or 0.009.
+        measure: Time the bundled weights here.
+        json_out: Also write everything as JSON.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from farfield.detectors.catalogue import catalogue, figures
+    from farfield.files.atomic import write_text
+
+    if epsilon not in ("0", "0.003", "0.006", "0.009"):
+        raise ConfigError(f"--epsilon: expected one of 0, 0.003, 0.006, 0.009; got {epsilon!r}")
+    entries = catalogue()
+    speeds = {entry.name: _measure(entry) if measure else _recorded(entry) for entry in entries}
+    table = Table(box=None, pad_edge=False)
+    metric = "DDS" if epsilon == "0" else f"wDDS {epsilon}"
+    for column in ("detector", "from", "weights", "parameters", "ms a frame", *(f"{metric}\n{r} m" for r in _RANGES)):
+        table.add_column(column.replace("overall m", "overall"), justify="left" if column in ("detector",) else "right")
+    for entry in entries:
+        table.add_row(entry.name, entry.paper, entry.weights or "-", *_row(entry, speeds[entry.name], cloud, epsilon))
+    Console(width=160).print(table)
+    known = figures()
+    if known.get("split"):
+        print(
+            f"\nscores: {known['split']} ({known['sha256'][:12]}), {cloud} clouds, all trained alike, on simulation: "
+            f"{known['budget']}\n"
+            + ("" if measure else f"speed: {known['points']}, {known['machine']}, {known['precision']}\n")
+            + f"recorded {known['date']} at commit {known['commit']}"
+        )
+    print("train one: farfield train experiments/NAME_cirrus_sim.yaml   use one: farfield predict WEIGHTS DATA")
+    if json_out is not None:
+        write_text(json_out, json.dumps({**known, "detectors": [asdict(entry) for entry in entries]}, indent=1))
+    return 0
+
+
+def _row(entry: "Entry", speed: str, cloud: str, epsilon: str) -> list[str]:
+    scores = entry.scores.get(cloud, {})
+    values = [scores.get(name, {}).get(epsilon) for name in _RANGES]
+    size = "-" if entry.parameters is None else f"{entry.parameters / 1e6:.2f} M"
+    return [size, speed, *("-" if value is None else f"{value:.3f}" for value in values)]
+
+
+def _recorded(entry: "Entry") -> str:
+    return " / ".join(f"{entry.frame_ms[name]:.0f} {name}" for name in sorted(entry.frame_ms)) or "-"
+
+
+def _measure(entry: "Entry") -> str:
+    """Median time of a few simulated frames through the bundled weights, milliseconds."""
+    import time
+
+    import numpy as np
+
+    from farfield.api import load_detector
+    from farfield.simulation import simulate_sequence
+
+    if not entry.weights:
+        return "-"
+    detector = load_detector(entry.weights)
+    clouds = [frame.cloud() for frame in simulate_sequence("cirrus-sim", seed=1, sequence=0, frames=2)]
+    taken = []
+    for index in range(10):
+        began = time.perf_counter()
+        detector(clouds[index % len(clouds)])
+        taken.append(1e3 * (time.perf_counter() - began))
+    return f"{np.median(taken[2:]):.0f} {detector.precision}"

@@ -1,0 +1,79 @@
+"""What is known of each detector: its paper, its size, its speed and its score on a frozen split. Needs no torch.
+
+The figures are records: ``benchmarks/detectors.py`` measures them and writes ``weights_data/figures.json`` with the
+split, its checksum, the machine and the commit. Nothing here is measured while it is read.
+"""
+
+import json
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from farfield.detectors import DETECTORS
+
+PAPERS = {
+    "pointpillars": "Lang et al., CVPR 2019",
+    "voxelnet": "Zhou and Tuzel, CVPR 2018",
+    "second": "Yan, Mao and Li, Sensors 2018",
+    "pointrcnn": "Shi, Wang and Li, CVPR 2019",
+    "sparsecentre": "after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One detector.
+
+    Args:
+        name: Its name in an experiment's ``detector.name``.
+        paper: Where it comes from.
+        weights: Name of its bundled weights, for ``load_detector``; empty if none ship.
+        parameters: Number of trained parameters of the recorded network, or None.
+        frame_ms: Milliseconds a frame from points to boxes by precision.
+        scores: DDS figures by cloud, range and epsilon: ``scores["gaussian"]["150-250"]["0.006"]``.
+        setting: Further facts of the record: grid, schedule.
+    """
+
+    name: str
+    paper: str
+    weights: str = ""
+    parameters: int | None = None
+    frame_ms: dict[str, float] = field(default_factory=dict)
+    scores: dict[str, dict[str, dict[str, float | None]]] = field(default_factory=dict)
+    setting: dict[str, Any] = field(default_factory=dict)
+
+
+@cache
+def figures() -> dict[str, Any]:
+    """The recorded figures as they are stored; empty keys where nothing was recorded."""
+    path = files("farfield.detectors") / "weights_data" / "figures.json"
+    stored: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {"detectors": {}}
+    return stored
+
+
+def catalogue() -> list[Entry]:
+    """Every detector with what is recorded of it, in the order in which they are registered."""
+    known = figures()["detectors"]
+    shipped = _bundled_names()
+    entries = []
+    for name in DETECTORS:
+        record = known.get(name, {})
+        weights = record.get("weights", "")
+        entries.append(
+            Entry(
+                name=name,
+                paper=PAPERS[name],
+                weights=weights if weights in shipped else "",
+                parameters=record.get("parameters"),
+                frame_ms=record.get("frame_ms", {}),
+                scores=record.get("scores", {}),
+                setting=record.get("setting", {}),
+            )
+        )
+    return entries
+
+
+def _bundled_names() -> set[str]:
+    folder = files("farfield.detectors") / "weights_data"
+    return {path.name.removesuffix(".safetensors") for path in folder.iterdir() if path.name.endswith(".safetensors")}
