@@ -300,3 +300,13 @@ def test_tensorboard_log_is_written_when_asked_for(data, tmp_path):
     prepare_training(load_experiment(path, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run").run()
     (events,) = (tmp_path / "run").glob("events.out.tfevents.*")
     assert events.stat().st_size > 0
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_both_precisions_take_a_step(data, tmp_path, precision):
+    from farfield.api import prepare_training
+
+    path = write_experiment(tmp_path, data)
+    settings = load_experiment(path, ["training.steps=1", f"training.precision={precision}"])
+    prepare_training(settings, tmp_path / "run").run()
+    assert json.loads((tmp_path / "run" / "log.jsonl").read_text())["loss"] > 0

@@ -25,7 +25,7 @@ class AugmentationConfig(_Settings):
     pasted_bands_m: tuple[float, ...] = Field(
         (), description="edges of range bands, such as 0, 70, 150, 250, that pasted objects are drawn evenly from"
     )
-    bank_frames: int = Field(256, ge=1, description="frames whose objects can be pasted at a time; they change slowly")
+    bank_frames: int = Field(128, ge=1, description="frames whose objects can be pasted at a time; they change slowly")
 
     @field_validator("pasted_bands_m")
     @classmethod

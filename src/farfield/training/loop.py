@@ -61,7 +61,8 @@ class Training:
             The path of the weights: an exponential average over the last steps.
         """
         fabric = self._launch()
-        network, optimizer = fabric.setup(self.network, self._optimizer())
+        self.network.to(fabric.device)
+        optimizer = self._optimizer()
         average = {name: value.detach().clone().float() for name, value in self.network.state_dict().items()}
         self._resume(optimizer, average)
         self.samples.fill_bank(self.step * self.config.batch_size, self.progress)
@@ -77,7 +78,7 @@ class Training:
             world=fabric.world_size,
         )
         for batch in stream:
-            losses = self._update(fabric, network, optimizer, batch)
+            losses = self._update(fabric, optimizer, batch)
             self._average(average)
             self.step += 1
             if fabric.is_global_zero:
@@ -137,16 +138,17 @@ class Training:
         groups = [{"params": decayed, "weight_decay": self.config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99))
 
-    def _update(self, fabric: Fabric, network: Any, optimizer: Any, batch: list[Any]) -> dict[str, float]:
+    def _update(self, fabric: Fabric, optimizer: Any, batch: list[Any]) -> dict[str, float]:
         for group in optimizer.param_groups:
             group["lr"] = one_cycle(self.step, self.config)
         targets = [sample.targets for sample in batch]
-        outputs = network([fabric.to_device(sample.points) for sample in batch], targets)
+        with fabric.autocast():
+            outputs = self.network([fabric.to_device(sample.points) for sample in batch], targets)
         losses = self.network.loss(outputs, targets)
         total = sum(losses)
         optimizer.zero_grad(set_to_none=True)
-        fabric.backward(total)
-        fabric.clip_gradients(network, optimizer, max_norm=self.config.gradient_clip, error_if_nonfinite=True)
+        total.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_clip, error_if_nonfinite=True)
         optimizer.step()
         named = {name: float(value.detach()) for name, value in zip(losses._fields, losses, strict=True)}
         return {"loss": float(total.detach()), **named}
