@@ -20,6 +20,23 @@ _PILLARS = {"grid": {"range_m": 64.0, "half_width_m": 20.0, "cell_m": 0.5}}
 
 SMALL: dict[str, Small] = {
     "pointpillars": Small({**_PILLARS, "widths": [16, 32, 32], "neck_width": 32, "out_stride": 2}),
+    "sparsecentre": Small(
+        {
+            "grid": {
+                "range_m": 64.0,
+                "half_width_m": 20.0,
+                "z_min_m": -4.0,
+                "z_max_m": 4.0,
+                "voxel_m": [0.4, 0.4, 0.5],
+            },
+            "classes": ["vehicle", "pedestrian"],
+            "widths": [16, 32],
+            "depths": [0, 1],
+            "pyramid_widths": [32, 32, 32],
+        },
+        steps=60,
+        learning_rate=4e-3,
+    ),
 }
 
 
