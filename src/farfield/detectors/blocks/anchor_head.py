@@ -15,6 +15,7 @@ from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid, Targets,
 from farfield.detectors.blocks.config import DetectorConfig
 from farfield.detectors.blocks.losses import box_loss, direction_loss, focal_loss
 from farfield.detectors.blocks.nms import rotated_nms
+from farfield.detectors.blocks.processes import normaliser
 from farfield.geometry.boxes import Boxes
 
 _NUMBERS = 10  # class, seven of the box, two of the direction
@@ -103,7 +104,7 @@ class AnchorHead(nn.Conv2d):
             return torch.from_numpy(np.concatenate([getattr(target, name) for target in targets])).to(device)
 
         positive, weight, config = flat("positive"), joined("weight").float(), self.config
-        total = weight.sum().clamp(min=1.0)
+        total = normaliser(weight.sum())
         code, direction = maps.codes.reshape(-1, 7)[positive].float(), maps.directions.reshape(-1, 2)[positive].float()
         return AnchorLosses(
             focal_loss(maps.logits, positive, flat("ignored"), weight=weight) / total,
