@@ -8,17 +8,20 @@ annotated. Pictures go to a folder of your own: the frames' licences do not let 
 """
 
 import argparse
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import SHARED_REAL, header
+from PIL import Image
 
-from farfield.api import load_detector, open_dataset, show
+from farfield.api import load_detector, open_dataset
 from farfield.datasets.base import Dataset
 from farfield.frame import Boxes, Frame
 from farfield.geometry.points import count_points_in_boxes
 from farfield.metrics import score
+from farfield.reports.figures import birdseye, fitting_window
 
 RANGES = ("0-70", "70-150", "150-250")
 HEAD = (
@@ -65,11 +68,22 @@ def row_of(name: str, result: dict[str, Any]) -> str:
     return f"  {Path(name).name:<32} {aps}   {scores}   {weighted}"
 
 
-def picture(frame: Frame, boxes: Boxes, path: Path) -> None:
-    """Draw the frame with the boxes that score above 0.3."""
+def picture(frame: Frame, found: dict[str, Boxes], path: Path) -> None:
+    """Draw the frame once for each detector, one above the other, with the boxes that score above 0.3."""
+    window_m = fitting_window(frame.cloud(), *found.values())
+    drawn = []
+    for name, boxes in found.items():
+        assert boxes.score is not None
+        figure = birdseye(frame, boxes[boxes.score > 0.3], window_m=window_m)
+        figure.suptitle(Path(name).name, x=0.99, ha="right", fontsize=9)
+        buffer = BytesIO()
+        figure.savefig(buffer, dpi=80)
+        drawn.append(Image.open(buffer).convert("RGB"))
+    sheet = Image.new("RGB", (max(p.width for p in drawn), sum(p.height for p in drawn)), "white")
+    for index, part in enumerate(drawn):
+        sheet.paste(part, (0, sum(p.height for p in drawn[:index])))
     path.parent.mkdir(parents=True, exist_ok=True)
-    assert boxes.score is not None
-    show(frame, boxes[boxes.score > 0.3]).savefig(path, dpi=90)
+    sheet.save(path)
 
 
 def main() -> None:
@@ -89,9 +103,9 @@ def main() -> None:
         for name, detector in detectors.items():
             found = {frame.key: detector(frame) for frame in frames}
             predictions[name] = {f.key: in_camera(found[f.key], f) if cut else found[f.key] for f in frames}
-            for frame in frames if options.pictures else ():
-                stem = f"{title.split(',')[0]}_{frame.frame_id}_{'turned' if 'turned' in title else 'plain'}.png"
-                picture(frame, predictions[name][frame.key], options.pictures / detector.config.name / stem)
+        for frame in frames if options.pictures else ():
+            stem = f"{title.split(',')[0]}_{frame.frame_id}_{'turned' if 'turned' in title else 'plain'}.png"
+            picture(frame, {n: found[frame.key] for n, found in predictions.items()}, options.pictures / stem)
         for label in classes:
             names = ["vehicle", "large_vehicle"] if label == "vehicle" else [label]
             annotated = sum(int(np.isin(boxes.label, names).sum()) for boxes in annotations.values())
