@@ -20,6 +20,18 @@ _PILLARS = {"grid": {"range_m": 64.0, "half_width_m": 20.0, "cell_m": 0.5}}
 
 SMALL: dict[str, Small] = {
     "pointpillars": Small({**_PILLARS, "widths": [16, 32, 32], "neck_width": 32, "out_stride": 2}),
+    "second": Small(
+        {
+            "grid": {"range_m": 64.0, "half_width_m": 20.0, "voxel_m": [0.25, 0.25, 0.45]},
+            "middle_widths": [8, 8, 16, 16],
+            "middle_out": 16,
+            "widths": [32, 32],
+            "depths": [0, 1],
+            "neck_width": 32,
+            "positive_m": 2.0,
+        },
+        learning_rate=5e-3,
+    ),
     "sparsecentre": Small(
         {
             "grid": {

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 DETECTORS = {
     "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
+    "second": ("farfield.detectors.second", "Second", "SecondConfig"),
     "sparsecentre": ("farfield.detectors.sparsecentre", "SparseCentre", "SparseCentreConfig"),
 }
 """Name: module, network, configuration."""
