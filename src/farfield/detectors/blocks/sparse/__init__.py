@@ -2,11 +2,10 @@
 
 from farfield.detectors.blocks.sparse.functional import sparse_conv
 from farfield.detectors.blocks.sparse.layers import InverseConv, SparseBlock, SparseConv, SubmanifoldConv
+from farfield.detectors.blocks.sparse.neighbours import dilate, neighbour_table
 from farfield.detectors.blocks.sparse.rulebook import (
     Rulebook,
-    dilate,
     kernel_offsets,
-    neighbour_table,
     strided_rulebook,
     submanifold_rulebook,
 )

@@ -64,7 +64,7 @@ class SubmanifoldConv(_Conv):
     def rulebook(self, sparse: SparseTensor) -> Rulebook:
         """The shared rulebook, found on first use."""
         # The stored rulebook keeps the keys alive, so that their id stays theirs.
-        name = ("submanifold", self.kernel, id(sparse.keys))
+        name = ("submanifold", self.kernel, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
             sparse.rulebooks[name] = submanifold_rulebook(sparse.keys, sparse.shape, self.kernel)
         return cast(Rulebook, sparse.rulebooks[name])
@@ -98,7 +98,7 @@ class SparseConv(_Conv):
 
     def rulebook(self, sparse: SparseTensor) -> Rulebook:
         """The shared rulebook, found on first use."""
-        name = ("strided", self.kernel, self.stride, self.padding, id(sparse.keys))
+        name = ("strided", self.kernel, self.stride, self.padding, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
             sparse.rulebooks[name] = strided_rulebook(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
         book = cast(Rulebook, sparse.rulebooks[name])
@@ -148,7 +148,7 @@ class SparseBlock(nn.Module):
         """Apply the block."""
         sparse = self.conv(sparse)
         features = _normalise(self.norm, sparse.features)
-        return sparse.replace(torch.relu(features) if self.relu else features)
+        return sparse.replace(features.relu_() if self.relu else features)  # nobody else holds them
 
     @torch.no_grad()
     def fold_norm(self) -> None:

@@ -3,14 +3,15 @@
 A rulebook depends on the occupied cells only. It is found once a frame and shared by all layers on the same cells.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import torch
 from torch import Tensor
 
+from farfield.detectors.blocks.sparse.blocks import Block, BlockTable
+from farfield.detectors.blocks.sparse.neighbours import neighbour_columns
 from farfield.detectors.blocks.sparse.tensor import Triple, decode_keys
 
 
@@ -32,7 +33,7 @@ class Rulebook:
     keys: Tensor
     shape: Triple
     table: Tensor
-    symmetric: bool = field(default=False)
+    symmetric: bool = False
 
     @cached_property
     def transposed(self) -> Tensor:
@@ -43,7 +44,7 @@ class Rulebook:
         if self.symmetric:
             return self.table.flip(1)
         n_in, (n_out, size) = len(self.keys_in), self.table.shape
-        transposed = self.table.new_full((n_in + 1, size), n_out)
+        transposed = self.table.new_full((n_in + 1, size), n_out)  # the last row takes what leads nowhere
         rows = torch.arange(n_out, dtype=torch.int32, device=self.table.device)
         transposed.scatter_(0, self.table.long(), rows[:, None].expand(-1, size))
         return transposed[:n_in]
@@ -52,8 +53,18 @@ class Rulebook:
     def inverse(self) -> "Rulebook":
         """The rulebook that leads back: input and output change places."""
         book = Rulebook(self.keys, self.shape, self.keys_in, self.shape_in, self.transposed)
-        book.__dict__["transposed"] = self.table
+        book.__dict__.update(transposed=self.table, inverse=self)
         return book
+
+    @cached_property
+    def _block_table(self) -> BlockTable:
+        return BlockTable(self.table, len(self.keys_in))
+
+    def blocks(self, rows: int) -> list[Block]:
+        """The table cut into blocks of ``rows`` similar rows."""
+        if self.table.shape[1] == 1:
+            return [Block(None, None, self.table)]
+        return self._block_table.blocks(rows)
 
 
 def kernel_offsets(kernel: Triple) -> list[Triple]:
@@ -65,13 +76,22 @@ def kernel_offsets(kernel: Triple) -> list[Triple]:
 def submanifold_rulebook(keys: Tensor, shape: Triple, kernel: Triple) -> Rulebook:
     """Outputs where the inputs are (Graham et al., 2018, "Submanifold sparse convolutional networks").
 
+    Half of the neighbours are searched; the other half sees the same pairs from the other side.
+
     Raises:
         ValueError: If the kernel is even along some axis.
     """
     if any(size % 2 == 0 for size in kernel):
         raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
-    table = neighbour_table(keys, keys, shape, kernel_offsets(kernel))
-    return Rulebook(keys, shape, keys, shape, table, symmetric=True)
+    offsets, count = kernel_offsets(kernel), len(keys)
+    centre = len(offsets) // 2
+    rows = torch.arange(count, dtype=torch.int32, device=keys.device)
+    columns = [rows] * len(offsets)
+    for number, column in enumerate(neighbour_columns(keys, keys, shape, offsets[:centre])):
+        mirrored = torch.full((count + 1,), count, dtype=torch.int32, device=keys.device)
+        mirrored.scatter_(0, column.long(), rows)  # the last place takes what has no neighbour
+        columns[number], columns[-1 - number] = column, mirrored[:count]
+    return Rulebook(keys, shape, keys, shape, torch.stack(columns, 1), symmetric=True)
 
 
 def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Rulebook:
@@ -82,22 +102,42 @@ def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple
     """
     out_shape = conv_shape(shape, kernel, stride, padding)
     frame, *place = decode_keys(keys, shape).unbind(1)
-    reached, sources = [], []
-    for element in product(*map(range, kernel)):
-        number, inside = frame, torch.ones_like(frame, dtype=torch.bool)
-        for axis in range(3):
-            start = place[axis] + padding[axis] - element[axis]
-            cell = torch.div(start, stride[axis], rounding_mode="floor")
-            inside &= (cell * stride[axis] == start) & (cell >= 0) & (cell < out_shape[axis])
-            number = number * out_shape[axis] + cell
-        source = inside.nonzero().squeeze(1)
-        reached.append(number[source])
+    axes = [
+        _reached_along(index, size, *rest)
+        for index, size, *rest in zip(place, out_shape, kernel, stride, padding, strict=True)
+    ]
+    frames = int(frame[-1]) + 1 if len(keys) else 1
+    narrow = torch.int32 if frames * out_shape[0] * out_shape[1] * out_shape[2] < 2**31 else torch.int64
+    reached, elements, sources = [], [], []
+    for (z, ez, z_in), (x, ex, x_in), (y, ey, y_in) in product(*axes):
+        source = (z_in & x_in & y_in).nonzero().squeeze(1)
+        cell = ((frame * out_shape[0] + z) * out_shape[1] + x) * out_shape[2] + y
+        reached.append(cell[source].to(narrow))
+        elements.append(((ez * kernel[1] + ex) * kernel[2] + ey)[source])
         sources.append(source)
-    out_keys, rows = torch.unique(torch.cat(reached), return_inverse=True)
-    table = torch.full((len(out_keys), len(sources)), len(keys), dtype=torch.int32, device=keys.device)
-    for element_number, (source, row) in enumerate(zip(sources, rows.split([len(s) for s in sources]), strict=True)):
-        table[row, element_number] = source.int()
-    return Rulebook(keys, shape, out_keys, out_shape, table)
+    ordered, order = torch.sort(torch.cat(reached))
+    first = torch.ones_like(ordered, dtype=torch.bool)
+    torch.ne(ordered[1:], ordered[:-1], out=first[1:])
+    out_keys, row = ordered[first].long(), first.cumsum(0) - 1
+    size = kernel[0] * kernel[1] * kernel[2]
+    table = torch.full((len(out_keys) * size,), len(keys), dtype=torch.int32, device=keys.device)
+    table[row * size + torch.cat(elements)[order]] = torch.cat(sources)[order].int()
+    return Rulebook(keys, shape, out_keys, out_shape, table.view(-1, size))
+
+
+def _reached_along(index: Tensor, out_size: int, size: int, stride: int, padding: int) -> list[tuple[Tensor, ...]]:
+    """Along one axis, the outputs that each input reaches: at most ``ceil(size / stride)``.
+
+    Returns:
+        For each of them: output index, kernel element, and whether it exists, shape (n,) each.
+    """
+    last = torch.div(index + padding, stride, rounding_mode="floor")
+    reached = []
+    for back in range(-(-size // stride)):
+        cell = last - back
+        element = index + padding - cell * stride
+        reached.append((cell, element, (element < size) & (cell >= 0) & (cell < out_size)))
+    return reached
 
 
 def conv_shape(shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Triple:
@@ -110,53 +150,3 @@ def conv_shape(shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -
     if min(z, x, y) < 1:
         raise ValueError(f"Expected a grid that holds kernel {kernel} with padding {padding}; got {shape}.")
     return z, x, y
-
-
-def shifted_keys(keys: Tensor, shape: Triple, offset: Triple) -> tuple[Tensor, Tensor]:
-    """Keys of the cells ``offset`` (dz, dx, dy) away, and which of them lie inside the grid."""
-    depth, nx, ny = shape
-    _, iz, ix, iy = decode_keys(keys, shape).unbind(1)
-    dz, dx, dy = offset
-    inside = (iz + dz >= 0) & (iz + dz < depth) & (ix + dx >= 0) & (ix + dx < nx) & (iy + dy >= 0) & (iy + dy < ny)
-    return keys + (dz * nx + dx) * ny + dy, inside
-
-
-def neighbour_table(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:
-    """Find the neighbours of cells.
-
-    Args:
-        keys: Occupied cells, shape (n,), int64, ascending, each once.
-        query_keys: Cells whose neighbours are wanted, shape (m,), int64, on the same grid.
-        shape: Cells along z, x and y.
-        offsets: Steps (dz, dx, dy) to the K neighbours.
-
-    Returns:
-        Row in ``keys`` of each neighbour, ``n`` where it is not occupied or outside the grid, shape (m, K), int32: so
-        features with one row appended can be indexed as they are.
-    """
-    table = torch.full((len(query_keys), len(offsets)), len(keys), dtype=torch.int32, device=keys.device)
-    if len(keys) == 0:
-        return table
-    for column, offset in enumerate(offsets):
-        wanted, inside = shifted_keys(query_keys, shape, offset)
-        row = torch.searchsorted(keys, wanted).clamp_(max=len(keys) - 1)
-        table[:, column] = torch.where(inside & (keys[row] == wanted), row, len(keys))
-    return table
-
-
-def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:
-    """Grow a set of cells.
-
-    Args:
-        keys: Cells, shape (n,), int64.
-        shape: Cells along z, x and y.
-        offsets: Steps (dz, dx, dy) from each cell to the cells to add; steps out of the grid add nothing.
-
-    Returns:
-        The cells and all added ones, ascending, each once, shape (m,), int64.
-    """
-    grown = [keys]
-    for offset in offsets:
-        moved, inside = shifted_keys(keys, shape, offset)
-        grown.append(moved[inside])
-    return torch.unique(torch.cat(grown))
