@@ -100,14 +100,24 @@ def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
 def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progress = iter) -> "Training":
     """Open an experiment's data, build its detector, and set up the run in ``folder``.
 
+    Under torchrun, and where the experiment asks for several devices, this first joins or starts the other processes:
+    what only one of them should do, such as making the data, the first process does before.
+
+    Args:
+        experiment: What to train, and how.
+        folder: The run's folder.
+        progress: Wraps the numbers of the frames that are read before the first step.
+
     Raises:
         DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
     """
     from farfield.detectors import build_detector
     from farfield.experiment import environment
+    from farfield.training.distributed import launch
     from farfield.training.loop import Training
     from farfield.training.samples import TrainingSamples
 
+    fabric = launch(experiment.training)
     data = open_dataset(experiment.data.path, **experiment.data.options)
     if experiment.data.split:
         data = data.split(experiment.data.split)
@@ -131,4 +141,4 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
         "frames": len(data),
         "environment": environment(),
     }
-    return Training(network, samples, experiment.training, folder, provenance, progress=progress)
+    return Training(network, samples, experiment.training, folder, provenance, progress=progress, fabric=fabric)

@@ -1,5 +1,9 @@
 """``farfield train``."""
 
+import os
+import time
+from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,9 +27,11 @@ def run(
       farfield train experiments/pointpillars_cirrus_sim.yaml
       farfield train experiments/pointpillars_cirrus_sim.yaml -o training.steps=500 -o name=short
       farfield train experiments/pointpillars_cirrus.yaml -o data.path=/data/Cirrus_dataset1
+      torchrun --nproc-per-node 2 -m farfield.cli train experiments/pointpillars_cirrus_sim.yaml
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
-    weights.safetensors. A killed run resumes from its checkpoint to the same weights.
+    weights.safetensors. A killed run resumes from its checkpoint to the same weights. Several processes, torchrun's or
+    those of training.devices, share each batch and follow the course of one.
 
     Args:
         experiment: The experiment's YAML file.
@@ -41,19 +47,27 @@ def run(
     from farfield.experiment import dump_experiment, load_experiment
     from farfield.files.atomic import write_text
 
-    console = Console(stderr=True)
+    first = _is_first_process()
+    console = Console(stderr=True, quiet=not first)
     settings = load_experiment(experiment, override)
-    _simulate_if_absent(settings.data)
+    if first:
+        _simulate_if_absent(settings.data)  # other processes wait for this one in prepare_training
     folder = out / settings.name
-    folder.mkdir(parents=True, exist_ok=True)
     training = prepare_training(
         settings, folder, progress=lambda items: track(list(items), "cutting out objects", console=console)
     )
-    write_text(folder / "experiment.yaml", dump_experiment(settings))
-    write_text(folder / "provenance.json", json.dumps(training.provenance, indent=1))
+    if first:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "experiment.yaml", dump_experiment(settings))
+        write_text(folder / "provenance.json", json.dumps(training.provenance, indent=1))
     weights = _train(training, console)
     console.print(f"weights: {weights}\nnext: farfield evaluate {folder} DATA")
     return 0
+
+
+def _is_first_process() -> bool:
+    """Whether this is the process that prints and writes, by what torchrun or Lightning Fabric tell the others."""
+    return os.environ.get("RANK", os.environ.get("LOCAL_RANK", "0")) == "0"
 
 
 def _simulate_if_absent(data: "DataConfig") -> None:
@@ -77,6 +91,11 @@ def _simulate_if_absent(data: "DataConfig") -> None:
 
 
 def _train(training: "Training", console: "Console") -> Path:
+    """Train with a progress bar, or, where nobody watches a terminal, with plain lines now and then."""
+    if console.quiet:
+        return training.run()
+    if not console.is_terminal:
+        return training.run(_plain_lines(training, console))
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -101,3 +120,24 @@ def _train(training: "Training", console: "Console") -> Path:
             progress.update(task, completed=step, status=" ".join(f"{k} {v:.3f}" for k, v in losses.items()))
 
         return training.run(report)
+
+
+def _plain_lines(training: "Training", console: "Console") -> Callable[[int, dict[str, float]], None]:
+    """Report the first step and those that are logged, a line each: a log file takes no moving bar."""
+    config, started = training.config, time.monotonic()
+    first: list[tuple[int, float]] = []
+
+    def report(step: int, losses: dict[str, float]) -> None:
+        now = time.monotonic()
+        if not first:
+            first.append((step, now))
+        elif step % config.log_every_steps and step != config.steps:
+            return
+        begun, since = first[0]
+        left_s = (now - since) / max(step - begun, 1) * (config.steps - step)
+        left = f", {timedelta(seconds=round(left_s))} left" if step > begun else ""
+        parts = " ".join(f"{name} {value:.3f}" for name, value in losses.items())
+        elapsed = timedelta(seconds=round(now - started))
+        console.print(f"step {step}/{config.steps}: {parts}, {elapsed} elapsed{left}", soft_wrap=True, highlight=False)
+
+    return report

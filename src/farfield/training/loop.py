@@ -1,4 +1,4 @@
-"""The training loop: plain PyTorch, with Lightning Fabric for devices, precision and several processes."""
+"""The training loop: plain PyTorch, with Lightning Fabric for devices and processes."""
 
 import json
 import math
@@ -9,16 +9,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
 from farfield.detectors.runtime import keep_freed_memory
-from farfield.detectors.weights import default_precision, save_weights
+from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
 from farfield.training.bank import Progress
 from farfield.training.checkpoints import load_checkpoint, save_checkpoint
 from farfield.training.config import TrainingConfig
+from farfield.training.distributed import (
+    average_gradients,
+    average_values,
+    launch,
+    precision_of,
+    spread_state,
+    synchronise_norms,
+)
 from farfield.training.samples import TrainingSamples, batches
 
 Report = Callable[[int, dict[str, float]], None]
@@ -44,6 +53,7 @@ class Training:
         provenance: Travels in every checkpoint and in the weights.
         step: Steps done.
         progress: Wraps the numbers of the frames that are read before the first step.
+        fabric: The processes to train with, launched; :meth:`run` launches those of ``config`` unless given.
     """
 
     network: nn.Module
@@ -53,6 +63,7 @@ class Training:
     provenance: dict[str, Any] = field(default_factory=dict)
     step: int = 0
     progress: Progress = iter
+    fabric: Fabric | None = None
 
     def run(self, report: Report | None = None) -> Path:
         """Train to the last step and write the weights.
@@ -60,8 +71,7 @@ class Training:
         Returns:
             The path of the weights: an exponential average over the last steps.
         """
-        fabric = self._launch()
-        self.network.to(fabric.device)
+        fabric = self._begin()
         optimizer = self._optimizer()
         average = {name: value.detach().clone().float() for name, value in self.network.state_dict().items()}
         self._resume(optimizer, average)
@@ -107,29 +117,17 @@ class Training:
         """Where the running state is written."""
         return self.folder / "checkpoint.pt"
 
-    def _launch(self) -> Fabric:
-        config = self.config
-        if config.threads:
-            torch.set_num_threads(config.threads)
+    def _begin(self) -> Fabric:
+        if self.config.threads:
+            torch.set_num_threads(self.config.threads)
         keep_freed_memory()
         self.folder.mkdir(parents=True, exist_ok=True)
-        accelerator = config.accelerator
-        if accelerator == "auto":
-            accelerator = "gpu" if torch.cuda.is_available() else "cpu"
-        device = torch.device("cuda" if accelerator in ("gpu", "cuda") else "cpu")
-        precision = default_precision(device) if config.precision == "auto" else config.precision
+        precision = precision_of(self.config)
         self.provenance = {**self.provenance, "precision": precision, "threads": torch.get_num_threads()}
-        fabric = Fabric(
-            accelerator=accelerator,
-            devices=config.devices,
-            precision="bf16-mixed" if precision == "bf16" else "32-true",
-        )
-        fabric.launch()
-        if config.batch_size % fabric.world_size:
-            raise ConfigError(
-                f"Expected a batch_size that {fabric.world_size} processes divide; got {config.batch_size}."
-            )
-        self.network.to(memory_format=torch.channels_last)
+        fabric = self.fabric or launch(self.config)
+        self.network.to(fabric.device, memory_format=torch.channels_last)
+        synchronise_norms(self.network)
+        spread_state(self.network)
         return fabric
 
     def _optimizer(self) -> torch.optim.Optimizer:
@@ -141,6 +139,7 @@ class Training:
     def _update(self, fabric: Fabric, optimizer: Any, batch: list[Any]) -> dict[str, float]:
         for group in optimizer.param_groups:
             group["lr"] = one_cycle(self.step, self.config)
+        self._seed_torch(fabric.global_rank)
         targets = [sample.targets for sample in batch]
         with fabric.autocast():
             outputs = self.network([fabric.to_device(sample.points) for sample in batch], targets)
@@ -148,10 +147,16 @@ class Training:
         total = sum(losses)
         optimizer.zero_grad(set_to_none=True)
         total.backward()
+        average_gradients(self.network.parameters())
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_clip, error_if_nonfinite=True)
         optimizer.step()
         named = {name: float(value.detach()) for name, value in zip(losses._fields, losses, strict=True)}
-        return {"loss": float(total.detach()), **named}
+        return average_values({"loss": float(total.detach()), **named}, fabric.device)
+
+    def _seed_torch(self, rank: int) -> None:
+        """Make what a network draws at random a function of seed, step and process, so that a resumed run repeats."""
+        words = np.random.SeedSequence(self.config.seed, spawn_key=(4, self.step, rank))
+        torch.manual_seed(int(words.generate_state(1)[0]))
 
     def _average(self, average: dict[str, Tensor]) -> None:
         """Exponential average of weights and statistics; it follows closely at first and slowly later."""

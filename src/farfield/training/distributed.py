@@ -1,0 +1,169 @@
+"""Several processes that train as one would with the whole batch: launch, batch normalisation, gradients.
+
+Lightning Fabric starts the processes and names their devices. Gradients are averaged here after each backward pass
+rather than by DistributedDataParallel, which demands that every process use every parameter: a process whose frames
+have no points or no proposals does not.
+"""
+
+import os
+from collections.abc import Iterable
+from datetime import timedelta
+from typing import Any
+
+import torch
+from lightning_fabric import Fabric
+from lightning_fabric.strategies import DDPStrategy
+from torch import Tensor, distributed, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+from farfield.detectors.blocks.processes import process_count, sum_over_processes
+from farfield.detectors.weights import default_precision
+from farfield.errors import ConfigError
+from farfield.training.config import TrainingConfig
+
+_PATIENCE = timedelta(days=1)  # the first process may simulate the data while the others wait
+
+
+def launch(config: TrainingConfig) -> Fabric:
+    """Start, or join, the processes of a training.
+
+    Under torchrun the number of processes is torchrun's; otherwise it is ``config.devices``.
+
+    Raises:
+        ConfigError: If the processes do not divide the batch.
+    """
+    accelerator, precision = _accelerator(config), precision_of(config)
+    devices, nodes = config.devices, 1
+    if distributed.is_torchelastic_launched():
+        devices = int(os.environ["LOCAL_WORLD_SIZE"])
+        nodes = int(os.environ["WORLD_SIZE"]) // devices
+    several = nodes > 1 or devices != 1
+    fabric = Fabric(
+        accelerator=accelerator,
+        devices=devices,
+        num_nodes=nodes,
+        strategy=DDPStrategy(timeout=_PATIENCE) if several else "auto",
+        precision="bf16-mixed" if precision == "bf16" else "32-true",
+    )
+    fabric.launch()
+    if config.batch_size % fabric.world_size:
+        raise ConfigError(f"Expected a batch_size that {fabric.world_size} processes divide; got {config.batch_size}.")
+    return fabric
+
+
+def precision_of(config: TrainingConfig) -> str:
+    """``"fp32"`` or ``"bf16"``: what ``config.precision`` means on this machine."""
+    device = torch.device("cuda" if _accelerator(config) in ("gpu", "cuda") else "cpu")
+    return default_precision(device) if config.precision == "auto" else config.precision
+
+
+def _accelerator(config: TrainingConfig) -> str:
+    if config.accelerator != "auto":
+        return config.accelerator
+    return "gpu" if torch.cuda.is_available() else "cpu"
+
+
+@torch.no_grad()
+def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
+    """Replace each gradient by its mean over all processes; parameters that no process used keep none."""
+    count = process_count()
+    if count == 1:
+        return
+    trained = [parameter for parameter in parameters if parameter.requires_grad]
+    used = torch.tensor([p.grad is not None for p in trained], dtype=torch.float32, device=trained[0].device)
+    used = sum_over_processes(used) > 0
+    chosen = [parameter for parameter, here in zip(trained, used.tolist(), strict=True) if here]
+    if not chosen:
+        return
+    rows = [(torch.zeros_like(p) if p.grad is None else p.grad).float().flatten() for p in chosen]
+    total = sum_over_processes(torch.cat(rows)) / count
+    for parameter, part in zip(chosen, total.split([p.numel() for p in chosen]), strict=True):
+        parameter.grad = part.view(parameter.shape).to(parameter.dtype)
+
+
+def average_values(values: dict[str, float], device: torch.device) -> dict[str, float]:
+    """Mean of each value over all processes."""
+    if process_count() == 1:
+        return values
+    total = sum_over_processes(torch.tensor(list(values.values()), dtype=torch.float64, device=device))
+    return dict(zip(values, (total / process_count()).tolist(), strict=True))
+
+
+@torch.no_grad()
+def spread_state(network: nn.Module) -> None:
+    """Give every process the first one's weights and statistics."""
+    if process_count() > 1:
+        for value in network.state_dict().values():
+            distributed.broadcast(value, 0)
+
+
+def synchronise_norms(network: nn.Module) -> None:
+    """Let the network's batch normalisations take their statistics over all processes; parameters stay the same."""
+    if process_count() == 1:
+        return
+    for module in list(network.modules()):
+        for name, child in list(module.named_children()):
+            if type(child) in _SYNCED:
+                setattr(module, name, _SYNCED[type(child)].sharing(child))
+
+
+class _SyncedNorm(_BatchNorm):
+    """Batch normalisation over the batches of all processes, which may be empty; channels are the second axis.
+
+    Not a subclass of ``nn.BatchNorm1d``, whose callers pass it by where a process has fewer than two rows: here every
+    process takes part.
+    """
+
+    @classmethod
+    def sharing(cls, norm: _BatchNorm) -> "_SyncedNorm":
+        """Make one with the parameters and statistics of a plain one."""
+        made = cls(norm.num_features, norm.eps, norm.momentum, norm.affine, norm.track_running_stats)
+        made.weight, made.bias = norm.weight, norm.bias
+        made.running_mean, made.running_var = norm.running_mean, norm.running_var
+        made.num_batches_tracked = norm.num_batches_tracked
+        made.train(norm.training)
+        return made
+
+    def _check_input_dim(self, input: Tensor) -> None:
+        """Any number of axes."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """Normalise, shape (n, channels, ...)."""
+        if not self.training or process_count() == 1:
+            return super().forward(input)
+        with torch.autocast(input.device.type, enabled=False):
+            values = input.float()
+            axes = [axis for axis in range(values.ndim) if axis != 1]
+            shape = [-1 if axis == 1 else 1 for axis in range(values.ndim)]
+            rows = values.new_tensor([values.numel() // values.shape[1]])
+            sums = sum_over_processes(torch.cat([values.sum(axes), rows]))
+            count = sums[-1].detach()
+            if count < 2:  # one row has no spread
+                mean, variance = self.running_mean, self.running_var
+                centred = values - mean.view(shape)
+            else:
+                mean = sums[:-1] / count
+                centred = values - mean.view(shape)
+                variance = sum_over_processes(centred.square().sum(axes)) / count
+                self._track(mean.detach(), variance.detach() * count / (count - 1))
+            scale = torch.rsqrt(variance + self.eps)
+            scale = scale if self.weight is None else scale * self.weight
+            out = centred * scale.view(shape)
+            out = out if self.bias is None else out + self.bias.view(shape)
+        return out.to(input.dtype)
+
+    @torch.no_grad()
+    def _track(self, mean: Tensor, variance: Tensor) -> None:
+        if self.running_mean is None:
+            return
+        self.num_batches_tracked += 1
+        share = 1 / float(self.num_batches_tracked) if self.momentum is None else self.momentum
+        self.running_mean.lerp_(mean, share)
+        self.running_var.lerp_(variance, share)
+
+
+class _SyncedNorm3d(_SyncedNorm, nn.BatchNorm3d):
+    """The same, still a ``nn.BatchNorm3d`` to layers that take its parameters and normalise themselves."""
+
+
+_SYNCED: dict[Any, Any] = {nn.BatchNorm1d: _SyncedNorm, nn.BatchNorm2d: _SyncedNorm, nn.BatchNorm3d: _SyncedNorm3d}
