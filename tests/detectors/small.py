@@ -49,6 +49,24 @@ SMALL: dict[str, Small] = {
         steps=60,
         learning_rate=4e-3,
     ),
+    "voxelnet": Small(
+        {
+            "grid": {
+                "range_m": 64.0,
+                "half_width_m": 20.0,
+                "z_min_m": -3.0,
+                "z_max_m": 1.0,
+                "voxel_m": [0.5, 0.5, 0.8],
+            },
+            "vfe_widths": [8, 16],
+            "voxel_channels": 16,
+            "middle_widths": [16, 16, 16],
+            "widths": [16, 32, 32],
+            "depths": [1, 2, 2],
+            "neck_width": 32,
+        },
+        steps=80,
+    ),
 }
 
 

@@ -15,6 +15,7 @@ DETECTORS = {
     "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
     "second": ("farfield.detectors.second", "Second", "SecondConfig"),
     "sparsecentre": ("farfield.detectors.sparsecentre", "SparseCentre", "SparseCentreConfig"),
+    "voxelnet": ("farfield.detectors.voxelnet", "VoxelNet", "VoxelNetConfig"),
 }
 """Name: module, network, configuration."""
 
