@@ -5,11 +5,13 @@ Neighbourhoods are lists of pairs, so that their cost follows the neighbours the
 """
 
 from farfield.detectors.blocks.points.neighbours import Groups, ball_query, group_max, interpolate, three_nearest
-from farfield.detectors.blocks.points.roi import points_in_rois
+from farfield.detectors.blocks.points.roi import in_roi_frames, points_in_rois
 from farfield.detectors.blocks.points.sampling import (
     BandConfig,
+    WindowConfig,
     content_rank,
     farthest_points,
+    first_of_bands,
     prefix_rows,
     sample_bands,
     share_budget,
@@ -19,10 +21,13 @@ from farfield.detectors.blocks.points.sampling import (
 __all__ = [
     "BandConfig",
     "Groups",
+    "WindowConfig",
     "ball_query",
     "content_rank",
     "farthest_points",
+    "first_of_bands",
     "group_max",
+    "in_roi_frames",
     "interpolate",
     "points_in_rois",
     "prefix_rows",

@@ -140,10 +140,10 @@ class _GroupMax(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         values, centre, best = ctx.saved_tensors
-        winner = (values == best[centre]).to(gradient.dtype)
+        winner = (values == best.index_select(0, centre)).to(gradient.dtype)
         ties = torch.zeros_like(best, dtype=torch.float32).index_add_(0, centre, winner.float())
         share = gradient / ties.clamp_(min=1).to(gradient.dtype)
-        return winner.mul_(share[centre]), None, None
+        return winner.mul_(share.index_select(0, centre)), None, None
 
 
 def group_max(values: Tensor, groups: Groups) -> Tensor:
@@ -211,7 +211,7 @@ def interpolate(values: Tensor, row: Tensor, weight: Tensor) -> Tensor:
     if not len(values):
         return values.new_zeros(len(row), values.shape[1]) + values.sum() * 0
     weight = weight.to(values.dtype)
-    total = values[row[:, 0]] * weight[:, :1]
+    total = values.index_select(0, row[:, 0]) * weight[:, :1]
     for place in (1, 2):
-        total = torch.addcmul(total, values[row[:, place]], weight[:, place, None])
+        total = torch.addcmul(total, values.index_select(0, row[:, place]), weight[:, place, None])
     return total

@@ -49,15 +49,27 @@ def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[
     x = ranked[:, 0].contiguous()
     low = torch.searchsorted(x, (rois[:, 0] - reach).contiguous())
     high = torch.searchsorted(x, (rois[:, 0] + reach).contiguous(), right=True)
-    cos, sin = torch.cos(rois[:, 6]), torch.sin(rois[:, 6])
     pairs = []
     for part in chunks(high - low, _CANDIDATES):
         place, roi = expand_ranges(low[part], high[part])
         roi = roi + part.start
         near = torch.nonzero((ranked[place, 1] - rois[roi, 1]).abs() <= reach[roi])[:, 0]
         place, roi = place[near], roi[near]
-        dx, dy, dz = (ranked[place] - rois[roi, :3]).unbind(1)
-        along, across = dx * cos[roi] + dy * sin[roi], dy * cos[roi] - dx * sin[roi]
-        inside = (along.abs() <= half[roi, 0]) & (across.abs() <= half[roi, 1]) & (dz.abs() <= half[roi, 2])
+        inside = (in_roi_frames(ranked[place], rois[roi]).abs() <= half[roi]).all(1)
         pairs.append((roi[inside], order[place[inside]]))
     return pairs
+
+
+def in_roi_frames(points: Tensor, rois: Tensor) -> Tensor:
+    """Points as seen from RoIs, x along the heading (PointRCNN, section 3.3, canonical transformation).
+
+    Args:
+        points: x, y, z, shape (p, 3).
+        rois: The RoI of each point, shape (p, 7).
+
+    Returns:
+        Coordinates from the RoIs' centres, shape (p, 3).
+    """
+    dx, dy, dz = (points - rois[:, :3]).unbind(1)
+    cos, sin = torch.cos(rois[:, 6]), torch.sin(rois[:, 6])
+    return torch.stack([dx * cos + dy * sin, dy * cos - dx * sin, dz], 1)

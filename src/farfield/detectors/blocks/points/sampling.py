@@ -14,7 +14,7 @@ from jaxtyping import Float32, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
-_PADDED_MAX = 4096  # frames this small are sampled side by side; larger ones one by one where that is faster
+_SIDE_BY_SIDE = 8  # a CPU samples this many frames faster one by one, more of them faster side by side
 
 
 class BandConfig(BaseModel):
@@ -39,6 +39,23 @@ class BandConfig(BaseModel):
         """Band of each row x, y, ...: the outermost bands also take what lies beyond their edges, shape (n,)."""
         inner = centre_m.new_tensor(self.edges_m[1:-1])
         return torch.bucketize(torch.hypot(centre_m[:, 0], centre_m[:, 1]).contiguous(), inner, right=True)
+
+
+class WindowConfig(BaseModel):
+    """Where the detector looks; points outside are dropped."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
+    half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
+    z_min_m: float = -6.0
+    z_max_m: float = 6.0
+
+    def rows(self, points: Tensor) -> Tensor:
+        """Rows of the points inside, shape (k,)."""
+        x, y, z = points[:, :3].unbind(1)
+        inside = (x >= 0) & (x < self.range_m) & (y.abs() < self.half_width_m)
+        return torch.nonzero(inside & (z >= self.z_min_m) & (z < self.z_max_m))[:, 0]
 
 
 def share_budget(available: Int[np.ndarray, " b"], shares: Sequence[float], budget: int) -> Int[np.ndarray, " b"]:
@@ -94,15 +111,18 @@ def sample_bands(points: Tensor, bands: BandConfig, budget: int) -> Tensor:
     order = torch.argsort(rank, stable=True)
     if len(points) <= budget:
         return order
-    band = bands.of(points[order])
-    count = len(bands.shares)
-    available = torch.bincount(band, minlength=count).cpu().numpy()
-    granted = torch.from_numpy(share_budget(available, bands.shares, budget)).to(points.device)
+    return order[first_of_bands(bands.of(points[order]), bands.shares, budget)]
+
+
+def first_of_bands(band: Tensor, shares: Sequence[float], budget: int) -> Tensor:
+    """Whether each item is among the first of its band that the band's budget lets in, shape (n,), bool."""
+    available = torch.bincount(band, minlength=len(shares)).cpu().numpy()
+    granted = torch.from_numpy(share_budget(available, shares, budget)).to(band.device)
     by_band = torch.argsort(band, stable=True)
-    first = torch.from_numpy(np.cumsum(available) - available).to(points.device)
+    first = torch.from_numpy(np.cumsum(available) - available).to(band.device)
     place = torch.empty_like(by_band)
     place[by_band] = torch.arange(len(band), device=band.device)
-    return order[place - first[band] < granted[band]]
+    return place - first[band] < granted[band]
 
 
 def prefix_rows(lengths: Sequence[int], count: int) -> tuple[list[int], list[int]]:
@@ -130,7 +150,7 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> tuple
         from farfield.detectors.blocks.points import triton_kernels
 
         return triton_kernels.farthest_points(points, lengths, count), taken
-    if not points.is_cuda and max(lengths) > _PADDED_MAX:
+    if not points.is_cuda and sum(taken) <= _SIDE_BY_SIDE * max(taken):
         xyz = points.numpy()
         parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, taken, strict=True)]
         return torch.from_numpy(np.concatenate(parts)), taken
