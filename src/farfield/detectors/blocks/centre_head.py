@@ -17,6 +17,7 @@ from torch.nn import functional
 from farfield.detectors.blocks.anchors import cirrus_anchors
 from farfield.detectors.blocks.config import DetectorConfig
 from farfield.detectors.blocks.nms import rotated_nms
+from farfield.detectors.blocks.processes import normaliser
 from farfield.detectors.blocks.sparse import SparseTensor, SubmanifoldConv, decode_keys, neighbour_table
 from farfield.detectors.blocks.sparse_backbone import FLAT, normalised
 from farfield.detectors.blocks.sparse_targets import (
@@ -127,9 +128,10 @@ class CentreHead(nn.Module):
 
     def loss(self, maps: CentreMaps, targets: Sequence[CentreTargets]) -> CentreLosses:
         """Penalty-reduced focal loss on the heat, smooth L1 on boxes and votes, focal loss on the foreground."""
-        total = maps.logits.new_tensor(sum(float(target.weight.sum()) for target in targets), dtype=torch.float32)
+        weight = sum(float(target.weight.sum()) for target in targets)
+        total = normaliser(torch.tensor(weight, dtype=torch.float32, device=maps.logits.device))
         parts = [self._frame_loss(maps, index, target) for index, target in enumerate(targets)]
-        return CentreLosses(*(torch.stack(part).sum() / total.clamp(min=1) for part in zip(*parts, strict=True)))
+        return CentreLosses(*(torch.stack(part).sum() / total for part in zip(*parts, strict=True)))
 
     def _frame_loss(self, maps: CentreMaps, index: int, target: CentreTargets) -> tuple[Tensor, ...]:
         config, truth = self.config, Truth.of(target, maps.logits.device)
