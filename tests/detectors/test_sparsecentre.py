@@ -6,7 +6,6 @@ from pydantic import ValidationError
 
 from farfield.detectors import build_detector
 from farfield.detectors.blocks.centre_head import peaks
-from farfield.detectors.blocks.folding import fold_batch_norm
 from farfield.detectors.blocks.sparse import SparseTensor
 from farfield.detectors.blocks.sparse_backbone import SparsePyramid, merge_heights
 from farfield.detectors.blocks.sparse_diffusion import CentreDiffusion
@@ -16,7 +15,6 @@ from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.detectors.sparsecentre import SparseCentre, SparseCentreConfig
 from farfield.frame import Boxes, Cloud
 from farfield.geometry.points import points_in_boxes
-from farfield.metrics import score
 
 SMALL = SparseCentreConfig(
     grid=VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-4.0, z_max_m=4.0, voxel_m=(0.4, 0.4, 0.5)),
@@ -69,31 +67,6 @@ def test_default_covers_the_range_asked_for_and_knows_all_eight_classes():
     assert network.head.cell_m == pytest.approx(0.8)
 
 
-def test_forward_has_no_nan_and_every_parameter_gets_a_gradient(network, scene):
-    outputs = network([cloud_tensor(scene.cloud())])
-    assert all(torch.isfinite(part).all() for part in outputs)
-    losses = network.loss(outputs, [asked(network, scene)])
-    sum(losses).backward()
-    without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
-    assert without == []
-
-
-def test_overfits_one_frame(network, scene):
-    cloud, targets = cloud_tensor(scene.cloud()), asked(network, scene)
-    optimizer = torch.optim.AdamW(network.parameters(), 4e-3)
-    for _ in range(60):
-        losses = network.loss(network([cloud]), [targets])
-        optimizer.zero_grad()
-        sum(losses).backward()
-        optimizer.step()
-    predicted = Detector(network, precision="fp32")(scene)
-    result = score({scene.key: predicted}, {scene.key: scene.boxes}, protocol="dds")
-    assert result.to_json()["dds"]["0"]["dds"] > 0.9
-    best = predicted[:5]
-    near = np.argmin(np.hypot(*(best.centre_m[:, None, :2] - scene.boxes.centre_m[None, :, :2]).transpose(2, 0, 1)), 1)
-    assert np.cos(best.yaw_rad - scene.boxes.yaw_rad[near]).min() > 0.95  # the whole heading, not only its axis
-
-
 def test_batch_of_many_equals_batches_of_one_whatever_the_order_of_points(network, scene, rng):
     network.eval()
     first = cloud_tensor(scene.cloud())
@@ -128,23 +101,6 @@ def test_clouds_and_annotations_with_next_to_nothing(network, scene, points, wit
     gradients = [p.grad for p in network.parameters() if p.grad is not None]
     assert gradients
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
-
-
-def test_folding_and_half_precision_change_little(network, scene):
-    network.train()
-    for _ in range(5):
-        network([cloud_tensor(scene.cloud())])
-    network.eval()
-    folded = fold_batch_norm(network)
-    assert not any(isinstance(m, torch.nn.BatchNorm1d) for m in folded.modules())
-    with torch.no_grad():
-        for a, b in zip(network([cloud_tensor(scene.cloud())]), folded([cloud_tensor(scene.cloud())]), strict=True):
-            torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
-    half = Detector(network, precision="bf16", device="cpu").network
-    assert {p.dtype for p in half.parameters()} == {torch.bfloat16}
-    with torch.no_grad():
-        votes = half([cloud_tensor(scene.cloud())]).votes
-        torch.testing.assert_close(votes, network([cloud_tensor(scene.cloud())]).votes, rtol=0.1, atol=0.05)
 
 
 def test_the_work_follows_the_points_not_the_grid(scene):
