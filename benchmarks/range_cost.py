@@ -107,6 +107,8 @@ def apart(name: str, range_m: int, cloud_path: Path, options: argparse.Namespace
 
 def draw(found: dict[str, dict[int, dict[str, float]]], points: int, path: Path) -> None:
     """Two panels, time and memory over range, one line a detector, named at its end."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     from farfield.reports.style import INK, PATTERNS, figure_bytes, house_style, new_figure
 
     colours = dict(zip(found, [*PATTERNS[1:], "#7048e8", INK], strict=False))
@@ -141,7 +143,9 @@ def draw(found: dict[str, dict[int, dict[str, float]]], points: int, path: Path)
             axes.set_xticks(RANGES_M, [f"{r} m" for r in RANGES_M])
             axes.grid(True, which="major")
             axes.tick_params(which="minor", length=0)
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter("{x:,.0f}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
         figure.supxlabel(
             f"length of the window; {points:,} points in each, 100 m wide", fontsize=8.5, x=0.02, ha="left"
         )
