@@ -1,6 +1,7 @@
 """The anchor head that VoxelNet, SECOND and PointPillars share: one 1 x 1 convolution, its loss and its boxes.
 
-Every anchor gives one class logit, a box code of seven numbers and two direction logits.
+Every anchor gives one logit for its class, a box code of seven numbers and two direction logits. In the style of
+OpenPCDet it gives a logit for each class, whichever its own.
 """
 
 from collections.abc import Sequence
@@ -11,20 +12,23 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid, Targets, cirrus_anchors, decode
+from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
 from farfield.detectors.blocks.config import DetectorConfig
 from farfield.detectors.blocks.losses import box_loss, direction_loss, focal_loss
+from farfield.detectors.blocks.matching import match_by_overlap
 from farfield.detectors.blocks.nms import rotated_nms
 from farfield.detectors.blocks.processes import normaliser
 from farfield.geometry.boxes import Boxes
 
-_NUMBERS = 10  # class, seven of the box, two of the direction
+_BOX_NUMBERS = 9  # seven of the box, two of the direction
 
 
 class AnchorHeadConfig(DetectorConfig):
     """Settings of a detector with anchors."""
 
     anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
+    head: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect it")
+    matching: Literal["distance", "iou"] = Field("distance", description="iou: anchors answer by overlap, as published")
     positive_m: float = Field(1.0, description="anchor cells this near to a box's centre answer for it")
     ignore_m: float = Field(2.0, description="anchor cells this near are not blamed")
     box_weight: float = 2.0
@@ -38,7 +42,10 @@ class AnchorHeadConfig(DetectorConfig):
 
 
 class AnchorMaps(NamedTuple):
-    """What the head says of each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2)."""
+    """What the head says of each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2).
+
+    In the style of OpenPCDet there is a logit for each of k classes, shape (b, a, k).
+    """
 
     logits: Tensor
     codes: Tensor
@@ -63,14 +70,15 @@ class AnchorHead(nn.Conv2d):
     """
 
     def __init__(self, config: AnchorHeadConfig, c_in: int, grid: AnchorGrid) -> None:
-        super().__init__(c_in, grid.per_cell * _NUMBERS, 1)
-        self.config, self.anchors = config, grid
+        self.logits = len(grid.names) if config.head == "openpcdet" else 1
+        super().__init__(c_in, grid.per_cell * (self.logits + _BOX_NUMBERS), 1)
+        self.config, self.anchors = config, grid.styled(config.head)
         self._start_unsure()
 
     def _start_unsure(self) -> None:
         """Begin with every anchor at a score of 0.01, so that the many negatives do not drown the first steps."""
-        bias = torch.zeros(_NUMBERS, self.anchors.per_cell)
-        bias[0] = -float(np.log((1 - 0.01) / 0.01))
+        bias = torch.zeros(self.logits + _BOX_NUMBERS, self.anchors.per_cell)
+        bias[: self.logits] = -float(np.log((1 - 0.01) / 0.01))
         with torch.no_grad():
             self.weight.normal_(std=0.01)
             if self.bias is not None:
@@ -79,17 +87,19 @@ class AnchorHead(nn.Conv2d):
     def forward(self, image: Tensor) -> AnchorMaps:  # the anchors' order is channels last
         """Map (b, c, nx, ny) to what is said of each anchor, in the order of the anchor grid."""
         maps = super().forward(image).permute(0, 2, 3, 1)
-        maps = maps.reshape(len(image), -1, _NUMBERS, self.anchors.per_cell)
-        return AnchorMaps(
-            maps[:, :, 0].reshape(len(image), -1),
-            maps[:, :, 1:8].transpose(2, 3).reshape(len(image), -1, 7),
-            maps[:, :, 8:].transpose(2, 3).reshape(len(image), -1, 2),
+        maps = maps.reshape(len(image), -1, self.logits + _BOX_NUMBERS, self.anchors.per_cell)
+        logits, codes, directions = (
+            part.transpose(2, 3).reshape(len(image), -1, part.shape[2])
+            for part in maps.split((self.logits, 7, 2), dim=2)
         )
+        return AnchorMaps(logits if self.config.head == "openpcdet" else logits.squeeze(2), codes, directions)
 
     def targets(self, boxes: Boxes) -> Targets:
         """What one frame's annotation asks of the anchors."""
         config = self.config
         weights = config.box_weights(boxes)
+        if config.matching == "iou":
+            return match_by_overlap(self.anchors, boxes, weights=weights)
         return self.anchors.assign(boxes, positive_m=config.positive_m, ignore_m=config.ignore_m, weights=weights)
 
     def loss(self, maps: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
@@ -107,28 +117,41 @@ class AnchorHead(nn.Conv2d):
         total = normaliser(weight.sum())
         code, direction = maps.codes.reshape(-1, 7)[positive].float(), maps.directions.reshape(-1, 2)[positive].float()
         return AnchorLosses(
-            focal_loss(maps.logits, positive, flat("ignored"), weight=weight) / total,
+            focal_loss(maps.logits, *self._classes(positive, flat("ignored")), weight=weight) / total,
             config.box_weight * box_loss(code, joined("code").float(), weight=weight) / total,
             config.direction_weight * direction_loss(direction, joined("backwards"), weight=weight) / total,
         )
+
+    def _classes(self, positive: Tensor, ignored: Tensor) -> tuple[Tensor, Tensor]:
+        """Flat indices of anchors to those of logits: the logit of its class at a positive, all at an ignored one."""
+        if self.config.head == "farfield":
+            return positive, ignored
+        kind = positive % self.anchors.per_cell // 2
+        every = torch.arange(self.logits, device=ignored.device)
+        return positive * self.logits + kind, (ignored[:, None] * self.logits + every).reshape(-1)
 
     def boxes(self, maps: AnchorMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
-        best, index = torch.topk(logits.float(), min(self.config.candidates, len(logits)))
+        kind = None if logits.ndim == 1 else logits.argmax(1)
+        best, index = torch.topk(logits.float() if kind is None else logits.float().amax(1), self._limit(len(logits)))
         score = torch.sigmoid(best)
         keep = score >= self.config.score_threshold
         index, score = index[keep], score[keep]
         anchor = index.cpu().numpy()
-        backwards = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
-        rows = decode(codes[index].double().cpu().numpy(), backwards, self.anchors.rows(anchor))
+        direction = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
+        rows = self.anchors.decode(codes[index].double().cpu().numpy(), direction, anchor)
+        names = np.array(self.anchors.names, dtype=np.str_)
         boxes = Boxes(
             centre_m=rows[:, :3],
             size_m=rows[:, 3:6],
             yaw_rad=rows[:, 6],
-            label=self.anchors.labels(anchor),
+            label=self.anchors.labels(anchor) if kind is None else names[kind[index].cpu().numpy()],
             score=score.double().cpu().numpy(),
         )
         return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+
+    def _limit(self, anchors: int) -> int:
+        return min(self.config.candidates, anchors)

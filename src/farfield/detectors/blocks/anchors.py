@@ -5,14 +5,16 @@ it is numpy and per frame, so that the loader's workers do it beside the trainin
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
 HEADINGS_RAD = np.array([0.0, np.pi / 2])
+_DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
 
 
 class AnchorConfig(BaseModel):
@@ -22,6 +24,14 @@ class AnchorConfig(BaseModel):
 
     size_m: tuple[float, float, float] = Field(description="length, width, height")
     z_m: float = Field(description="height of the centre in the sensor's frame")
+    positive_iou: float = Field(0.6, gt=0, le=1, description="with matching: iou, overlap from which it answers")
+    negative_iou: float = Field(0.45, ge=0, le=1, description="with matching: iou, overlap below which it is blamed")
+
+    @model_validator(mode="after")
+    def _thresholds_in_order(self) -> "AnchorConfig":
+        if self.negative_iou > self.positive_iou:
+            raise ValueError(f"expected negative_iou up to positive_iou ({self.positive_iou}), got {self.negative_iou}")
+        return self
 
 
 def cirrus_anchors() -> dict[str, AnchorConfig]:
@@ -46,7 +56,7 @@ class Targets:
     Args:
         positive: Anchors that answer for a box, shape (p,).
         code: Encoded box of each positive anchor, shape (p, 7).
-        backwards: 1 where the box looks against its anchor's heading, shape (p,).
+        backwards: Which of two directions the box looks: 1 for against its anchor's heading, shape (p,).
         ignored: Anchors that are neither right nor wrong, shape (i,).
         weight: Weight of each positive anchor in the loss, shape (p,).
     """
@@ -67,29 +77,82 @@ class AnchorGrid:
         ny: Cells along y.
         cell_m: Edge length of a cell.
         y_min_m: Right edge of the grid.
+        style: ``"farfield"``: anchors at the centres of cells, and directions that count from the anchor's heading.
+            ``"openpcdet"``: anchors spread from edge to edge, at 0 and 1.57 rad, and directions that count from a
+            fixed heading of 0.78539 rad: what imported weights expect.
     """
 
-    def __init__(self, classes: dict[str, AnchorConfig], *, nx: int, ny: int, cell_m: float, y_min_m: float) -> None:
-        self.names = tuple(classes)
+    def __init__(
+        self,
+        classes: dict[str, AnchorConfig],
+        *,
+        nx: int,
+        ny: int,
+        cell_m: float,
+        y_min_m: float,
+        style: Literal["farfield", "openpcdet"] = "farfield",
+    ) -> None:
+        self.classes, self.names, self.style = classes, tuple(classes), style
         self.sizes_m = np.array([anchor.size_m for anchor in classes.values()], dtype=np.float64)
         self.z_m = np.array([anchor.z_m for anchor in classes.values()], dtype=np.float64)
         self.nx, self.ny, self.cell_m, self.y_min_m = nx, ny, cell_m, y_min_m
         self.per_cell = 2 * len(self.names)
+        if style == "farfield":
+            self.headings_rad, self.step_m = HEADINGS_RAD, np.array([cell_m, cell_m])
+            self.first_m = np.array([cell_m / 2, y_min_m + cell_m / 2])
+        else:
+            self.headings_rad, self.first_m = np.array([0.0, 1.57]), np.array([0.0, y_min_m])
+            self.step_m = cell_m * np.array([nx / max(nx - 1, 1), ny / max(ny - 1, 1)])
 
     def __len__(self) -> int:
         return self.nx * self.ny * self.per_cell
+
+    def styled(self, style: Literal["farfield", "openpcdet"]) -> "AnchorGrid":
+        """The same grid with anchors in another style."""
+        size = {"nx": self.nx, "ny": self.ny}
+        return AnchorGrid(self.classes, **size, cell_m=self.cell_m, y_min_m=self.y_min_m, style=style)
 
     def rows(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 7"]:
         """The anchors with these flat indices as x, y, z, l, w, h, yaw, shape (k, 7)."""
         cell, slot = np.divmod(index, self.per_cell)
         kind, heading = np.divmod(slot, 2)
         ix, iy = np.divmod(cell, self.ny)
-        x, y = (ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m
-        return np.column_stack([x, y, self.z_m[kind], self.sizes_m[kind], HEADINGS_RAD[heading]])
+        x, y = ix * self.step_m[0] + self.first_m[0], iy * self.step_m[1] + self.first_m[1]
+        return np.column_stack([x, y, self.z_m[kind], self.sizes_m[kind], self.headings_rad[heading]])
 
     def labels(self, index: Int[np.ndarray, " k"]) -> np.ndarray:
         """Class names of the anchors with these flat indices, shape (k,)."""
         return np.array(self.names, dtype=np.str_)[index % self.per_cell // 2]
+
+    def kinds(self, boxes: Boxes) -> Int[np.ndarray, " n"]:
+        """Number of each box's class, -1 for those that have no anchor, shape (n,)."""
+        number = {name: index for index, name in enumerate(self.names)}
+        return np.array([number.get(str(name), -1) for name in boxes.label], dtype=np.int64)
+
+    def targets(
+        self,
+        boxes: Boxes,
+        winner: Int[np.ndarray, " p"],
+        positive: Int[np.ndarray, " p"],
+        ignored: Int[np.ndarray, " i"],
+        weights: Float[np.ndarray, " n"] | None,
+    ) -> Targets:
+        """Targets of a frame whose anchors ``positive`` answer for the boxes ``winner``."""
+        code, direction = encode(boxes[winner], self.rows(positive))
+        if self.style == "openpcdet":
+            direction = _fixed_direction(boxes.yaw_rad[winner])
+        weight = np.ones(len(positive)) if weights is None else weights[winner]
+        return Targets(positive, code, direction, ignored, weight)
+
+    def decode(
+        self, code: Float[np.ndarray, "k 7"], direction: Int[np.ndarray, " k"], index: Int[np.ndarray, " k"]
+    ) -> Float[np.ndarray, "k 7"]:
+        """Boxes of codes and directions at the anchors with these flat indices, rows x, y, z, l, w, h, yaw."""
+        if self.style == "farfield":
+            return decode(code, direction, self.rows(index))
+        rows = decode(code, np.zeros_like(direction), self.rows(index))
+        rows[:, 6] = wrap_angle_rad(rows[:, 6] + np.pi * (_fixed_direction(rows[:, 6]) != direction))
+        return rows
 
     def assign(
         self, boxes: Boxes, *, positive_m: float, ignore_m: float, weights: Float[np.ndarray, " n"] | None = None
@@ -107,14 +170,13 @@ class AnchorGrid:
             ignore_m: Radius within which a cell is not blamed.
             weights: Weight of each box in the loss, shape (n,); 1 if left out.
         """
-        kind = np.array([self.names.index(name) if name in self.names else -1 for name in boxes.label], dtype=np.int64)
-        column = np.floor(boxes.centre_m[:, 0] / self.cell_m).astype(np.int64)
-        row = np.floor((boxes.centre_m[:, 1] - self.y_min_m) / self.cell_m).astype(np.int64)
+        kind = self.kinds(boxes)
+        column, row = np.floor((boxes.centre_m[:, :2] - self.first_m) / self.step_m + 0.5).astype(np.int64).T
         here = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
-        reach = int(np.ceil(ignore_m / self.cell_m))
+        reach = int(np.ceil(ignore_m / self.step_m.min()))
         step_x, step_y = (s.ravel() for s in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
         ix, iy = column[here, None] + step_x, row[here, None] + step_y
-        centre_x, centre_y = (ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m
+        centre_x, centre_y = ix * self.step_m[0] + self.first_m[0], iy * self.step_m[1] + self.first_m[1]
         gap = np.hypot(centre_x - boxes.centre_m[here, 0, None], centre_y - boxes.centre_m[here, 1, None])
         gap[(ix < 0) | (ix >= self.nx) | (iy < 0) | (iy >= self.ny)] = np.inf
         turned = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[here])) > np.pi / 2  # nearer to 90 than to 0 degrees, mod 180
@@ -128,9 +190,12 @@ class AnchorGrid:
         spare_box, spare_where = np.nonzero(gap <= ignore_m)
         spare = base[spare_box, spare_where]
         ignored = np.setdiff1d(np.concatenate([spare, spare + 1, positive ^ 1]), positive)
-        code, backwards = encode(boxes[winner], self.rows(positive))
-        weight = np.ones(len(positive)) if weights is None else weights[winner]
-        return Targets(positive, code, backwards, ignored, weight)
+        return self.targets(boxes, winner, positive, ignored, weights)
+
+
+def _fixed_direction(yaw_rad: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+    """0 for headings within the half turn that begins at the fixed heading, else 1."""
+    return (np.mod(yaw_rad - _DIRECTION_OFFSET_RAD, 2 * np.pi) >= np.pi).astype(np.int64)
 
 
 def encode(boxes: Boxes, anchors: Float[np.ndarray, "k 7"]) -> tuple[Float[np.ndarray, "k 7"], Int[np.ndarray, " k"]]:
