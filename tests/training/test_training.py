@@ -26,36 +26,6 @@ from farfield.training.config import AugmentationConfig, TrainingConfig
 from farfield.training.loop import one_cycle
 from farfield.training.samples import TrainingSamples
 
-SETTINGS = """
-name: tiny
-data: {path: DATA, clouds: [gaussian, uniform]}
-detector:
-  {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 16, 16], depths: [0, 0, 0], neck_width: 16}
-augmentation: {pasted: {vehicle: 2}}
-training:
-  {steps: 12, batch_size: 2, precision: fp32, threads: 1, workers: WORKERS, checkpoint_every_s: 0.001,
-   log_every_steps: 1}
-"""
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """Three mini frames in the Cirrus layout."""
-    pytest.importorskip("embreex")
-    from farfield.datasets.cirrus import CirrusWriter
-    from farfield.simulation import simulate_sequence
-
-    root = tmp_path_factory.mktemp("data")
-    for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=3):
-        CirrusWriter(root).write(frame)
-    return root
-
-
-def write_experiment(folder: Path, data: Path, workers: int = 0) -> Path:
-    path = folder / "tiny.yaml"
-    path.write_text(SETTINGS.replace("DATA", str(data)).replace("WORKERS", str(workers)))
-    return path
-
 
 def train(experiment: Path, out: Path) -> subprocess.Popen:
     command = [sys.executable, "-m", "farfield.cli", "train", str(experiment), "--out", str(out)]
@@ -63,8 +33,7 @@ def train(experiment: Path, out: Path) -> subprocess.Popen:
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
-def test_killed_training_resumes_to_the_same_weights(data, tmp_path):
-    experiment = write_experiment(tmp_path, data)
+def test_killed_training_resumes_to_the_same_weights(experiment, data, tmp_path):
     whole = train(experiment, tmp_path / "whole")
     assert whole.wait(200) == 0
     log = tmp_path / "cut" / "tiny" / "log.jsonl"
@@ -251,28 +220,26 @@ def test_learning_rate_rises_and_falls():
     assert all(a > b for a, b in itertools.pairwise(rates[30:]))
 
 
-def test_experiment_round_trips_and_refuses_unknown_keys(data, tmp_path):
-    path = write_experiment(tmp_path, data)
-    experiment = load_experiment(path, ["training.steps=7", "detector.grid.range_m=100"])
-    assert (experiment.training.steps, experiment.detector.grid.range_m) == (7, 100.0)
-    (tmp_path / "again.yaml").write_text(dump_experiment(experiment))
-    assert load_experiment(tmp_path / "again.yaml") == experiment
+def test_experiment_round_trips_and_refuses_unknown_keys(experiment, tmp_path):
+    read = load_experiment(experiment, ["training.steps=7", "detector.grid.range_m=100"])
+    assert (read.training.steps, read.detector.grid.range_m) == (7, 100.0)
+    (tmp_path / "again.yaml").write_text(dump_experiment(read))
+    assert load_experiment(tmp_path / "again.yaml") == read
     with pytest.raises(ConfigError, match=r"training\.step: Extra inputs"):
-        load_experiment(path, ["training.step=7"])
+        load_experiment(experiment, ["training.step=7"])
     with pytest.raises(ConfigError, match=r"key\.key=value"):
-        load_experiment(path, ["nonsense"])
+        load_experiment(experiment, ["nonsense"])
     with pytest.raises(ConfigError, match="found nothing"):
         load_experiment(tmp_path / "absent.yaml")
 
 
-def test_run_of_another_experiment_is_not_continued(data, tmp_path):
+def test_run_of_another_experiment_is_not_continued(experiment, tmp_path):
     from farfield.api import prepare_training
 
-    path = write_experiment(tmp_path, data)
-    prepare_training(load_experiment(path, ["training.steps=1"]), tmp_path / "run").run()
+    prepare_training(load_experiment(experiment, ["training.steps=1"]), tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["step"] == 1
     with pytest.raises(ConfigError, match="another experiment"):
-        prepare_training(load_experiment(path, ["training.steps=2"]), tmp_path / "run").run()
+        prepare_training(load_experiment(experiment, ["training.steps=2"]), tmp_path / "run").run()
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"\x80\x04\x95\x00."])
@@ -292,21 +259,21 @@ def test_shipped_experiments_are_valid(path):
     assert network.config.reach_m >= (69 if "kitti" in path.stem else 250)
 
 
-def test_tensorboard_log_is_written_when_asked_for(data, tmp_path):
+def test_tensorboard_log_is_written_when_asked_for(experiment, tmp_path):
     pytest.importorskip("tensorboard")
     from farfield.api import prepare_training
 
-    path = write_experiment(tmp_path, data)
-    prepare_training(load_experiment(path, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run").run()
+    prepare_training(
+        load_experiment(experiment, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run"
+    ).run()
     (events,) = (tmp_path / "run").glob("events.out.tfevents.*")
     assert events.stat().st_size > 0
 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
-def test_both_precisions_take_a_step(data, tmp_path, precision):
+def test_both_precisions_take_a_step(experiment, tmp_path, precision):
     from farfield.api import prepare_training
 
-    path = write_experiment(tmp_path, data)
-    settings = load_experiment(path, ["training.steps=1", f"training.precision={precision}"])
+    settings = load_experiment(experiment, ["training.steps=1", f"training.precision={precision}"])
     prepare_training(settings, tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text())["loss"] > 0

@@ -132,7 +132,7 @@ class _SyncedNorm(_BatchNorm):
         if not self.training or process_count() == 1:
             return super().forward(input)
         with torch.autocast(input.device.type, enabled=False):
-            values = input.float()
+            values = input.to(torch.promote_types(input.dtype, torch.float32))
             axes = [axis for axis in range(values.ndim) if axis != 1]
             shape = [-1 if axis == 1 else 1 for axis in range(values.ndim)]
             rows = values.new_tensor([values.numel() // values.shape[1]])

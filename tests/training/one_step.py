@@ -1,0 +1,78 @@
+"""One step of training of small detectors, as the only process or as one of several.
+
+    python one_step.py FOLDER RANK WORLD NAME,NAME...
+
+The process of rank 0 writes FOLDER/NAME.pt: the losses, the averaged gradients and the networks' statistics.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+sys.path.append(str(Path(__file__).parents[1] / "detectors"))
+
+from small import small_detector
+
+from farfield.frame import Boxes
+from farfield.training.distributed import average_gradients, average_values, synchronise_norms
+
+
+def frames() -> list[tuple[np.ndarray, Boxes]]:
+    """Four frames of ground and cars; in the last one the sensor saw nothing."""
+    rng = np.random.default_rng(7)
+    made = []
+    for cars in (4, 1, 2):
+        place = np.column_stack([8 + 14 * np.arange(cars), rng.uniform(-10, 10, cars), np.full(cars, -1.2)])
+        boxes = Boxes(
+            centre_m=place,
+            size_m=np.tile([4.4, 1.8, 1.4], (cars, 1)),
+            yaw_rad=rng.uniform(-3, 3, cars),
+            label="vehicle",
+        )
+        ground = np.column_stack([rng.uniform(2, 63, 1500), rng.uniform(-19, 19, 1500), rng.normal(-2, 0.02, 1500)])
+        shells = [centre + rng.uniform(-1, 1, (90, 3)) * [2.0, 0.8, 0.7] for centre in place]
+        xyz = np.concatenate([ground, *shells])
+        made.append((np.column_stack([xyz, np.full(len(xyz), 0.3), np.zeros(len(xyz))]).astype(np.float32), boxes))
+    return [*made, (np.zeros((0, 5), np.float32), Boxes.empty())]
+
+
+def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
+    """Gradients, statistics and losses of a small detector after one step on this process' share of the frames.
+
+    In double precision: small untrained networks turn the last digit of single precision into the third.
+    """
+    network = small_detector(name).double()
+    network.train()
+    synchronise_norms(network)
+    torch.manual_seed(1)
+    batch = frames()[rank::world]
+    targets = [network.targets(boxes, points) for points, boxes in batch]
+    outputs = network([torch.from_numpy(points).double() for points, _ in batch], targets)
+    losses = network.loss(outputs, targets)
+    sum(losses).backward()
+    average_gradients(network.parameters())
+    values = {key: float(value.detach()) for key, value in zip(losses._fields, losses, strict=True)}
+    return {
+        "losses": average_values(values, torch.device("cpu")),
+        "gradients": {key: p.grad for key, p in network.named_parameters() if p.grad is not None},
+        "statistics": dict(network.named_buffers()),
+    }
+
+
+def main(folder: str, rank: str, world: str, names: str) -> None:
+    """Join the other processes and take the steps."""
+    torch.set_num_threads(1)
+    meeting = (Path(folder) / "meeting").as_uri()
+    torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=int(world))
+    for name in names.split(","):
+        result = one_step(name, int(rank), int(world))
+        if rank == "0":
+            torch.save(result, Path(folder) / f"{name}.pt")
+    torch.distributed.destroy_process_group()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
