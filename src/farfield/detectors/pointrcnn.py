@@ -39,6 +39,7 @@ from farfield.detectors.blocks.points import (
     WindowConfig,
     content_rank,
     farthest_points,
+    frame_rows,
     in_roi_frames,
     points_in_rois,
     sample_bands,
@@ -205,9 +206,7 @@ class Refinement(nn.Module):
             chosen, taken = farthest_points(local, lengths, level.config.centres)
             centres = local[chosen]
             rows, local, lengths = level(local, rows, lengths, centres, taken), centres, taken
-        owner = torch.repeat_interleave(
-            torch.arange(len(lengths), device=local.device), torch.tensor(lengths, device=local.device)
-        )
+        owner = frame_rows(lengths, local.device)
         everything = Groups(owner, torch.arange(len(owner), device=local.device), len(lengths))
         pooled = pool_group(self.pool, everything, local, rows)
         return self.confidence(pooled), self.box(pooled)

@@ -24,6 +24,8 @@ class BinConfig(BaseModel):
     heading_span_rad: float = Field(2 * math.pi, gt=0, le=2 * math.pi, description="angle that the bins cover together")
     log_size: bool = Field(True, description="logarithm of the size ratio; false: the ratio less one, as published")
 
+    beta: float = Field(1 / 9, gt=0, description="where smooth L1 turns linear, as in SECOND; published: 1")
+
     @property
     def per_axis(self) -> int:
         """Bins along x, and along y."""
@@ -120,12 +122,16 @@ class BinCoder:
     def loss(self, codes: Tensor, targets: BinTargets) -> Tensor:
         """Loss of each box, shape (k,): cross-entropy of the bins and smooth L1 of the residuals (equation 3)."""
         parts = self.split(codes.float())
-        total = _smooth_l1(parts.z, targets.z) + _smooth_l1(parts.size, targets.size)
+        total = self._smooth_l1(parts.z, targets.z) + self._smooth_l1(parts.size, targets.size)
         for axis, (logits, residuals) in enumerate(zip(parts.logits, parts.residuals, strict=True)):
             index = targets.bins[:, axis]
             total = total + functional.cross_entropy(logits, index, reduction="none")
-            total = total + _smooth_l1(residuals.gather(1, index[:, None]), targets.residuals[:, axis, None])
+            total = total + self._smooth_l1(residuals.gather(1, index[:, None]), targets.residuals[:, axis, None])
         return total
+
+    def _smooth_l1(self, predicted: Tensor, target: Tensor) -> Tensor:
+        error = functional.smooth_l1_loss(predicted, target.float(), beta=self.config.beta, reduction="none")
+        return error.sum(1)
 
     def _first_edge(self) -> float:
         """How far the first bin's edge lies behind the reference's heading; on a circle the first bin surrounds it."""
@@ -139,7 +145,3 @@ class BinCoder:
         half = self.config.heading_span_rad / 2
         turn = torch.remainder(turn + math.pi / 2, math.pi) - math.pi / 2
         return turn.clamp(-half, half)
-
-
-def _smooth_l1(predicted: Tensor, target: Tensor) -> Tensor:
-    return functional.smooth_l1_loss(predicted, target.float(), reduction="none").sum(1)

@@ -4,7 +4,14 @@ Points of a batch are the rows of one tensor, frame after frame, and ``lengths``
 Neighbourhoods are lists of pairs, so that their cost follows the neighbours there are and not the limit.
 """
 
-from farfield.detectors.blocks.points.neighbours import Groups, ball_query, group_max, interpolate, three_nearest
+from farfield.detectors.blocks.points.neighbours import (
+    Groups,
+    ball_query,
+    frame_rows,
+    group_max,
+    interpolate,
+    three_nearest,
+)
 from farfield.detectors.blocks.points.roi import in_roi_frames, points_in_rois
 from farfield.detectors.blocks.points.sampling import (
     BandConfig,
@@ -26,6 +33,7 @@ __all__ = [
     "content_rank",
     "farthest_points",
     "first_of_bands",
+    "frame_rows",
     "group_max",
     "in_roi_frames",
     "interpolate",
