@@ -33,12 +33,16 @@ class BlockTable:
     Args:
         table: Row of the input cell under each kernel element, ``none`` for none, shape (n, K), int32.
         none: The number that marks an empty place.
+
+    Attributes:
+        order: Row of the given table that each row of this one was, shape (n,), int64.
+        table: The rows in that order, shape (n, K), int32.
     """
 
     def __init__(self, table: Tensor, none: int) -> None:
         self._none = none
-        self._order = _similar_first(table, none)
-        self._table = table.index_select(0, self._order)
+        self.order = _similar_first(table, none)
+        self.table = table.index_select(0, self.order)
         self._blocks: dict[int, list[Block]] = {}
 
     def blocks(self, rows: int) -> list[Block]:
@@ -48,7 +52,7 @@ class BlockTable:
         return self._blocks[rows]
 
     def _block(self, start: int, rows: int, used: list[bool]) -> Block:
-        part, order = self._table[start : start + rows], self._order[start : start + rows]
+        part, order = self.table[start : start + rows], self.order[start : start + rows]
         if all(used):
             return Block(order, None, part)
         numbers = [number for number, any_row in enumerate(used) if any_row]
@@ -57,11 +61,11 @@ class BlockTable:
 
     def _used_columns(self, rows: int) -> Iterator[tuple[int, list[bool]]]:
         """First row of each block, and whether any of its rows has each neighbour."""
-        count, size = self._table.shape
+        count, size = self.table.shape
         whole = count // rows * rows
-        least = self._table[:whole].view(-1, rows, size).amin(1)
+        least = self.table[:whole].view(-1, rows, size).amin(1)
         if whole < count:
-            least = torch.cat([least, self._table[whole:].amin(0, keepdim=True)])
+            least = torch.cat([least, self.table[whole:].amin(0, keepdim=True)])
         return zip(range(0, count, rows), (least < self._none).tolist(), strict=True)
 
 

@@ -1,6 +1,9 @@
 """Sparse convolution as gather and matrix product, with a hand-written gradient that stores only the rulebook."""
 
+import importlib.util
 import math
+from functools import cache
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -57,6 +60,10 @@ class _SparseConv(torch.autograd.Function):
 
 def gather_product(features: Tensor, weight: Tensor, bias: Tensor | None, book: Rulebook) -> Tensor:
     """Rows ``sum_k features[table[:, k]] @ weight[k] + bias``, block by block; no gradient."""
+    kernels = _gpu_kernels(features)
+    if kernels is not None:
+        product = kernels.gather_product(features, weight, book.similar.order, book.similar.table)
+        return product if bias is None else product + bias
     c_in, c_out = weight.shape[1:]
     out = features.new_empty(len(book.table), c_out)
     padded = torch.cat([features, features.new_zeros(1, c_in)])
@@ -86,6 +93,10 @@ def gather_product(features: Tensor, weight: Tensor, bias: Tensor | None, book: 
 
 def weight_gradient(features: Tensor, gradient: Tensor, book: Rulebook) -> Tensor:
     """Gradient of the weights, shape (K, c_in, c_out), at least float32; summed block by block."""
+    kernels = _gpu_kernels(features)
+    if kernels is not None:
+        total: Tensor = kernels.weight_gradient(features, gradient, book.similar.order, book.similar.table)
+        return total
     size, c_in, c_out = book.table.shape[1], features.shape[1], gradient.shape[1]
     padded = torch.cat([features, features.new_zeros(1, c_in)])
     exact = torch.promote_types(features.dtype, torch.float32)
@@ -129,6 +140,20 @@ def _gather(padded: Tensor, block: Block, scratch: Tensor) -> Tensor:
 def _scratch(blocks: list[Block], padded: Tensor) -> Tensor:
     """Room for what the largest block gathers."""
     return padded.new_empty(max((block.sources.numel() for block in blocks), default=0), padded.shape[1])
+
+
+def _gpu_kernels(features: Tensor) -> ModuleType | None:
+    """The Triton kernels, for tensors that they can take."""
+    if features.device.type != "cuda" or features.dtype == torch.float64:
+        return None
+    return _import_kernels()
+
+
+@cache
+def _import_kernels() -> ModuleType | None:
+    if importlib.util.find_spec("triton") is None:
+        return None
+    return importlib.import_module("farfield.detectors.blocks.sparse.triton_kernels")
 
 
 def _is_conv_faster(features: Tensor) -> bool:

@@ -57,14 +57,15 @@ class Rulebook:
         return book
 
     @cached_property
-    def _block_table(self) -> BlockTable:
+    def similar(self) -> BlockTable:
+        """The table in an order that puts similar rows together."""
         return BlockTable(self.table, len(self.keys_in))
 
     def blocks(self, rows: int) -> list[Block]:
         """The table cut into blocks of ``rows`` similar rows."""
         if self.table.shape[1] == 1:
             return [Block(None, None, self.table)]
-        return self._block_table.blocks(rows)
+        return self.similar.blocks(rows)
 
 
 def kernel_offsets(kernel: Triple) -> list[Triple]:
