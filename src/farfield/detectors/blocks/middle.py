@@ -185,11 +185,38 @@ def _image(field: Field) -> Tensor:
     sx, sy, channels = background.shape[1:]
     features, device = sparse.features, sparse.features.device
     rows = background.to(features.dtype).permute(1, 2, 0, 3).reshape(sx, sy, depth * channels)
-    frame = rows.index_select(0, border_cells(nx, sx, device)).index_select(1, border_cells(ny, sy, device))
-    canvas = frame.expand(sparse.batch_size, -1, -1, -1).reshape(-1, channels)
+    column, row = border_cells(nx, sx, device), border_cells(ny, sy, device)
     b, iz, ix, iy = sparse.indices().unbind(1)
-    canvas = canvas.index_add(0, ((b * nx + ix) * ny + iy) * depth + iz, features)
-    return canvas.view(sparse.batch_size, nx, ny, depth * channels).permute(0, 3, 1, 2)
+    place = ((b * nx + ix) * ny + iy) * depth + iz
+    image: Tensor = _Spread.apply(rows, column, row, sparse.batch_size, features, place)
+    return image.permute(0, 3, 1, 2)
+
+
+class _Spread(torch.autograd.Function):
+    """Copy a small map (sx, sy, k) to all cells that it stands for, (b, nx, ny, k), and add rows (n, c) at places."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, rows: Tensor, column: Tensor, row: Tensor, batch_size: int, features: Tensor, place: Tensor
+    ) -> Tensor:
+        ctx.save_for_backward(column, row, place)
+        ctx.small, ctx.channels = rows.shape, features.shape[1]
+        image = rows.index_select(0, column).index_select(1, row)[None]
+        image = image if batch_size == 1 else image.repeat(batch_size, 1, 1, 1)
+        image.view(-1, ctx.channels).index_add_(0, place, features)
+        return image
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        column, row, place = ctx.saved_tensors
+        sx, sy, width = ctx.small
+        gradient = gradients[0].contiguous()
+        # Sums of half a million bfloat16 numbers: a matrix product adds them up in float32.
+        along_y = functional.one_hot(row, sy).t().to(gradient.dtype)
+        sums = (along_y @ gradient.flatten(0, 1)).view(len(gradient), len(column), sy * width).float().sum(0)
+        along_x = functional.one_hot(column, sx).t().float()
+        to_rows = (along_x @ sums).view(sx, sy, width).to(gradient.dtype)
+        return to_rows, None, None, None, gradient.view(-1, ctx.channels).index_select(0, place), None
 
 
 def _places(keys: Tensor, shape: Triple, batch_size: int, small: torch.Size) -> tuple[Tensor, Tensor]:
@@ -240,8 +267,8 @@ class _NormRelu(torch.autograd.Function):
         background = torch.relu(level)
         differences = torch.empty_like(values)
         for rows in _blocks(len(values)):
-            lifted = torch.addcmul(level[place[rows]], values[rows].float(), scale).relu_()
-            differences[rows] = lifted.sub_(background[place[rows]])
+            lifted = torch.addcmul(level.index_select(0, place[rows]), values[rows].float(), scale).relu_()
+            differences[rows] = lifted.sub_(background.index_select(0, place[rows]))
         ctx.save_for_backward(values, ground, weight, place, share, mean, inverse, level)
         ctx.count = count
         ctx.mark_non_differentiable(mean, variance)
@@ -256,9 +283,9 @@ class _NormRelu(torch.autograd.Function):
         for rows in _blocks(len(values)):
             here, value, gradient = place[rows], values[rows].float(), gradients[0][rows].float()
             received.index_add_(0, here, gradient)
-            part = torch.mul(gradient, torch.addcmul(level[here], value, scale) > 0, out=passed[rows])
+            part = torch.mul(gradient, torch.addcmul(level.index_select(0, here), value, scale) > 0, out=passed[rows])
             to_bias += part.sum(0)
-            to_weight += torch.addcmul(steady[here], value, inverse).mul_(part).sum(0)
+            to_weight += torch.addcmul(steady.index_select(0, here), value, inverse).mul_(part).sum(0)
         to_level = (gradients[1] - received) * (level > 0)
         to_bias += to_level.sum(0)
         to_weight += (to_level * steady).sum(0)
@@ -267,7 +294,8 @@ class _NormRelu(torch.autograd.Function):
         to_values = torch.empty_like(values)
         for rows in _blocks(len(values)):
             here = place[rows]
-            part = passed[rows].sub_((lift + steady * tilt)[here]).addcmul_(values[rows].float(), -inverse * tilt)
+            part = passed[rows].sub_((lift + steady * tilt).index_select(0, here))
+            part.addcmul_(values[rows].float(), -inverse * tilt)
             part.mul_(scale)
             to_ground.index_add_(0, here, part)
             to_values[rows] = part
@@ -282,7 +310,7 @@ def _statistics(values: Tensor, ground: Tensor, place: Tensor, share: Tensor, co
     first = share @ above.double()
     second = share @ above.double().square()
     for rows in _blocks(len(values)):
-        part = above[place[rows]].add_(values[rows])
+        part = above.index_select(0, place[rows]).add_(values[rows])
         first += part.sum(0)
         second += part.square_().sum(0)
     shift = first / count
