@@ -43,11 +43,29 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
     return Detector.load(name, **options)
 
 
+def as_trained(data: "Sequence[Frame] | Dataset", detector: Any) -> "Sequence[Frame] | Dataset":
+    """Return the data with as many sweeps a frame as the detector was trained on, by its provenance.
+
+    Frames that are not a data set's, and data that are stacked already, stay as they are.
+
+    Raises:
+        DatasetError: If the detector wants several sweeps and the frames have no poses or times.
+    """
+    from farfield.datasets.base import Dataset
+    from farfield.datasets.sweeps import stack_sweeps, sweeps_of
+
+    trained_on = (getattr(detector, "provenance", None) or {}).get("experiment", {}).get("data", {})
+    count = int(trained_on.get("sweeps", 1))
+    if not isinstance(data, Dataset) or sweeps_of(data) > 1:
+        return data
+    return stack_sweeps(data, count)
+
+
 def predict(
     detector: "Callable[[Frame | Cloud], Boxes]", data: "Sequence[Frame] | Dataset", *, progress: Progress = iter
 ) -> "dict[tuple[str, str], Boxes]":
-    """Detect objects in every frame; boxes by (sequence, frame)."""
-    found = {}
+    """Detect objects in every frame, in as many sweeps as the detector was trained on; boxes by (sequence, frame)."""
+    data, found = as_trained(data, detector), {}
     for index in progress(range(len(data))):
         frame = data[index]
         found[frame.key] = detector(frame)
@@ -111,6 +129,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     Raises:
         DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
     """
+    from farfield.datasets.sweeps import stack_sweeps
     from farfield.detectors import build_detector
     from farfield.experiment import environment
     from farfield.training.distributed import launch
@@ -118,7 +137,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     from farfield.training.samples import TrainingSamples
 
     fabric = launch(experiment.training)
-    data = open_dataset(experiment.data.path, **experiment.data.options)
+    data = stack_sweeps(open_dataset(experiment.data.path, **experiment.data.options), experiment.data.sweeps)
     if experiment.data.split:
         data = data.split(experiment.data.split)
     missing = [name for name in experiment.data.clouds if name not in data[0].clouds]
@@ -134,6 +153,8 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
         min_points=experiment.training.min_points,
         seed=experiment.training.seed,
         aliases=experiment.data.aliases,
+        far_sampling=experiment.training.far_sampling,
+        far_from_m=experiment.training.far_from_m,
     )
     provenance = {
         "experiment": experiment.model_dump(mode="json"),

@@ -35,6 +35,9 @@ class DataConfig(BaseModel):
     path: Path
     split: str | None = Field(None, description="train, val, test, or nothing for all frames")
     clouds: tuple[str, ...] = Field(("gaussian", "uniform"), min_length=1)
+    sweeps: int = Field(
+        1, ge=1, le=100, description="clouds a frame: those of the frames before it, moved by the poses"
+    )
     aliases: dict[str, str] = Field(default_factory=dict, description="classes renamed before training")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the data set's reader")
     simulate: SimulationConfig | None = None

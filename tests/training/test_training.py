@@ -14,6 +14,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from farfield.datasets import open_dataset
+from farfield.datasets.sweeps import stack_sweeps
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
 from farfield.experiment import dump_experiment, load_experiment
@@ -24,7 +25,7 @@ from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out, draw
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig, TrainingConfig
 from farfield.training.loop import one_cycle
-from farfield.training.samples import TrainingSamples
+from farfield.training.samples import TrainingSamples, systematic
 
 
 def train(experiment: Path, out: Path) -> subprocess.Popen:
@@ -104,7 +105,7 @@ def test_bank_depends_on_the_position_alone(data):
 def test_starting_reads_few_frames(data):
     made = samples(data, augmentation=AugmentationConfig(pasted={"vehicle": 3}, bank_frames=2))
     read = []
-    made.fill_bank(7, lambda numbers: read.extend(numbers) or numbers)
+    made.prepare(7, lambda numbers: read.extend(numbers) or numbers)
     assert len(read) == 2
 
 
@@ -277,3 +278,81 @@ def test_both_precisions_take_a_step(experiment, tmp_path, precision):
     settings = load_experiment(experiment, ["training.steps=1", f"training.precision={precision}"])
     prepare_training(settings, tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text())["loss"] > 0
+
+
+def test_equal_weights_draw_every_sample_once_and_others_by_their_share(rng):
+    np.testing.assert_array_equal(systematic(np.full(50, 0.3), rng), np.arange(50))
+    weight = np.array([1.0, 3.0, 0.5, 5.5])
+    counts = np.array([np.bincount(systematic(weight, rng), minlength=4) for _ in range(4000)])
+    assert (counts.sum(1) == 4).all()
+    assert (np.abs(counts - weight / 2.5) < 1).all()  # each time rounded up or down
+    np.testing.assert_allclose(counts.mean(0), weight / 2.5, atol=0.03)
+
+
+def test_frames_with_far_boxes_come_more_often(data):
+    plain, opened = AugmentationConfig(), open_dataset(data)
+    range_m = [np.hypot(*frame.boxes[np.isin(frame.boxes.label, ["vehicle"])].centre_m[:, :2].T) for frame in opened]
+    edge = float(np.sort(np.concatenate(range_m))[-5])
+    far = np.array([(values >= edge).sum() for values in range_m])
+    assert far.sum() == 5
+    changes = {"augmentation": plain, "classes": ("vehicle",), "far_from_m": edge}
+    made = samples(data, far_sampling=1.0, **changes)
+    drawn = np.bincount(np.concatenate([made._order(epoch) for epoch in range(400)]) // 2, minlength=3)
+    weight = 1 + far / far.mean()
+    np.testing.assert_allclose(drawn / drawn.sum(), weight / weight.sum(), atol=0.02)
+    again = pickle.loads(pickle.dumps(samples(data, far_sampling=1.0, targets=len, **changes)))
+    np.testing.assert_array_equal(again._order(3), made._order(3))
+    read = []
+    made = samples(data, far_sampling=1.0, **changes)
+    made.prepare(0, lambda numbers: read.extend(numbers) or numbers)
+    assert read == [0, 1, 2]  # the annotation of each frame, before the first step
+    assert made._order(3).tolist() == again._order(3).tolist()
+
+
+def test_min_points_counts_the_present_sweep_only(data):
+    """A box that only earlier sweeps filled is not asked for, nor cut out to be pasted."""
+    place = np.array([[20.0, 0.0, 0.0]])
+    car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
+    rows = np.array([[20, 0, 0, 1, 0], [20, 0, 0, 1, 0.1], [20, 0, 0, 1, 0.1]], dtype=np.float32)
+    assert len(cut_out(rows, car, min_points=1)) == 1
+    assert len(cut_out(rows, car, min_points=2)) == 0
+    one, two = samples(data, min_points=3), samples(data, min_points=3)
+    two.data = stack_sweeps(two.data, 3)
+    assert [len(two.load(number)[1]) for number in range(6)] == [len(one.load(number)[1]) for number in range(6)]
+    assert len(two.load(5)[0]) > 2 * len(one.load(5)[0])
+
+
+def test_far_boxes_weigh_more_in_the_loss():
+    from farfield.detectors.blocks.anchors import cirrus_anchors
+    from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig
+
+    grid = {"range_m": 200.0, "half_width_m": 16.0, "cell_m": 0.5}
+    settings = {"grid": grid, "widths": [8, 8, 8], "neck_width": 8, "anchors": {"vehicle": cirrus_anchors()["vehicle"]}}
+    plain, weighted = (
+        PointPillars(PointPillarsConfig.model_validate({**settings, "far_weight": value})) for value in (0.0, 2.0)
+    )
+    weighted.load_state_dict(plain.state_dict())
+    near, far = (
+        Boxes(
+            centre_m=np.array([[x, 0.0, -1.0]]),
+            size_m=np.array([[4.5, 1.9, 1.6]]),
+            yaw_rad=np.array([0.1]),
+            label="vehicle",
+        )
+        for x in (20.0, 150.0)
+    )
+    none = np.zeros((0, 5), np.float32)
+    assert set(plain.targets(far, none).weight) == {1.0}
+    np.testing.assert_allclose(weighted.targets(near, none).weight, 1 + 2 * 0.2)
+    np.testing.assert_allclose(weighted.targets(far, none).weight, 1 + 2 * 1.5)
+    both = Boxes.concatenate([near, far])
+    maps = plain.eval()([torch.zeros(0, 5)])
+    parts = {
+        name: [network.loss(maps, [network.targets(boxes, none)]).box for boxes in (near, far, both)]
+        for name, network in (("plain", plain), ("weighted", weighted))
+    }
+    count = [len(plain.targets(boxes, none).positive) for boxes in (near, far)]
+    shares = np.array(count) * [1.4, 4.0]
+    expected = (parts["plain"][0] * shares[0] + parts["plain"][1] * shares[1]) / shares.sum()
+    assert float(parts["weighted"][2]) == pytest.approx(float(expected), rel=1e-5)
+    assert float(parts["weighted"][2]) != pytest.approx(float(parts["plain"][2]), rel=1e-3)

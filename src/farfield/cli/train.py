@@ -54,7 +54,7 @@ def run(
         _simulate_if_absent(settings.data)  # other processes wait for this one in prepare_training
     folder = out / settings.name
     training = prepare_training(
-        settings, folder, progress=lambda items: track(list(items), "cutting out objects", console=console)
+        settings, folder, progress=lambda items: track(list(items), "reading frames", console=console)
     )
     if first:
         folder.mkdir(parents=True, exist_ok=True)

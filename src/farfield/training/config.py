@@ -55,5 +55,9 @@ class TrainingConfig(_Settings):
     checkpoint_every_s: float = Field(60.0, gt=0)
     log_every_steps: int = Field(20, ge=1)
     min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are not asked for")
+    far_sampling: float = Field(
+        0.0, ge=0, description="weight that a frame with an average number of far boxes gains; 0 draws all alike"
+    )
+    far_from_m: float = Field(150.0, gt=0, description="boxes from this range on are far")
     tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
     seed: int = 0

@@ -75,7 +75,7 @@ class Training:
         optimizer = self._optimizer()
         average = {name: value.detach().clone().float() for name, value in self.network.state_dict().items()}
         self._resume(optimizer, average)
-        self.samples.fill_bank(self.step * self.config.batch_size, self.progress)
+        self.samples.prepare(self.step * self.config.batch_size, self.progress)
         saved_at = time.monotonic()
         self.network.train()
         stream = batches(

@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.datasets.base import Dataset
 from farfield.detectors.runtime import cloud_tensor
+from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import count_points_in_boxes
 from farfield.training.augmentation import augment
@@ -42,6 +44,9 @@ class TrainingSamples(TorchDataset[Sample]):
         min_points: Boxes with fewer points in the present sweep of the sample's cloud are left out.
         seed: Seed of order and changes.
         aliases: Renames classes before they are looked up: trains ``large_vehicle`` as ``vehicle``.
+        far_sampling: Weight that a frame with an average number of far boxes gains over one without any; an epoch draws
+            frames by their weight. With 0 it holds every sample once.
+        far_from_m: Boxes from this range on are far.
     """
 
     def __init__(
@@ -55,14 +60,18 @@ class TrainingSamples(TorchDataset[Sample]):
         min_points: int = 1,
         seed: int = 0,
         aliases: dict[str, str] | None = None,
+        far_sampling: float | int = 0.0,
+        far_from_m: float | int = 150.0,
     ) -> None:
         self.data, self.clouds, self.classes, self.targets = data, tuple(clouds), tuple(classes), targets
         self.augmentation, self.min_points, self.seed, self.aliases = augmentation, min_points, seed, aliases or {}
-        self._prepare()
+        self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
+        self._weights: np.ndarray | None = None
+        self._set_up()
 
-    def _prepare(self) -> None:
+    def _set_up(self) -> None:
         """Make what cannot travel to another process."""
-        self._order = lru_cache(maxsize=2)(lambda epoch: self._generator(1, epoch).permutation(self.epoch_length))
+        self._order = lru_cache(maxsize=2)(self._epoch)
         bank_order = lru_cache(maxsize=4)(lambda epoch: self._generator(2, epoch).permutation(self.epoch_length))
         frames = min(self.augmentation.bank_frames, self.epoch_length)
         self._bank = None
@@ -85,20 +94,47 @@ class TrainingSamples(TorchDataset[Sample]):
         """The unchanged points and boxes of sample ``number`` of an epoch in order."""
         frame = self.data[number // len(self.clouds)]
         points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)])).numpy()
-        boxes = (frame.boxes if frame.boxes is not None else Boxes.empty()).relabel(self.aliases)
-        boxes = boxes[np.isin(boxes.label, self.classes)]
+        boxes = self._wanted(frame)
         if self.min_points and len(boxes):
             present = points[points[:, 4] == 0, :3]
             boxes = boxes[count_points_in_boxes(present, boxes, margin_m=0.05) >= self.min_points]
         return points, boxes
 
+    def _wanted(self, frame: Frame) -> Boxes:
+        """The frame's boxes of the classes that are trained."""
+        boxes = (frame.boxes if frame.boxes is not None else Boxes.empty()).relabel(self.aliases)
+        return boxes[np.isin(boxes.label, self.classes)]
+
     def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
         return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
 
-    def fill_bank(self, position: int = 0, progress: Progress = iter) -> None:
-        """Read the frames whose objects are pasted at ``position``; without this the first sample does it."""
+    def prepare(self, position: int = 0, progress: Progress = iter) -> None:
+        """Read what the sample at ``position`` needs besides its frame; without this the first sample does it.
+
+        That is the annotation of all frames, where far boxes decide how often a frame is drawn, and the frames whose
+        objects are pasted.
+        """
+        self._weigh(progress)
         if self._bank is not None:
             self._bank.at(position, progress)
+
+    def _weigh(self, progress: Progress = iter) -> np.ndarray | None:
+        """Weight of each sample of an epoch, shape (epoch_length,), by the far boxes of its frame."""
+        if self._weights is None and self.far_sampling > 0:
+            far = np.zeros(len(self.data), dtype=np.float64)
+            for index in progress(range(len(self.data))):
+                boxes = self._wanted(self.data[index])
+                far[index] = np.count_nonzero(np.hypot(*boxes.centre_m[:, :2].T) >= self.far_from_m)
+            weight = 1 + self.far_sampling * far / max(float(far.mean()), 1e-9)
+            self._weights = np.repeat(weight, len(self.clouds))
+        return self._weights
+
+    def _epoch(self, epoch: int) -> np.ndarray:
+        """The samples of an epoch in their order, shape (epoch_length,)."""
+        rng, weight = self._generator(1, epoch), self._weigh()
+        if weight is None:
+            return rng.permutation(self.epoch_length)
+        return rng.permutation(systematic(weight, rng))
 
     def __len__(self) -> int:
         return self.epoch_length
@@ -117,7 +153,18 @@ class TrainingSamples(TorchDataset[Sample]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._prepare()
+        self._set_up()
+
+
+def systematic(weight: Float[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.ndarray, " n"]:
+    """Draw as many samples as there are, each as often as its share of the weight, rounded up or down at random.
+
+    One random offset decides all (systematic sampling), so equal weights give every sample once.
+    """
+    edges = np.cumsum(weight) / weight.sum() * len(weight)
+    edges[-1] = len(weight)
+    upto = np.floor(edges + rng.random()).astype(np.int64)
+    return np.repeat(np.arange(len(weight)), np.diff(upto, prepend=0))
 
 
 def batches(
