@@ -69,11 +69,11 @@ def cirrus_backbone() -> BackboneConfig:
     """Four levels as published, with radii that follow the spacing of their centres over 250 m x 100 m."""
     levels = (
         _level(4096, (0.3, 1.0), (16, 16, 32), (32, 32, 64)),
-        _level(1024, (1.0, 3.0), (64, 64, 96), (64, 64, 96)),
-        _level(256, (3.0, 8.0), (96, 96, 128), (96, 96, 128)),
-        _level(64, (8.0, 20.0), (128, 128, 192), (128, 128, 192)),
+        _level(1024, (1.0, 3.0), (64, 64, 128), (64, 64, 128)),
+        _level(256, (3.0, 8.0), (128, 128, 256), (128, 128, 256)),
+        _level(64, (8.0, 20.0), (192, 192, 256), (192, 192, 256)),
     )
-    return BackboneConfig(levels=levels, propagation=((128, 128), (128, 128), (192, 192), (256, 256)))
+    return BackboneConfig(levels=levels, propagation=((128, 128), (192, 192), (256, 256), (256, 256)))
 
 
 class RefinementConfig(BaseModel):
