@@ -61,9 +61,10 @@ def test_overview_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_verb_module_is_light_and_shows_examples(verb: str) -> None:
-    heavy = _heavy_modules_after(f"import importlib\nimportlib.import_module('farfield.cli.{verb}')")
+    name = f"farfield.cli.{verb.replace('-', '_')}"
+    heavy = _heavy_modules_after(f"import importlib\nimportlib.import_module('{name}')")
     assert not heavy & {"torch", "matplotlib", "embreex", "pyarrow"}
-    module = importlib.import_module(f"farfield.cli.{verb}")
+    module = importlib.import_module(name)
     text = inspect.getdoc(module.run) or ""
     assert "examples:" in text
     assert f"farfield {verb}" in text

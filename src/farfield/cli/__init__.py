@@ -14,6 +14,7 @@ VERBS = {
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",
     "train": "train a detector from one YAML file; resumes by itself",
+    "import-weights": "turn an OpenPCDet checkpoint into a weights file",
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
     "score": "score the files of any detector, without a model",
@@ -24,7 +25,7 @@ VERBS = {
 
 def overview() -> str:
     """Return the text of ``farfield --help``."""
-    verbs = "\n".join(f"  {verb:<11}{what}" for verb, what in VERBS.items())
+    verbs = "\n".join(f"  {verb:<16}{what}" for verb, what in VERBS.items())
     return (
         "farfield: 3D object detection at long range and in all weather\n\n"
         "examples:\n"
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
         return 2
     try:
-        return _run(import_module(f"farfield.cli.{verb}").run, verb, rest)
+        return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
     except FarfieldError as error:
         print(f"farfield {verb}: {error}", file=sys.stderr)
         return 1

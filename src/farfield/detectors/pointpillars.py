@@ -2,7 +2,8 @@
 
 Points -> pillars -> bird's-eye image -> three blocks of convolutions -> one anchor head -> rotated NMS. Differences
 from the paper, each for long range: every point counts (no limit of points or pillars), anchors answer for a box by the
-distance of its centre (boxes of visible parts overlap no anchor), and intensity is left out by default.
+distance of its centre (boxes of visible parts overlap no anchor; ``matching: iou`` is the published way), and intensity
+is left out by default. ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 import torch
 from jaxtyping import Float32
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from farfield.detectors.blocks.anchor_head import AnchorHead, AnchorHeadConfig, AnchorLosses, AnchorMaps
@@ -20,6 +21,7 @@ from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
 from farfield.detectors.blocks.grid import GridConfig
 from farfield.detectors.blocks.pillars import PillarEncoder
+from farfield.detectors.blocks.published import PublishedPillarEncoder, use_published_momentum
 from farfield.geometry.boxes import Boxes
 
 
@@ -29,6 +31,8 @@ class PointPillarsConfig(AnchorHeadConfig):
     name: Literal["pointpillars"] = "pointpillars"
     grid: GridConfig = GridConfig()
     pillar_channels: Channels = 32
+    features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
+    max_points: int = Field(0, ge=0, description="with features: openpcdet, a pillar's points that count; 0 for all")
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     widths: tuple[Channels, ...] = (32, 64, 128)
@@ -36,6 +40,14 @@ class PointPillarsConfig(AnchorHeadConfig):
     strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
     out_stride: int = Field(4, ge=1, description="stride of the anchors' grid, in pillars")
     neck_width: Channels = 96
+
+    @model_validator(mode="after")
+    def _one_set_of_features(self) -> "PointPillarsConfig":
+        if self.features == "farfield" and self.max_points:
+            raise ValueError("expected max_points with features: openpcdet only; farfield's features count all points")
+        if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
+            raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
+        return self
 
     @property
     def reach_m(self) -> float:
@@ -52,13 +64,7 @@ class PointPillars(nn.Module):
         super().__init__()
         self.config = config = config or PointPillarsConfig()
         multiple = int(np.prod(config.strides))
-        self.encoder = PillarEncoder(
-            config.grid,
-            multiple=multiple,
-            channels=config.pillar_channels,
-            use_intensity=config.use_intensity,
-            use_lag=config.use_lag,
-        )
+        self.encoder = _encoder(config, multiple)
         self.backbone = BevBackbone(
             config.pillar_channels,
             widths=config.widths,
@@ -75,6 +81,8 @@ class PointPillars(nn.Module):
             y_min_m=self.encoder.y_min_m,
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
+        if config.features == "openpcdet":
+            use_published_momentum(self)
 
     def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
         """Run the network.
@@ -103,3 +111,11 @@ class PointPillars(nn.Module):
     def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
         """Detect: one set of scored boxes a frame, best first."""
         return self.head.boxes(self(clouds))
+
+
+def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | PublishedPillarEncoder:
+    channels = config.pillar_channels
+    if config.features == "openpcdet":
+        return PublishedPillarEncoder(config.grid, multiple=multiple, channels=channels, max_points=config.max_points)
+    extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
+    return PillarEncoder(config.grid, multiple=multiple, channels=channels, **extra)

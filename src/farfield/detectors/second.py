@@ -3,7 +3,8 @@
 Points -> voxels -> sparse 3D convolutions -> bird's-eye image -> two blocks of convolutions -> one anchor head ->
 rotated NMS. Differences from the paper, each for long range: voxels of 0.1 m (the published 0.05 m is one key away),
 a taller grid, since roads climb over 250 m, no limit of points or voxels, and anchors that answer for a box by the
-distance of its centre (the published overlap is one key away: ``matching: iou``).
+distance of its centre (the published overlap is one key away: ``matching: iou``). ``features`` and ``head`` set to
+``openpcdet`` compute what OpenPCDet's checkpoints expect.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from farfield.detectors.blocks.anchor_head import AnchorHead, AnchorHeadConfig, 
 from farfield.detectors.blocks.anchors import AnchorGrid, Targets
 from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
+from farfield.detectors.blocks.published import first_points_of_voxels, use_published_momentum
 from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
 from farfield.detectors.blocks.voxels import VoxelGridConfig, mean_voxels
 from farfield.geometry.boxes import Boxes
@@ -32,6 +34,8 @@ class SecondConfig(AnchorHeadConfig):
 
     name: Literal["second"] = "second"
     grid: VoxelGridConfig = VoxelGridConfig()
+    features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
+    max_points: int = Field(0, ge=0, description="first points of a voxel that count; 0 for all")
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     middle_widths: tuple[Channels, Channels, Channels, Channels] = (16, 32, 64, 64)
@@ -52,6 +56,8 @@ class SecondConfig(AnchorHeadConfig):
                 f"expected a grid of at least {fewest} layers along z, since the sparse convolutions halve z four "
                 f"times; got {self.grid.shape(1)[0]}: take a smaller voxel_m along z, or move z_min_m and z_max_m apart"
             )
+        if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
+            raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
         return self
 
     @property
@@ -138,16 +144,19 @@ class Second(nn.Module):
             y_min_m=config.grid.y_min_m(self.multiple),
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
+        if config.features == "openpcdet":
+            use_published_momentum(self)
 
     def _feature_count(self) -> int:
-        return 7 + self.config.use_intensity + self.config.use_lag
+        config = self.config
+        return 4 if config.features == "openpcdet" else 7 + config.use_intensity + config.use_lag
 
     def voxels(self, clouds: Sequence[Tensor]) -> SparseTensor:
         """The occupied voxels of a batch with their mean features (section 3.1.1, with the mean for the VFE)."""
         config = self.config
-        return mean_voxels(
-            clouds, config.grid, self.multiple, use_intensity=config.use_intensity, use_lag=config.use_lag
-        )
+        clouds = first_points_of_voxels(clouds, config.grid, self.multiple, config.max_points)
+        extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
+        return mean_voxels(clouds, config.grid, self.multiple, published=config.features == "openpcdet", **extra)
 
     def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
         """Run the network.

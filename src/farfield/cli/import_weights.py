@@ -1,0 +1,76 @@
+"""``farfield import-weights``: trained weights of other codebases as ours."""
+
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+
+def run(
+    checkpoint: Positional[Path],
+    out: Positional[Path],
+    *,
+    kind: Literal["pointpillars", "second"] | None = None,
+    settings: Path | None = None,
+    allow_unknown: bool = False,
+    every_key: bool = False,
+) -> int:
+    """Turn an OpenPCDet checkpoint of PointPillars or SECOND into a weights file that predict and evaluate read.
+
+    examples:
+      farfield import-weights pointpillar_7728.pth kitti-pointpillars.safetensors
+      farfield import-weights second_7862.pth kitti-second.safetensors --every-key
+      farfield import-weights mine.pth mine.safetensors --settings mine.yaml
+      farfield predict kitti-second.safetensors scan.bin
+
+    A checkpoint does not hold its grid, anchors and thresholds: those of OpenPCDet's KITTI files are taken, and
+    --settings names a YAML file with those of another training, under our names, such as grid, anchors and max_points.
+    Every key is used, ignored for a stated reason, or an error.
+
+    Args:
+        checkpoint: The checkpoint, .pth.
+        out: The weights file to write, .safetensors.
+        kind: The checkpoint's detector; recognised unless given.
+        settings: YAML file with settings of the detector that differ from OpenPCDet's for KITTI.
+        allow_unknown: Leave out keys that the detector has no place for instead of failing.
+        every_key: Show where each key went.
+    """
+    import hashlib
+
+    from farfield.detectors import detector_classes
+    from farfield.errors import ConfigError
+
+    detector_classes(kind or "pointpillars")  # without torch, says how to install it
+    from farfield.detectors.importing import import_openpcdet
+    from farfield.detectors.weights import save_weights
+
+    if out.suffix != ".safetensors":
+        raise ConfigError(f"Expected a target that ends in .safetensors, got {out}.")
+    network, report = import_openpcdet(
+        checkpoint, kind, settings=None if settings is None else _read_settings(settings), allow_unknown=allow_unknown
+    )
+    provenance = {
+        "imported_from": "OpenPCDet",
+        "checkpoint": checkpoint.name,
+        "checkpoint_sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
+        "left_out": list(report.unknown),
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(out, network.state_dict(), config=network.config, provenance=provenance)
+    print(report.text(every_key=every_key))
+    print(f"weights: {out}")
+    return 0
+
+
+def _read_settings(path: Path) -> dict[str, object]:
+    import yaml
+
+    from farfield.errors import ConfigError
+
+    try:
+        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: expected a YAML file with settings of the detector, found {error}.") from error
+    if not isinstance(settings, dict):
+        raise ConfigError(f"{path}: expected a mapping such as grid: {{range_m: 70.4}}, found {settings!r}.")
+    return {str(key): value for key, value in settings.items()}

@@ -1,0 +1,72 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+sys.path.append(str(Path(__file__).parents[1] / "detectors"))
+import their_forward as their
+
+from farfield.cli import main
+from farfield.detectors.weights import load_weights
+
+SETTINGS = """
+grid: {range_m: 19.2, half_width_m: 6.4, z_min_m: -3.0, z_max_m: 1.0, cell_m: 0.4}
+score_threshold: 0.07
+"""
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"model_state": their.pillar_weights()}, "theirs.pth")
+    Path("mine.yaml").write_text(SETTINGS)
+    return tmp_path
+
+
+def test_an_imported_checkpoint_detects(home, rng, capsys):
+    arguments = ["import-weights", "theirs.pth", "ours.safetensors", "--settings", "mine.yaml", "--every-key"]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "OpenPCDet checkpoint as pointpillars" in shown
+    assert "vfe.pfn_layers.0.linear.weight -> encoder.linear.weight" in shown
+    network, provenance = load_weights(home / "ours.safetensors")
+    assert network.config.score_threshold == 0.07
+    assert provenance["imported_from"] == "OpenPCDet"
+    assert len(provenance["checkpoint_sha256"]) == 64
+    np.save("scan.npy", rng.uniform([0, -6, -3, 0], [19, 6, 1, 1], (500, 4)).astype(np.float32))
+    options = ["--out", "boxes.csv", "--score-threshold", "0", "--device", "cpu"]
+    assert main(["predict", "ours.safetensors", "scan.npy", *options]) == 0
+    assert len(Path("boxes.csv").read_text().splitlines()) > 3
+
+
+def test_keys_without_a_place_stop_the_import_unless_allowed(home, capsys):
+    torch.save({"model_state": {**their.pillar_weights(), "roi_head.fc.weight": torch.zeros(2)}}, "more.pth")
+    arguments = ["import-weights", "more.pth", "ours.safetensors", "--settings", "mine.yaml"]
+    assert main(arguments) == 1
+    assert "unknown: roi_head.fc.weight" in capsys.readouterr().err
+    assert not Path("ours.safetensors").exists()
+    assert main([*arguments, "--allow-unknown"]) == 0
+    assert "UNKNOWN, left out as allowed: roi_head.fc.weight" in capsys.readouterr().out
+    assert load_weights(Path("ours.safetensors"))[1]["left_out"] == ["roi_head.fc.weight"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["absent.pth", "x.safetensors"], "found nothing"),
+        (["theirs.pth", "x.pt"], "ends in .safetensors"),
+        (["theirs.pth", "x.safetensors", "--settings", "absent.yaml"], "absent.yaml: expected a YAML file"),
+        (["theirs.pth", "x.safetensors", "--settings", "list.yaml"], "expected a mapping"),
+        (["theirs.pth", "x.safetensors", "--settings", "typo.yaml"], "grids"),
+        (["theirs.pth", "x.safetensors", "--kind", "second"], "backbone_3d"),
+    ],
+)
+def test_mistakes_are_told(home, capsys, arguments, message):
+    Path("list.yaml").write_text("- grid")
+    Path("typo.yaml").write_text("grids: 3")
+    assert main(["import-weights", *arguments]) == 1
+    assert message in capsys.readouterr().err
+    assert not Path("x.safetensors").exists()
