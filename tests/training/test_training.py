@@ -13,6 +13,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from small import SMALL
+
 from farfield.datasets import open_dataset
 from farfield.datasets.sweeps import stack_sweeps
 from farfield.detectors.weights import load_weights
@@ -28,18 +30,26 @@ from farfield.training.loop import one_cycle
 from farfield.training.samples import TrainingSamples, systematic
 
 
-def train(experiment: Path, out: Path) -> subprocess.Popen:
+def train(experiment: Path, out: Path, *overrides: str) -> subprocess.Popen:
     command = [sys.executable, "-m", "farfield.cli", "train", str(experiment), "--out", str(out)]
+    command += [word for override in overrides for word in ("-o", override)]
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
-def test_killed_training_resumes_to_the_same_weights(experiment, data, tmp_path):
-    whole = train(experiment, tmp_path / "whole")
-    assert whole.wait(200) == 0
+def small_setting(name: str) -> str:
+    return f"detector={json.dumps({'name': name, **SMALL[name].settings})}"
+
+
+@pytest.mark.parametrize(
+    "name", ["pointpillars", *(pytest.param(name, marks=pytest.mark.slow) for name in SMALL if name != "pointpillars")]
+)
+def test_killed_training_resumes_to_the_same_weights(name, experiment, data, tmp_path):
+    whole = train(experiment, tmp_path / "whole", small_setting(name))
+    assert whole.wait(300) == 0
     log = tmp_path / "cut" / "tiny" / "log.jsonl"
-    cut = train(experiment, tmp_path / "cut")
-    until = time.monotonic() + 200
+    cut = train(experiment, tmp_path / "cut", small_setting(name))
+    until = time.monotonic() + 300
     while not (log.exists() and len(log.read_text().splitlines()) >= 4):  # six samples an epoch: inside the second one
         assert time.monotonic() < until
         assert cut.poll() is None
@@ -48,8 +58,8 @@ def test_killed_training_resumes_to_the_same_weights(experiment, data, tmp_path)
     cut.wait(30)
     reached = load_checkpoint(tmp_path / "cut" / "tiny" / "checkpoint.pt")["step"]
     assert 0 < reached < 12
-    again = train(experiment, tmp_path / "cut")
-    assert again.wait(200) == 0
+    again = train(experiment, tmp_path / "cut", small_setting(name))
+    assert again.wait(300) == 0
     one, other = (
         load_weights(tmp_path / run / "tiny" / "weights.safetensors")[0].state_dict() for run in ("whole", "cut")
     )
@@ -234,6 +244,20 @@ def test_experiment_round_trips_and_refuses_unknown_keys(experiment, tmp_path):
         load_experiment(tmp_path / "absent.yaml")
 
 
+def test_trained_sweeps_are_those_of_prediction(experiment, data, tmp_path):
+    """The weights tell how many sweeps they were trained on; prediction stacks as many."""
+    from farfield.api import as_trained, load_detector, prepare_training
+
+    settings = ["training.steps=1", "data.sweeps=3", "detector.use_lag=true"]
+    prepare_training(load_experiment(experiment, settings), tmp_path / "run").run()
+    detector, opened = load_detector(tmp_path / "run"), open_dataset(data)
+    stacked = as_trained(opened, detector)
+    assert len(stacked[2].cloud("gaussian")) > 2 * len(opened[2].cloud("gaussian"))
+    assert as_trained(stacked, detector) is stacked
+    assert as_trained(stacked.select([1]), detector)[0].cloud("gaussian").extra["lag_s"].max() > 0
+    assert as_trained(opened, lambda frame: Boxes.empty()) is opened
+
+
 def test_run_of_another_experiment_is_not_continued(experiment, tmp_path):
     from farfield.api import prepare_training
 
@@ -348,11 +372,11 @@ def test_far_boxes_weigh_more_in_the_loss():
     both = Boxes.concatenate([near, far])
     maps = plain.eval()([torch.zeros(0, 5)])
     parts = {
-        name: [network.loss(maps, [network.targets(boxes, none)]).box for boxes in (near, far, both)]
+        name: [float(network.loss(maps, [network.targets(boxes, none)]).box.detach()) for boxes in (near, far, both)]
         for name, network in (("plain", plain), ("weighted", weighted))
     }
     count = [len(plain.targets(boxes, none).positive) for boxes in (near, far)]
     shares = np.array(count) * [1.4, 4.0]
     expected = (parts["plain"][0] * shares[0] + parts["plain"][1] * shares[1]) / shares.sum()
-    assert float(parts["weighted"][2]) == pytest.approx(float(expected), rel=1e-5)
-    assert float(parts["weighted"][2]) != pytest.approx(float(parts["plain"][2]), rel=1e-3)
+    assert parts["weighted"][2] == pytest.approx(expected, rel=1e-5)
+    assert parts["weighted"][2] != pytest.approx(parts["plain"][2], rel=1e-3)
