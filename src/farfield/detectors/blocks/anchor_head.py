@@ -77,6 +77,8 @@ class AnchorHead(nn.Conv2d):
 
     def _start_unsure(self) -> None:
         """Begin with every anchor at a score of 0.01, so that the many negatives do not drown the first steps."""
+        if self.weight.is_meta:  # nothing to set; normal_ there would import torch._dynamo, which takes seconds
+            return
         bias = torch.zeros(self.logits + _BOX_NUMBERS, self.anchors.per_cell)
         bias[: self.logits] = -float(np.log((1 - 0.01) / 0.01))
         with torch.no_grad():
