@@ -17,8 +17,10 @@ from farfield.detectors.blocks.sparse import (
     SparseTensor,
     SubmanifoldConv,
     dilate,
+    functional,
     kernel_offsets,
     neighbour_table,
+    submanifold_rulebook,
 )
 
 SHAPE = (7, 12, 10)
@@ -117,6 +119,39 @@ def test_precisions(dtype, tolerance):
         got = layer.to(dtype)(sparse.replace(sparse.features.to(dtype))).features
         assert got.dtype == dtype
         assert (got.double() - exact).abs().max() < tolerance * exact.abs().max()
+
+
+@pytest.mark.parametrize(
+    "ways",
+    [{"_has_onednn": lambda: True, "_LARGE_KERNEL": 0}, {"_has_onednn": lambda: False}, {"_MAX_PRODUCT_BYTES": 0}],
+)
+def test_every_way_to_multiply_agrees(ways, monkeypatch):
+    for name, value in ways.items():
+        monkeypatch.setattr(functional, name, value)
+    sparse = random_sparse(channels=16, dtype=torch.float32)
+    for layer in (SubmanifoldConv(16, 24), SparseConv(16, 24)):
+        results = []
+        for dtype in (torch.float32, torch.float64):
+            features = sparse.features.to(dtype).requires_grad_()
+            out = layer.to(dtype)(sparse.replace(features)).features
+            results.append([out, *gradients_of(out, 4, features, layer.weight)])
+        for got, exact in zip(*results, strict=True):
+            assert (got - exact).abs().max() < 3e-6 * exact.abs().max()
+
+
+def test_table_holds_the_pairs_and_similar_rows_come_together():
+    sparse = random_sparse()
+    book = submanifold_rulebook(sparse.keys, SHAPE, (3, 3, 3))
+    expected = neighbour_table(sparse.keys, sparse.keys, SHAPE, kernel_offsets((3, 3, 3)))
+    assert torch.equal(book.table, expected)
+    order, table = book.similar
+    assert torch.equal(table, expected[order])
+    assert sorted(order.tolist()) == list(range(len(expected)))
+
+    def needless(rows):
+        return sum(int((block < len(expected)).any(0).sum()) for block in rows.split(16))
+
+    assert needless(table) < needless(expected)
 
 
 def test_autocast_computes_in_bfloat16_and_keeps_gradients_in_float32():
@@ -239,10 +274,10 @@ for book in [*books, books[1].inverse]:
     for c_in, c_out in ((5, 20), (40, 16)):
         draw = lambda *size: torch.randn(*size, generator=generator)
         features, gradient = draw(len(book.keys_in), c_in), draw(len(book.keys), c_out)
-        weight = draw(book.table.shape[1], c_in, c_out)
-        exact = functional.gather_product(features.double(), weight.double(), None, book)
+        weight = draw(len(book.counts), c_in, c_out)
+        exact = functional.gather_product(features.double(), weight.double(), book)
         exact_weight = functional.weight_gradient(features.double(), gradient.double(), book)
-        rows = (book.similar.order.to(device), book.similar.table.to(device))
+        rows = tuple(rows.to(device) for rows in book.similar)
         features, weight, gradient = (x.to(device, dtype) for x in (features, weight, gradient))
         got = triton_kernels.gather_product(features, weight, *rows)
         got_weight = triton_kernels.weight_gradient(features, gradient, *rows)
@@ -278,8 +313,6 @@ def test_kernels_agree_with_the_plain_form_on_the_gpu(dtype, tolerance):
 @needs_gpu
 @pytest.mark.parametrize("triton", [True, False])
 def test_gpu_gives_what_the_cpu_gives(triton, monkeypatch):
-    from farfield.detectors.blocks.sparse import functional
-
     if not triton:
         monkeypatch.setattr(functional, "_import_kernels", lambda: None)
     results = []

@@ -126,7 +126,7 @@ class InverseConv(_Conv):
         book = sparse.rulebooks.get(self.book)
         if book is None or book.keys is not sparse.keys:
             raise ValueError(f"Expected cells made by the SparseConv with book={self.book!r}; got others.")
-        if book.table.shape[1] != len(self.weight):
+        if len(book.counts) != len(self.weight):
             raise ValueError(f"Expected the kernel of book {self.book!r}; got {self.kernel}.")
         return cast(Rulebook, book.inverse)
 

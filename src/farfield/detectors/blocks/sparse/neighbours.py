@@ -31,7 +31,7 @@ def neighbour_columns(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: 
     Offsets that step along y share one search, since their cells lie side by side in the sorted keys.
     """
     depth, nx, ny = shape
-    none = len(keys)
+    none, same_cells = len(keys), keys is query_keys
     _, iz, ix, iy = decode_keys(query_keys, shape).unbind(1)
     keys, query_keys = _narrow(keys, query_keys)
     ended = torch.cat([keys, keys.new_full((1,), -1)])
@@ -42,11 +42,21 @@ def neighbour_columns(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: 
             wanted, position = wanted + 1, position + hit
         else:
             wanted = query_keys + ((dz * nx + dx) * ny + dy)
-            position = torch.searchsorted(keys, wanted, out_int32=True)
+            if same_cells and (dz, dx, dy) == (0, 0, -1):
+                position = _lower_neighbour(keys)
+            else:
+                position = torch.searchsorted(keys, wanted, out_int32=True)
             in_plane = _within(iz, dz, depth) & _within(ix, dx, nx)
         hit = ended.index_select(0, position) == wanted
         yield torch.where(hit & in_plane & _within(iy, dy, ny), position, none)
         previous = (dz, dx, dy)
+
+
+def _lower_neighbour(keys: Tensor) -> Tensor:
+    """First row whose key is not below one's own less one: the row before if its key is that, else one's own."""
+    position = torch.arange(len(keys), dtype=torch.int32, device=keys.device)
+    position[1:] -= (keys[1:] - keys[:-1] == 1).int()
+    return position
 
 
 def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:

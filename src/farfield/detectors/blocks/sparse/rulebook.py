@@ -3,6 +3,7 @@
 A rulebook depends on the occupied cells only. It is found once a frame and shared by all layers on the same cells.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -10,62 +11,87 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from farfield.detectors.blocks.sparse.blocks import Block, BlockTable
 from farfield.detectors.blocks.sparse.neighbours import neighbour_columns
 from farfield.detectors.blocks.sparse.tensor import Triple, decode_keys
+
+_KEY_BITS = 62
 
 
 @dataclass(frozen=True, eq=False)
 class Rulebook:
-    """One kernel over one set of cells.
+    """One kernel over one set of cells, as pairs of an input and an output, those of each kernel element together.
 
     Attributes:
         keys_in: Input cells, shape (n_in,), int64, ascending.
         shape_in: Input grid.
         keys: Output cells, shape (n_out,), int64, ascending.
         shape: Output grid.
-        table: Row of the input cell under each kernel element, ``n_in`` for none, shape (n_out, K), int32.
-        symmetric: Input and output cells are the same and the kernel is odd: the transposed table is the mirrored one.
+        sources: Input row of each pair, shape (p,), int32.
+        targets: Output row of each pair, shape (p,), int32.
+        counts: Number of pairs of each of the K kernel elements.
+        symmetric: Inputs and outputs are the same cells and the kernel is odd: its own inverse, the kernel mirrored.
     """
 
     keys_in: Tensor
     shape_in: Triple
     keys: Tensor
     shape: Triple
-    table: Tensor
+    sources: Tensor
+    targets: Tensor
+    counts: tuple[int, ...]
     symmetric: bool = False
 
-    @cached_property
-    def transposed(self) -> Tensor:
-        """Row of the output cell that each input cell feeds through each kernel element, ``n_out`` for none.
+    def elements(self) -> Iterator[tuple[int, slice]]:
+        """Number of each kernel element that has pairs, and where these are."""
+        start = 0
+        for number, count in enumerate(self.counts):
+            if count:
+                yield number, slice(start, start + count)
+            start += count
 
-        Shape (n_in, K), int32.
+    @cached_property
+    def by_target(self) -> tuple[Tensor, Tensor]:
+        """The pairs of each output together.
+
+        Returns:
+            Numbers of the pairs, shape (p,), int64, and where those of each output start, shape (n_out,), int64.
         """
-        if self.symmetric:
-            return self.table.flip(1)
-        n_in, (n_out, size) = len(self.keys_in), self.table.shape
-        transposed = self.table.new_full((n_in + 1, size), n_out)  # the last row takes what leads nowhere
-        rows = torch.arange(n_out, dtype=torch.int32, device=self.table.device)
-        transposed.scatter_(0, self.table.long(), rows[:, None].expand(-1, size))
-        return transposed[:n_in]
+        ordered, order = torch.sort(self.targets, stable=True)
+        outputs = torch.arange(len(self.keys), dtype=torch.int32, device=ordered.device)
+        return order, torch.searchsorted(ordered, outputs)
 
     @cached_property
     def inverse(self) -> "Rulebook":
         """The rulebook that leads back: input and output change places."""
-        book = Rulebook(self.keys, self.shape, self.keys_in, self.shape_in, self.transposed)
-        book.__dict__.update(transposed=self.table, inverse=self)
-        return book
+        if self.symmetric:
+            raise ValueError("Expected a rulebook between different cells; a symmetric one is its own inverse.")
+        back = Rulebook(self.keys, self.shape, self.keys_in, self.shape_in, self.targets, self.sources, self.counts)
+        back.__dict__["inverse"] = self
+        return back
 
     @cached_property
-    def similar(self) -> BlockTable:
-        """The table in an order that puts similar rows together."""
-        return BlockTable(self.table, len(self.keys_in))
+    def table(self) -> Tensor:
+        """Row of the input under each kernel element, ``n_in`` for none, shape (n_out, K), int32."""
+        size = len(self.counts)
+        table = self.sources.new_full((len(self.keys) * size,), len(self.keys_in))
+        for number, pairs in self.elements():
+            table[self.targets[pairs].long() * size + number] = self.sources[pairs]
+        return table.view(-1, size)
 
-    def blocks(self, rows: int) -> list[Block]:
-        """The table cut into blocks of ``rows`` similar rows."""
-        if self.table.shape[1] == 1:
-            return [Block(None, None, self.table)]
-        return self.similar.blocks(rows)
+    @cached_property
+    def similar(self) -> tuple[Tensor, Tensor]:
+        """The table with similar rows together, for the GPU, where a block skips what none of its rows has.
+
+        Returns:
+            Output row of each row, shape (n_out,), int64, and the table in that order, shape (n_out, K), int32.
+        """
+        missing = self.table == len(self.keys_in)
+        rarest_first = missing.sum(0).argsort(descending=True)[:_KEY_BITS]
+        key = torch.zeros(len(self.table), dtype=torch.int64, device=missing.device)
+        for column in missing[:, rarest_first].unbind(1):
+            key = (key << 1) + ~column
+        order = torch.sort(key, stable=True).indices
+        return order, self.table[order]
 
 
 def kernel_offsets(kernel: Triple) -> list[Triple]:
@@ -84,15 +110,18 @@ def submanifold_rulebook(keys: Tensor, shape: Triple, kernel: Triple) -> Ruleboo
     """
     if any(size % 2 == 0 for size in kernel):
         raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
-    offsets, count = kernel_offsets(kernel), len(keys)
+    offsets = kernel_offsets(kernel)
     centre = len(offsets) // 2
-    rows = torch.arange(count, dtype=torch.int32, device=keys.device)
-    columns = [rows] * len(offsets)
-    for number, column in enumerate(neighbour_columns(keys, keys, shape, offsets[:centre])):
-        mirrored = torch.full((count + 1,), count, dtype=torch.int32, device=keys.device)
-        mirrored.scatter_(0, column.long(), rows)  # the last place takes what has no neighbour
-        columns[number], columns[-1 - number] = column, mirrored[:count]
-    return Rulebook(keys, shape, keys, shape, torch.stack(columns, 1), symmetric=True)
+    mine: list[Tensor] = []
+    theirs: list[Tensor] = []
+    for column in neighbour_columns(keys, keys, shape, offsets[:centre]):
+        row = (column < len(keys)).nonzero().squeeze(1)
+        mine.append(row.int())
+        theirs.append(column.index_select(0, row))
+    own = [torch.arange(len(keys), dtype=torch.int32, device=keys.device)]
+    sources, targets = [*theirs, *own, *mine[::-1]], [*mine, *own, *theirs[::-1]]
+    counts = tuple(len(rows) for rows in sources)
+    return Rulebook(keys, shape, keys, shape, torch.cat(sources), torch.cat(targets), counts, symmetric=True)
 
 
 def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Rulebook:
@@ -103,41 +132,46 @@ def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple
     """
     out_shape = conv_shape(shape, kernel, stride, padding)
     frame, *place = decode_keys(keys, shape).unbind(1)
-    axes = [
-        _reached_along(index, size, *rest)
-        for index, size, *rest in zip(place, out_shape, kernel, stride, padding, strict=True)
-    ]
     frames = int(frame[-1]) + 1 if len(keys) else 1
     narrow = torch.int32 if frames * out_shape[0] * out_shape[1] * out_shape[2] < 2**31 else torch.int64
-    reached, elements, sources = [], [], []
-    for (z, ez, z_in), (x, ex, x_in), (y, ey, y_in) in product(*axes):
-        source = (z_in & x_in & y_in).nonzero().squeeze(1)
-        cell = ((frame * out_shape[0] + z) * out_shape[1] + x) * out_shape[2] + y
-        reached.append(cell[source].to(narrow))
-        elements.append(((ez * kernel[1] + ex) * kernel[2] + ey)[source])
-        sources.append(source)
-    ordered, order = torch.sort(torch.cat(reached))
-    first = torch.ones_like(ordered, dtype=torch.bool)
-    torch.ne(ordered[1:], ordered[:-1], out=first[1:])
-    out_keys, row = ordered[first].long(), first.cumsum(0) - 1
-    size = kernel[0] * kernel[1] * kernel[2]
-    table = torch.full((len(out_keys) * size,), len(keys), dtype=torch.int32, device=keys.device)
-    table[row * size + torch.cat(elements)[order]] = torch.cat(sources)[order].int()
-    return Rulebook(keys, shape, out_keys, out_shape, table.view(-1, size))
+    steps = (out_shape[1] * out_shape[2], out_shape[2], 1)
+    along_z, along_x, along_y = (
+        [(cell.to(narrow), reached) for cell, reached in _reached_along(*axis)]
+        for axis in zip(place, out_shape, kernel, stride, padding, steps, strict=True)
+    )
+    first = (frame * (out_shape[0] * steps[0])).to(narrow)
+    sources, cells = [], []
+    for (z, z_reached), (x, x_reached) in product(along_z, along_x):
+        column, column_reached = first + z + x, z_reached & x_reached
+        for y, y_reached in along_y:
+            source = (column_reached & y_reached).nonzero().squeeze(1)
+            sources.append(source.int())
+            cells.append((column + y).index_select(0, source))
+    ordered, order = torch.sort(torch.cat(cells), stable=True)
+    new = torch.ones_like(ordered, dtype=torch.bool)
+    torch.ne(ordered[1:], ordered[:-1], out=new[1:])
+    targets = torch.empty_like(order, dtype=torch.int32)
+    targets[order] = new.cumsum(0, dtype=torch.int32) - 1
+    counts = tuple(len(rows) for rows in sources)
+    book = Rulebook(keys, shape, ordered[new].long(), out_shape, torch.cat(sources), targets, counts)
+    book.__dict__["by_target"] = (order, new.nonzero().squeeze(1))  # at hand already
+    return book
 
 
-def _reached_along(index: Tensor, out_size: int, size: int, stride: int, padding: int) -> list[tuple[Tensor, ...]]:
-    """Along one axis, the outputs that each input reaches: at most ``ceil(size / stride)``.
+def _reached_along(
+    index: Tensor, out_size: int, size: int, stride: int, padding: int, step: int
+) -> list[tuple[Tensor, Tensor]]:
+    """Along one axis, the output that each input reaches by each kernel element.
 
     Returns:
-        For each of them: output index, kernel element, and whether it exists, shape (n,) each.
+        For each kernel element: the output's index times ``step``, and whether there is one, shape (n,) each.
     """
-    last = torch.div(index + padding, stride, rounding_mode="floor")
     reached = []
-    for back in range(-(-size // stride)):
-        cell = last - back
-        element = index + padding - cell * stride
-        reached.append((cell, element, (element < size) & (cell >= 0) & (cell < out_size)))
+    for element in range(size):
+        start = index + (padding - element)
+        cell = start if stride == 1 else torch.div(start, stride, rounding_mode="floor")
+        exact = (cell >= 0) & (cell < out_size)
+        reached.append((cell * step, exact if stride == 1 else exact & (cell * stride == start)))
     return reached
 
 
