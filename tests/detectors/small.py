@@ -1,6 +1,6 @@
 """A small configuration of every detector: a window of 64 m x 40 m that one core trains in seconds."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from farfield.detectors import build_detector, detector_classes
@@ -13,13 +13,42 @@ class Small:
     settings: dict[str, Any]
     steps: int = 90
     learning_rate: float = 3e-3
-    cut: tuple[str, ...] = field(default=())
+
+
+def _level(centres: int, radii_m: tuple[float, float], *widths: tuple[int, int]) -> dict[str, Any]:
+    """One level of PointNet++."""
+    return {"centres": centres, "radii_m": radii_m, "limits": [16, 32], "widths": widths}
 
 
 _PILLARS = {"grid": {"range_m": 64.0, "half_width_m": 20.0, "cell_m": 0.5}}
 
 SMALL: dict[str, Small] = {
     "pointpillars": Small({**_PILLARS, "widths": [16, 32, 32], "neck_width": 32, "out_stride": 2}),
+    "pointrcnn": Small(
+        {
+            "window": {"range_m": 64.0, "half_width_m": 20.0},
+            "sizes_m": {"vehicle": [4.6, 1.95, 1.7], "pedestrian": [0.75, 0.7, 1.75]},
+            "points": 2048,
+            "bands": {"edges_m": [0.0, 30.0, 64.0], "shares": [0.5, 0.5]},
+            "backbone": {
+                "levels": [
+                    _level(512, (0.5, 1.5), (16, 32), (16, 32)),
+                    _level(128, (1.5, 4.0), (32, 48), (32, 48)),
+                ],
+                "propagation": [[64], [64]],
+            },
+            "head_width": 64,
+            "proposals": {
+                "threshold": 0.0,
+                "candidates": 256,
+                "training_count": 64,
+                "count": 48,
+                "bands": {"edges_m": [0.0, 30.0, 64.0], "shares": [0.5, 0.5]},
+            },
+            "refinement": {"points": 64, "match": {"drawn": 48}},
+        },
+        steps=70,
+    ),
     "second": Small(
         {
             "grid": {"range_m": 64.0, "half_width_m": 20.0, "voxel_m": [0.25, 0.25, 0.45]},

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 DETECTORS = {
     "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
+    "pointrcnn": ("farfield.detectors.pointrcnn", "PointRCNN", "PointRCNNConfig"),
     "second": ("farfield.detectors.second", "Second", "SecondConfig"),
     "sparsecentre": ("farfield.detectors.sparsecentre", "SparseCentre", "SparseCentreConfig"),
     "voxelnet": ("farfield.detectors.voxelnet", "VoxelNet", "VoxelNetConfig"),

@@ -69,11 +69,11 @@ def cirrus_backbone() -> BackboneConfig:
     """Four levels as published, with radii that follow the spacing of their centres over 250 m x 100 m."""
     levels = (
         _level(4096, (0.3, 1.0), (16, 16, 32), (32, 32, 64)),
-        _level(1024, (1.0, 3.0), (64, 64, 128), (64, 64, 128)),
-        _level(256, (3.0, 8.0), (128, 128, 256), (128, 128, 256)),
-        _level(64, (8.0, 20.0), (192, 192, 256), (192, 192, 256)),
+        _level(1024, (1.0, 3.0), (64, 64, 96), (64, 64, 96)),
+        _level(256, (3.0, 8.0), (96, 96, 128), (96, 96, 128)),
+        _level(64, (8.0, 20.0), (128, 128, 192), (128, 128, 192)),
     )
-    return BackboneConfig(levels=levels, propagation=((128, 128), (192, 192), (256, 256), (256, 256)))
+    return BackboneConfig(levels=levels, propagation=((128, 128), (128, 128), (192, 192), (256, 256)))
 
 
 class RefinementConfig(BaseModel):
@@ -222,7 +222,6 @@ class PointRCNN(nn.Module):
         super().__init__()
         self.config = config = config or PointRCNNConfig()
         classes = len(config.sizes_m)
-        self.register_buffer("sizes_m", torch.tensor(list(config.sizes_m.values())), persistent=False)
         self.coder, self.refiner = BinCoder(config.bins), BinCoder(config.refinement.bins)
         self.backbone = PointNet2(len(config.inputs), config.backbone)
         widths = (self.backbone.channels, config.head_width)
@@ -288,7 +287,11 @@ class PointRCNN(nn.Module):
 
     def _reference(self, xyz: Tensor, kind: Tensor) -> Tensor:
         """What boxes of stage 1 are relative to: a point, the mean size of its class, no turn; shape (k, 7)."""
-        return torch.cat([xyz, self.sizes_m[kind], xyz.new_zeros(len(xyz), 1)], 1)
+        return torch.cat([xyz, self._sizes_m(xyz)[kind], xyz.new_zeros(len(xyz), 1)], 1)
+
+    def _sizes_m(self, like: Tensor) -> Tensor:
+        """Mean size of each class, shape (classes, 3)."""
+        return like.new_tensor(list(self.config.sizes_m.values()))
 
     def _draw(self, xyz: Tensor, boxes: Tensor, kinds: Tensor, target: PointTargets) -> tuple[Tensor, Tensor]:
         """Proposals of a frame to train on, with shaken copies of its boxes; drawn by the content of its cloud."""
@@ -316,7 +319,7 @@ class PointRCNN(nn.Module):
 
     def _proposal_reference(self, proposals: Tensor, kinds: Tensor) -> Tensor:
         """What boxes of stage 2 are relative to: a proposal's place and heading, the mean size of its class."""
-        return torch.cat([proposals[:, :3], self.sizes_m[kinds], proposals[:, 6:]], 1)
+        return torch.cat([proposals[:, :3], self._sizes_m(proposals)[kinds], proposals[:, 6:]], 1)
 
     def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> PointTargets:
         """Which point of a cloud belongs to which box."""
