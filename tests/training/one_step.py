@@ -1,8 +1,8 @@
 """One step of training of small detectors, as the only process or as one of several.
 
-    python one_step.py FOLDER RANK WORLD NAME,NAME...
+    python one_step.py FOLDER RANK WORLD NAME
 
-The process of rank 0 writes FOLDER/NAME.pt: the losses, the averaged gradients and the networks' statistics.
+The process of rank 0 writes FOLDER/NAME.pt: the losses, the averaged gradients and the network's statistics.
 """
 
 import sys
@@ -18,6 +18,9 @@ from small import small_detector
 
 from farfield.frame import Boxes
 from farfield.training.distributed import average_gradients, average_values, synchronise_norms
+
+DOUBLE = {"voxelnet": {"middle": "dense"}}
+"""Settings with which a detector computes in double precision throughout."""
 
 
 def frames() -> list[tuple[np.ndarray, Boxes]]:
@@ -44,7 +47,7 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
 
     In double precision: small untrained networks turn the last digit of single precision into the third.
     """
-    network = small_detector(name).double()
+    network = small_detector(name, **DOUBLE.get(name, {})).double()
     network.train()
     synchronise_norms(network)
     torch.manual_seed(1)
@@ -62,15 +65,14 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
     }
 
 
-def main(folder: str, rank: str, world: str, names: str) -> None:
-    """Join the other processes and take the steps."""
+def main(folder: str, rank: str, world: str, name: str) -> None:
+    """Join the other processes and take the step."""
     torch.set_num_threads(1)
     meeting = (Path(folder) / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=int(world))
-    for name in names.split(","):
-        result = one_step(name, int(rank), int(world))
-        if rank == "0":
-            torch.save(result, Path(folder) / f"{name}.pt")
+    result = one_step(name, int(rank), int(world))
+    if rank == "0":
+        torch.save(result, Path(folder) / f"{name}.pt")
     torch.distributed.destroy_process_group()
 
 

@@ -359,11 +359,11 @@ def test_far_boxes_weigh_more_in_the_loss():
     near, far = (
         Boxes(
             centre_m=np.array([[x, 0.0, -1.0]]),
-            size_m=np.array([[4.5, 1.9, 1.6]]),
+            size_m=np.array([[length, 1.9, 1.6]]),
             yaw_rad=np.array([0.1]),
             label="vehicle",
         )
-        for x in (20.0, 150.0)
+        for x, length in ((20.0, 4.5), (150.0, 18.0))
     )
     none = np.zeros((0, 5), np.float32)
     assert set(plain.targets(far, none).weight) == {1.0}
