@@ -241,8 +241,11 @@ class Runner:
             text=True,
             env={**os.environ, "OMP_NUM_THREADS": str(threads)},
         )
+
+    def wait(self) -> None:
+        """Wait until the process has loaded everything, so that all can start at the same time."""
         if self._answer() != "ready":
-            raise RuntimeError(f"{self.name} with {threads} threads did not start.")
+            raise RuntimeError(f"{self.name} with {self.threads} threads did not start.")
 
     def _answer(self) -> str:
         assert self.process.stdout
@@ -319,6 +322,8 @@ def report(rounds: int) -> None:
             features = np.random.default_rng(3).normal(size=(count, 4)).astype(np.float32)
             np.save(folder / f"features_{count}.npy", features)
         runners = [Runner(*setup, folder) for setup in setups]
+        for runner in runners:
+            runner.wait()
         for count in CASES:
             compare(count, runners, rounds)
         for runner in runners:
