@@ -51,13 +51,13 @@ SMALL: dict[str, Small] = {
     ),
     "second": Small(
         {
-            "grid": {"range_m": 64.0, "half_width_m": 20.0, "voxel_m": [0.25, 0.25, 0.45]},
+            "grid": {"range_m": 64.0, "half_width_m": 20.0, "voxel_m": [0.2, 0.2, 0.45]},
             "middle_widths": [8, 8, 16, 16],
             "middle_out": 32,
             "widths": [64, 64],
             "depths": [0, 0],
             "neck_width": 64,
-            "positive_m": 2.0,
+            "matching": "iou",
         },
         learning_rate=5e-3,
     ),
