@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from farfield.errors import DatasetError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from farfield.training.loop import Training
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
+Frames = TypeVar("Frames", bound="Sequence[Frame] | Dataset")
 
 
 def open_dataset(path: Path | str, **options: Any) -> "Dataset":
@@ -43,7 +44,7 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
     return Detector.load(name, **options)
 
 
-def as_trained(data: "Sequence[Frame] | Dataset", detector: Any) -> "Sequence[Frame] | Dataset":
+def as_trained(data: Frames, detector: Any) -> Frames:
     """Return the data with as many sweeps a frame as the detector was trained on, by its provenance.
 
     Frames that are not a data set's, and data that are stacked already, stay as they are.
@@ -58,7 +59,7 @@ def as_trained(data: "Sequence[Frame] | Dataset", detector: Any) -> "Sequence[Fr
     count = int(trained_on.get("sweeps", 1))
     if not isinstance(data, Dataset) or sweeps_of(data) > 1:
         return data
-    return stack_sweeps(data, count)
+    return cast(Frames, stack_sweeps(data, count))
 
 
 def predict(

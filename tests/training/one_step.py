@@ -21,6 +21,8 @@ from farfield.training.distributed import average_gradients, average_values, syn
 
 DOUBLE = {"voxelnet": {"middle": "dense"}}
 """Settings with which a detector computes in double precision throughout."""
+SINGLE = {"voxelnet-sparse": ("voxelnet", {"middle": "sparse"})}
+"""What computes in single precision only: detector and settings."""
 
 
 def frames() -> list[tuple[np.ndarray, Boxes]]:
@@ -47,13 +49,15 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
 
     In double precision: small untrained networks turn the last digit of single precision into the third.
     """
-    network = small_detector(name, **DOUBLE.get(name, {})).double()
+    detector, settings = SINGLE.get(name, (name, DOUBLE.get(name, {})))
+    dtype = torch.float32 if name in SINGLE else torch.float64
+    network = small_detector(detector, **settings).to(dtype)
     network.train()
     synchronise_norms(network)
     torch.manual_seed(1)
     batch = frames()[rank::world]
     targets = [network.targets(boxes, points) for points, boxes in batch]
-    outputs = network([torch.from_numpy(points).double() for points, _ in batch], targets)
+    outputs = network([torch.from_numpy(points).to(dtype) for points, _ in batch], targets)
     losses = network.loss(outputs, targets)
     sum(losses).backward()
     average_gradients(network.parameters())

@@ -50,6 +50,15 @@ def test_two_processes_take_the_step_of_one(name, tmp_path):
         assert close(value, shared["statistics"][key], 1e-6), key
 
 
+def test_sparse_middle_layers_share_their_statistics(tmp_path):
+    """In single precision, which is all that they have: what is left are its roundings."""
+    shared, alone = shared_step("voxelnet-sparse", tmp_path), one_step("voxelnet-sparse")
+    assert shared["losses"] == pytest.approx(alone["losses"], rel=1e-3, abs=1e-6)
+    for key, value in alone["statistics"].items():
+        if "middle" in key:
+            assert close(value, shared["statistics"][key], 1e-5), key
+
+
 def test_torchrun_follows_the_course_of_one_process(experiment, tmp_path):
     settings = ["training.steps=10", "training.batch_size=4"]
     prepare_training(load_experiment(experiment, settings), tmp_path / "one").run()

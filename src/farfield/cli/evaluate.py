@@ -52,7 +52,7 @@ def run(
         shown_frames: Frames in the report's pictures.
         out: Folder of the evaluation and its report.html; runs/evaluation-DATA unless given.
     """
-    from farfield.api import load_detector, open_dataset
+    from farfield.api import as_trained, load_detector, open_dataset
     from farfield.evaluation import evaluate_clouds
     from farfield.metrics import PROTOCOLS
     from farfield.reports.page import write_report
@@ -61,6 +61,7 @@ def run(
     opened = open_dataset(data, rotate_deg=rotate_deg, **options)
     opened = opened.split(split) if split else opened
     loaded = load_detector(detector, precision=precision, device=device)
+    opened = as_trained(opened, loaded)
     scoring: dict[str, Any] = {"label": label, "range_bins_m": _numbers(range_bins_m), "epsilons": _numbers(epsilon)}
     scoring["region"] = region
     known = PROTOCOLS[protocol].__dataclass_fields__

@@ -44,12 +44,13 @@ def run(
         device: Where to run, such as cpu or cuda:0.
         picture: Draw the first frame from above into this file.
     """
-    from farfield.api import load_detector, show
+    from farfield.api import as_trained, load_detector, show
     from farfield.datasets.convert import box_rows
     from farfield.files.boxes_csv import format_boxes_csv, write_boxes_csv
 
     frames = _frames(files, rotate_deg)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud)
+    frames = as_trained(frames, loaded)
     found = []
     for index in bar(range(len(frames)), "detecting"):
         frame = frames[index]

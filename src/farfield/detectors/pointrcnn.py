@@ -55,6 +55,7 @@ from farfield.detectors.blocks.points.proposals import (
     shaken_boxes,
 )
 from farfield.detectors.blocks.points.targets import UNSURE, PointTargets, assign_points, join_targets, owners_of
+from farfield.detectors.blocks.processes import normaliser, sum_over_processes
 from farfield.geometry.boxes import Boxes
 
 Metres = Annotated[float, Field(gt=0)]
@@ -343,8 +344,9 @@ class PointRCNN(nn.Module):
         positive, unsure = torch.nonzero(owner >= 0)[:, 0], torch.nonzero(owner == UNSURE)[:, 0]
         box, classes = owner[positive], len(self.config.sizes_m)
         count = torch.bincount(box, minlength=len(boxes)).float()[box]
-        each = weight[box] * (count.mean() / count) ** self.config.balance
-        total = each.sum().clamp(min=1.0)
+        mean = sum_over_processes(count.sum()) / sum_over_processes(count.new_tensor(float(len(count)))).clamp(min=1)
+        each = weight[box] * (mean / count) ** self.config.balance
+        total = normaliser(each.sum())
         ignored = (unsure[:, None] * classes + torch.arange(classes, device=unsure.device)).flatten()
         right = positive * classes + kind[box]
         wanted = self.coder.encode(boxes[box], self._reference(outputs.xyz[positive], kind[box]))
@@ -375,8 +377,8 @@ class PointRCNN(nn.Module):
         loss = self.refiner.loss(outputs.refinements[row], self.refiner.encode(boxes[box[row]], reference))
         share = weight[box[row]]
         return (
-            (blame.sum(1) * each[sure]).sum() / max(len(sure), 1),
-            (loss * share).sum() / share.sum().clamp(min=1.0),
+            (blame.sum(1) * each[sure]).sum() / normaliser(blame.new_tensor(float(len(sure)))),
+            (loss * share).sum() / normaliser(share.sum()),
         )
 
     @torch.no_grad()

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from farfield.detectors.blocks.processes import process_count, sum_over_processes
 from farfield.detectors.blocks.sparse import SparseConv, SparseTensor, sparse_conv
 from farfield.detectors.blocks.sparse.tensor import Triple, decode_keys
 
@@ -120,7 +121,7 @@ class MiddleLayer(nn.Module):
         if not norm.training:
             return _shifted_relu(values, ground, place, *_affine(norm, norm.running_mean, norm.running_var))
         out: tuple[Tensor, ...] = _NormRelu.apply(values, ground, norm.weight, norm.bias, place, share, norm.eps)
-        _update(norm, out[2], out[3], len(place) + float(share.sum()))
+        _update(norm, out[2], out[3], process_count() * (len(place) + float(share.sum())))
         return out[0], out[1]
 
 
@@ -262,7 +263,7 @@ class _NormRelu(torch.autograd.Function):
         ctx: Any, values: Tensor, ground: Tensor, weight: Tensor, bias: Tensor, place: Tensor, share: Tensor, eps: float
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         count = len(place) + float(share.sum())
-        mean, variance = _statistics(values, ground, place, share, count)
+        mean, variance, count = _over_processes(*_statistics(values, ground, place, share, count), count)
         inverse = torch.rsqrt(variance + eps)
         scale = weight * inverse
         level = torch.addcmul(bias, ground - mean, scale)
@@ -291,7 +292,7 @@ class _NormRelu(torch.autograd.Function):
         to_level = (gradients[1] - received) * (level > 0)
         to_bias += to_level.sum(0)
         to_weight += (to_level * steady).sum(0)
-        tilt, lift = to_weight / ctx.count, to_bias / ctx.count
+        tilt, lift = sum_over_processes(torch.stack([to_weight, to_bias])) / ctx.count
         to_ground = scale * (to_level - share[:, None].float() * (lift + steady * tilt))
         to_values = torch.empty_like(values)
         for rows in _blocks(len(values)):
@@ -317,6 +318,16 @@ def _statistics(values: Tensor, ground: Tensor, place: Tensor, share: Tensor, co
         second += part.square_().sum(0)
     shift = first / count
     return (pivot + shift).float(), (second / count - shift.square()).clamp_(min=0).float()
+
+
+def _over_processes(mean: Tensor, variance: Tensor, count: float) -> tuple[Tensor, Tensor, float]:
+    """Mean, variance and number of the cells of all processes, from those of this one."""
+    if process_count() == 1:
+        return mean, variance, count
+    every = sum_over_processes(mean.new_tensor(count, dtype=torch.float64))
+    joined = sum_over_processes(mean.double() * count) / every
+    spread = sum_over_processes((variance.double() + (mean.double() - joined).square()) * count) / every
+    return joined.float(), spread.float(), float(every)
 
 
 def _blocks(length: int) -> list[slice]:

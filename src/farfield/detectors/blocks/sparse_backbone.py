@@ -18,7 +18,7 @@ FLAT: Triple = (1, 3, 3)
 
 def normalised(conv: nn.Module, channels: int, relu: bool = True) -> SparseBlock:
     """A sparse convolution with its batch normalisation."""
-    return SparseBlock(conv, nn.BatchNorm1d(channels, eps=1e-3), relu=relu)  # type: ignore[arg-type]
+    return SparseBlock(conv, nn.BatchNorm1d(channels, eps=1e-3), relu=relu)
 
 
 class ResidualBlock(nn.Module):
