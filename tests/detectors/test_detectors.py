@@ -174,3 +174,9 @@ def test_weights_travel_with_their_configuration(name, scene, tmp_path):
     assert loaded.config == network.config
     cloud = cloud_tensor(scene.cloud())
     same(loaded.predict([cloud])[0], network.eval().predict([cloud])[0], tolerance=1e-6)
+    save_weights(tmp_path / "h.safetensors", network.state_dict(), config=network.config, provenance={}, half=True)
+    halved = load_weights(tmp_path / "h.safetensors")[0].state_dict()
+    assert (tmp_path / "h.safetensors").stat().st_size < 0.75 * (tmp_path / "w.safetensors").stat().st_size
+    for key, value in network.state_dict().items():
+        assert halved[key].dtype == value.dtype
+        torch.testing.assert_close(halved[key], value, rtol=1e-3, atol=1e-6)

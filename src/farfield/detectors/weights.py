@@ -17,7 +17,9 @@ from farfield.files.atomic import write_bytes
 _MAX_METADATA_BYTES = 4_000_000
 
 
-def save_weights(path: Path, state: dict[str, Tensor], *, config: Any, provenance: dict[str, Any]) -> None:
+def save_weights(
+    path: Path, state: dict[str, Tensor], *, config: Any, provenance: dict[str, Any], half: bool = False
+) -> None:
     """Write weights with their detector's configuration and the provenance of the training.
 
     Args:
@@ -25,6 +27,7 @@ def save_weights(path: Path, state: dict[str, Tensor], *, config: Any, provenanc
         state: The network's state dict.
         config: The detector's configuration object.
         provenance: Seed, versions, commit, data fingerprint, metric convention, resolved experiment.
+        half: Store matrices and kernels in float16, at half the size; vectors stay as they are.
     """
     metadata = {
         "format": "farfield-detector-1",
@@ -32,6 +35,8 @@ def save_weights(path: Path, state: dict[str, Tensor], *, config: Any, provenanc
         "provenance": json.dumps(provenance),
     }
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
+    if half:
+        tensors = {name: t.half() if t.ndim > 1 and t.is_floating_point() else t for name, t in tensors.items()}
     write_bytes(path, save(tensors, metadata=metadata))
 
 
@@ -49,7 +54,7 @@ def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            tensors = {name: _single(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
     known = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
@@ -72,6 +77,10 @@ def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
             path, where="configuration and tensors", expected="those of one detector", found=str(error)[:300]
         ) from error
     return network.eval(), provenance
+
+
+def _single(tensor: Tensor) -> Tensor:
+    return tensor.float() if tensor.dtype == torch.float16 else tensor
 
 
 def bundled_weights() -> dict[str, Path]:
