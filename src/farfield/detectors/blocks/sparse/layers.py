@@ -8,8 +8,9 @@ import math
 from typing import cast
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
+from farfield.detectors.blocks.norm import affine, normalise_rows
 from farfield.detectors.blocks.sparse.functional import sparse_conv
 from farfield.detectors.blocks.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
 from farfield.detectors.blocks.sparse.tensor import SparseTensor, Triple
@@ -147,7 +148,7 @@ class SparseBlock(nn.Module):
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Apply the block."""
         sparse = self.conv(sparse)
-        features = _normalise(self.norm, sparse.features)
+        features = normalise_rows(self.norm, sparse.features)
         return sparse.replace(features.relu_() if self.relu else features)  # nobody else holds them
 
     @torch.no_grad()
@@ -156,24 +157,8 @@ class SparseBlock(nn.Module):
         norm, conv = self.norm, self.conv
         if not isinstance(norm, nn.BatchNorm1d):
             return
-        scale, shift = _affine(norm)
+        scale, shift = affine(norm)
         bias = shift if conv.bias is None else conv.bias * scale + shift
         conv.weight.mul_(scale)
         conv.bias = nn.Parameter(bias.clone())
         self.norm = nn.Identity()
-
-
-def _affine(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
-    """Scale and shift of a batch normalisation in evaluation mode."""
-    scale = torch.rsqrt(norm.running_var + norm.eps)
-    if norm.weight is not None:
-        scale = scale * norm.weight
-    shift = -norm.running_mean * scale
-    return scale, shift if norm.bias is None else shift + norm.bias
-
-
-def _normalise(norm: nn.Module, features: Tensor) -> Tensor:
-    if isinstance(norm, nn.BatchNorm1d) and len(features) < 2:
-        scale, shift = _affine(norm)
-        return (features * scale + shift).to(features.dtype)
-    return cast(Tensor, norm(features))
