@@ -11,18 +11,16 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 from pydantic import Field, model_validator
-from torch import Tensor, nn
+from torch import Tensor
 
-from farfield.detectors.blocks.anchor_head import AnchorHead, AnchorHeadConfig, AnchorLosses, AnchorMaps
-from farfield.detectors.blocks.anchors import AnchorGrid, Targets
+from farfield.detectors.blocks.anchor_head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.blocks.anchors import AnchorGrid
 from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
 from farfield.detectors.blocks.grid import GridConfig
 from farfield.detectors.blocks.pillars import PillarEncoder
 from farfield.detectors.blocks.published import PublishedPillarEncoder, use_published_momentum
-from farfield.geometry.boxes import Boxes
 
 
 class PointPillarsConfig(AnchorHeadConfig):
@@ -55,7 +53,7 @@ class PointPillarsConfig(AnchorHeadConfig):
         return self.grid.range_m
 
 
-class PointPillars(nn.Module):
+class PointPillars(AnchorDetector):
     """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("backbone", "head")
@@ -84,33 +82,13 @@ class PointPillars(nn.Module):
         if config.features == "openpcdet":
             use_published_momentum(self)
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
-        """Run the network.
-
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
-            targets: Not looked at.
-        """
-        del targets
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Pillars, their image, and the backbone's features (sections 2.1 and 2.2)."""
         batch = torch.cat([torch.full((len(c),), i, dtype=torch.long, device=c.device) for i, c in enumerate(clouds)])
         image = self.encoder(torch.cat(list(clouds)), batch, len(clouds))
         image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
-        maps: AnchorMaps = self.head(self.backbone(image))
-        return maps
-
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Targets:
-        """What one frame's annotation asks of the anchors."""
-        del points
-        return self.head.targets(boxes)
-
-    def loss(self, outputs: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
-        """Focal, smooth-L1 and direction losses over a batch (equations 1 to 3)."""
-        return self.head.loss(outputs, targets)
-
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        return self.head.boxes(self(clouds))
+        features: Tensor = self.backbone(image)
+        return features
 
 
 def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | PublishedPillarEncoder:

@@ -12,19 +12,16 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-import torch
-from jaxtyping import Float32
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.detectors.blocks.anchor_head import AnchorHead, AnchorHeadConfig, AnchorLosses, AnchorMaps
-from farfield.detectors.blocks.anchors import AnchorGrid, Targets
+from farfield.detectors.blocks.anchor_head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.blocks.anchors import AnchorGrid
 from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
 from farfield.detectors.blocks.published import first_points_of_voxels, use_published_momentum
 from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
 from farfield.detectors.blocks.voxels import VoxelGridConfig, mean_voxels
-from farfield.geometry.boxes import Boxes
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks
@@ -117,7 +114,7 @@ def stack_z(sparse: SparseTensor) -> Tensor:
     return image.view(sparse.batch_size, nx, ny, depth * channels).permute(0, 3, 1, 2)
 
 
-class Second(nn.Module):
+class Second(AnchorDetector):
     """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("middle", "backbone", "head")
@@ -159,27 +156,7 @@ class Second(nn.Module):
         extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
         return mean_voxels(clouds, config.grid, self.multiple, published=config.features == "openpcdet", **extra)
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
-        """Run the network.
-
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
-            targets: Not looked at.
-        """
-        del targets
-        maps: AnchorMaps = self.head(self.backbone(stack_z(self.middle(self.voxels(clouds)))))
-        return maps
-
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Targets:
-        """What one frame's annotation asks of the anchors."""
-        del points
-        return self.head.targets(boxes)
-
-    def loss(self, outputs: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
-        """Focal, smooth-L1 and direction losses over a batch (sections 3.2 and 3.3)."""
-        return self.head.loss(outputs, targets)
-
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        return self.head.boxes(self(clouds))
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Voxels, sparse middle layers and the bird's-eye backbone (section 3.1)."""
+        features: Tensor = self.backbone(stack_z(self.middle(self.voxels(clouds))))
+        return features

@@ -10,20 +10,17 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
-import numpy as np
 import torch
-from jaxtyping import Float32
 from pydantic import Field, model_validator
-from torch import Tensor, nn
+from torch import Tensor
 
-from farfield.detectors.blocks.anchor_head import AnchorHead, AnchorHeadConfig, AnchorLosses, AnchorMaps
-from farfield.detectors.blocks.anchors import AnchorGrid, Targets
+from farfield.detectors.blocks.anchor_head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.blocks.anchors import AnchorGrid
 from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
 from farfield.detectors.blocks.middle import MiddleLayers, middle_depths
 from farfield.detectors.blocks.vfe import VoxelFeatureEncoder
 from farfield.detectors.blocks.voxels import VoxelGridConfig
-from farfield.geometry.boxes import Boxes
 
 _CIRRUS_GRID = VoxelGridConfig(range_m=250.0, half_width_m=50.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.2, 0.2, 0.4))
 
@@ -62,7 +59,7 @@ class VoxelNetConfig(AnchorHeadConfig):
         return self.grid.range_m
 
 
-class VoxelNet(nn.Module):
+class VoxelNet(AnchorDetector):
     """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("middle", "backbone", "head")
@@ -99,29 +96,9 @@ class VoxelNet(nn.Module):
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
-        """Run the network.
-
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
-            targets: Not looked at.
-        """
-        del targets
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Voxel features, convolutional middle layers and the region proposal network's trunk (section 2.1)."""
         image = self.middle(self.encoder(clouds))
         image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
-        maps: AnchorMaps = self.head(self.backbone(image))
-        return maps
-
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Targets:
-        """What one frame's annotation asks of the anchors."""
-        del points
-        return self.head.targets(boxes)
-
-    def loss(self, outputs: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
-        """Focal, smooth-L1 and direction losses over a batch."""
-        return self.head.loss(outputs, targets)
-
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        return self.head.boxes(self(clouds))
+        features: Tensor = self.backbone(image)
+        return features

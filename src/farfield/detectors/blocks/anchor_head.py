@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float32
 from pydantic import Field
 from torch import Tensor, nn
 
@@ -157,3 +158,38 @@ class AnchorHead(nn.Conv2d):
 
     def _limit(self, anchors: int) -> int:
         return min(self.config.candidates, anchors)
+
+
+class AnchorDetector(nn.Module):
+    """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads."""
+
+    head: AnchorHead
+
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5)."""
+        raise NotImplementedError
+
+    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
+        """Run the network.
+
+        Args:
+            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
+            targets: Not looked at.
+        """
+        del targets
+        maps: AnchorMaps = self.head(self.image(clouds))
+        return maps
+
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Targets:
+        """What one frame's annotation asks of the anchors."""
+        del points
+        return self.head.targets(boxes)
+
+    def loss(self, outputs: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
+        """Focal, smooth-L1 and direction losses over a batch."""
+        return self.head.loss(outputs, targets)
+
+    @torch.no_grad()
+    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
+        """Detect: one set of scored boxes a frame, best first."""
+        return self.head.boxes(self(clouds))
