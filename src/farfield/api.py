@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from farfield.training.loop import Training
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
-Frames = TypeVar("Frames", bound="Sequence[Frame] | Dataset")
+Frames = TypeVar("Frames")
 
 
 def open_dataset(path: Path | str, **options: Any) -> "Dataset":
