@@ -75,7 +75,7 @@ SMALL: dict[str, Small] = {
             "depths": [0, 1],
             "pyramid_widths": [32, 32, 32],
         },
-        steps=60,
+        steps=100,
         learning_rate=4e-3,
     ),
     "voxelnet": Small(
