@@ -154,6 +154,12 @@ def test_bf16_finds_nearly_the_same(name, scene):
     np.testing.assert_allclose(np.sort(exact.score)[-10:], np.sort(coarse.score)[-10:], atol=0.05)
 
 
+def test_dense_middle_layers_of_voxelnet_run_in_bf16_too(scene):
+    network = small_detector("voxelnet", middle="dense", score_threshold=0.0, max_boxes=30)
+    exact, coarse = (Detector(network, precision=precision, device="cpu")(scene) for precision in ("fp32", "bf16"))
+    np.testing.assert_allclose(np.sort(exact.score)[-10:], np.sort(coarse.score)[-10:], atol=0.05)
+
+
 @every_detector
 def test_far_boxes_weigh_more_where_asked(name, scene):
     plain, weighted = small_detector(name), small_detector(name, far_weight=4.0)

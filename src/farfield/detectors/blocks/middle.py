@@ -103,7 +103,8 @@ class MiddleLayer(nn.Module):
     def _conv3d(self, volume: Tensor) -> Tensor:
         conv = self.conv
         weight = conv.weight.view(*_KERNEL, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
-        return functional.conv3d(volume, weight.to(volume.dtype), conv.bias, conv.stride, conv.padding)
+        bias = None if conv.bias is None else conv.bias.to(volume.dtype)
+        return functional.conv3d(volume, weight.to(volume.dtype), bias, conv.stride, conv.padding)
 
     def _ground(self, background: Tensor) -> Tensor:
         """Convolve the background, in float32, without the bias."""
@@ -165,7 +166,7 @@ class MiddleLayers(nn.Module):
         return self._dense(voxels) if self.mode == "dense" else self._sparse(voxels)
 
     def _dense(self, voxels: SparseTensor) -> Tensor:
-        volume = voxels.dense()
+        volume = voxels.dense().to(next(self.parameters()).dtype)
         for layer in self.layers:
             volume = layer.dense(volume)
         image = volume.transpose(1, 2).flatten(1, 2)
