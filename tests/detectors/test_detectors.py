@@ -101,7 +101,9 @@ def test_batch_of_many_equals_many_of_one(name, scene):
     first = cloud_tensor(scene.cloud())
     second = first[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
     clouds = [first, torch.zeros(0, 5), second]
-    for together, cloud in zip(network.predict(clouds), clouds, strict=True):
+    found = network.predict(clouds)
+    assert len(found) == len(clouds)
+    for together, cloud in zip(found, clouds, strict=True):
         same(together, network.predict([cloud])[0])
 
 

@@ -19,6 +19,10 @@ KINDS = {
 class Config(AnchorHeadConfig):
     name: str = "test"
 
+    @property
+    def reach_m(self) -> float:
+        return 40.0
+
 
 def grid_of(style="farfield", nx=30, ny=24, cell_m=0.5):
     return AnchorGrid(KINDS, nx=nx, ny=ny, cell_m=cell_m, y_min_m=-ny * cell_m / 2, style=style)

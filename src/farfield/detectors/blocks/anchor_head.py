@@ -4,6 +4,7 @@ Every anchor gives one logit for its class, a box code of seven numbers and two 
 OpenPCDet it gives a logit for each class, whichever its own.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -160,14 +161,14 @@ class AnchorHead(nn.Conv2d):
         return min(self.config.candidates, anchors)
 
 
-class AnchorDetector(nn.Module):
+class AnchorDetector(nn.Module, ABC):
     """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads."""
 
     head: AnchorHead
 
+    @abstractmethod
     def image(self, clouds: Sequence[Tensor]) -> Tensor:
         """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5)."""
-        raise NotImplementedError
 
     def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
         """Run the network.

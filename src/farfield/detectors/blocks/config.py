@@ -1,5 +1,6 @@
 """What the configurations of all detectors share."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, Any, Protocol
 
@@ -17,7 +18,7 @@ POINT_COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
 """Columns of the points that networks read; ``lag_s`` is the age of a point's sweep, zero for a single sweep."""
 
 
-class DetectorConfig(BaseModel):
+class DetectorConfig(BaseModel, ABC):
     """Everything that decides the shape of a network and of its answers; each detector adds its own fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -29,14 +30,14 @@ class DetectorConfig(BaseModel):
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
 
     @property
+    @abstractmethod
     def class_names(self) -> tuple[str, ...]:
         """The classes that the detector tells apart."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
-        raise NotImplementedError
 
     def box_weights(self, boxes: Boxes) -> Float[np.ndarray, " n"]:
         """Weight of each box in the loss, from its range on the ground, shape (n,)."""

@@ -5,6 +5,7 @@ of depth 1 with kernels (1, 3, 3).
 """
 
 import math
+from abc import ABC, abstractmethod
 from typing import cast
 
 import torch
@@ -16,7 +17,7 @@ from farfield.detectors.blocks.sparse.rulebook import Rulebook, strided_rulebook
 from farfield.detectors.blocks.sparse.tensor import SparseTensor, Triple
 
 
-class _Conv(nn.Module):
+class _Conv(nn.Module, ABC):
     def __init__(self, c_in: int, c_out: int, kernel: Triple, bias: bool, book: str | None) -> None:
         super().__init__()
         self.c_in, self.c_out, self.kernel, self.book = c_in, c_out, kernel, book
@@ -31,8 +32,9 @@ class _Conv(nn.Module):
         if self.bias is not None:
             nn.init.uniform_(self.bias, -bound, bound)
 
+    @abstractmethod
     def rulebook(self, sparse: SparseTensor) -> Rulebook:
-        raise NotImplementedError
+        """The rulebook of the layer on these cells."""
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         book = self.rulebook(sparse)
