@@ -58,7 +58,8 @@ def run(
         frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
         sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
         sensors: What to write, separated by commas. Cirrus: gaussian, uniform, camera. K-Radar: os2-64, os1-128,
-            cam-front, cam-left, cam-right, cam-rear, sparse, polar3d, cube, tesseract (260 MB a frame).
+            cam-front, cam-left, cam-right, cam-rear, cells (the radar's cells in the wide region, to train on), sparse,
+            polar3d, cube, tesseract (260 MB a frame).
         weather: Put every sequence into this weather.
         time: Put every sequence into this time of day.
         seed: Another seed gives another world; the preset's own unless given.

@@ -36,6 +36,7 @@ _PRODUCTS = {
     "cube": "{seq}/radar_zyx_cube/cube_{index:05d}.mat",
     "polar3d": "rdr_polar_3d/{seq}/polar3d_{index:05d}.npy",
     "sparse": "rtnh_wider_10p_1/{seq}/sprdr_{index:05d}.npy",
+    "cells": "radar_cells/{seq}/cells_{index:05d}.h5",
 }
 RADAR_PRODUCTS = tuple(_PRODUCTS)
 RESOURCES = Path("resources")

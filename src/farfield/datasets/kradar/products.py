@@ -19,7 +19,9 @@ from farfield.files.images import read_image
 from farfield.files.mat import read_mat, write_mat
 from farfield.files.npy import read_npy, write_npy
 from farfield.files.pcd import read_pcd, write_pcd
+from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
+from farfield.radar.cells import RATES, RadarCells
 
 TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
 CUBE_SHAPE = (150, 400, 250)  # z, y, x
@@ -30,7 +32,12 @@ _DTYPES = dict(zip(_FIELDS, ("f4", "f4", "f4", "f4", "u4", "u2", "u1", "u2", "u4
 
 
 def write_radar(
-    path: Path, product: str, values: Shaped[np.ndarray, "..."], *, dtype: str = "float32", compress: bool = False
+    path: Path,
+    product: str,
+    values: Shaped[np.ndarray, "..."] | RadarCells,
+    *,
+    dtype: str = "float32",
+    compress: bool = False,
 ) -> None:
     """Write one radar product.
 
@@ -39,7 +46,8 @@ def write_radar(
         product: ``"tesseract"``: linear power, Doppler x range x elevation x azimuth (64, 256, 37, 107);
             ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
             in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``: x, y, z, power / 1e13 in the
-            radar's frame, shape (n, 4). Angles, z and y rise in our sense: to the left and up.
+            radar's frame, shape (n, 4); ``"cells"``: the cells of a region, Farfield's own store. Angles, z and y
+            rise in our sense: to the left and up.
         values: The product.
         dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
         compress: Pack the ``.mat`` files.
@@ -47,7 +55,11 @@ def write_radar(
     Raises:
         DatasetError: If the shape is another.
     """
-    if product == "tesseract":
+    if isinstance(values, RadarCells):
+        write_radar_cells(
+            path, index=values.index, code=values.code, quantiles=values.quantiles, doppler=values.doppler
+        )
+    elif product == "tesseract":
         write_mat(
             path, "arrDREA", _shaped(product, values, TESSERACT_SHAPE, dtype)[:, :, ::-1, ::-1], compress=compress
         )
@@ -59,12 +71,14 @@ def write_radar(
         write_npy(path, _shaped(product, values, (len(values), 4), "float64"))
 
 
-def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."]:
+def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCells:
     """Read one radar product in our orientation, with the file's dtype; see :func:`write_radar`.
 
     Raises:
         FileFormatError: If the file is damaged or its array has another shape.
     """
+    if product == "cells":
+        return read_cells(path)
     if product == "tesseract":
         return _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)[:, :, ::-1, ::-1]
     if product == "cube":
@@ -73,6 +87,19 @@ def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."]:
         return _checked(path, read_npy(path), POLAR_SHAPE)[:, :, ::-1, ::-1]
     points = read_npy(path)
     return _checked(path, points, (len(points) if points.ndim else 0, 4))
+
+
+def read_cells(path: Path) -> RadarCells:
+    """Read the store of one frame.
+
+    Raises:
+        FileFormatError: If the file is damaged, or its quantiles are not those that this version knows.
+    """
+    columns = read_radar_cells(path)
+    if columns["quantiles"].shape != (2, len(RATES)):
+        expected, found = f"quantiles of shape {(2, len(RATES))}", f"{columns['quantiles'].shape}"
+        raise FileFormatError(path, where="column 'quantiles'", expected=expected, found=found)
+    return RadarCells(columns["index"], columns["code"], columns.get("doppler"), columns["quantiles"])
 
 
 def _shaped(product: str, values: Shaped[np.ndarray, "..."], shape: tuple[int, ...], dtype: str) -> np.ndarray:

@@ -30,6 +30,7 @@ from farfield.datasets.kradar.layout import (
     product_path,
 )
 from farfield.datasets.kradar.products import read_eye, read_lidar, read_radar
+from farfield.datasets.kradar.radar_cloud import RadarView, in_radar_frame, with_radar_cloud
 from farfield.datasets.kradar.record import FrameRecord, read_record, record_path
 from farfield.datasets.kradar.sequence_files import camera_path, odometry_path, quarters
 from farfield.datasets.kradar.texts import read_camera, read_description, read_lines, read_odometry, read_times
@@ -57,8 +58,11 @@ class KRadar(Dataset):
 
     - clouds ``os2-64`` and ``os1-128``, without missing returns. The os1-128's cloud is in its own sensor's frame: no
       official calibration between the two exists; ``metadata["os2_T_os1"]`` gives it where the writer knew it.
-    - radar ``tesseract``, ``cube``, ``polar3d``, ``sparse`` in the radar's frame (``metadata["os2_T_radar"]``), angles,
-      y and z rising to the left and up; see :func:`~farfield.datasets.kradar.products.write_radar`.
+    - cloud ``radar``: the radar's strongest cells as points, intensity their power over 1e13 (linear), extra column
+      ``doppler_m_s`` where it is known; see :mod:`~farfield.datasets.kradar.radar_cloud`.
+    - radar ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` in the radar's frame
+      (``metadata["os2_T_radar"]``), angles, y and z rising to the left and up; see
+      :func:`~farfield.datasets.kradar.products.write_radar`.
     - images ``cam-front`` (left eye), ``cam-front-right``, likewise ``cam-left``, ``cam-right``, ``cam-rear``, and
       their cameras.
     - full boxes with Cirrus' class names; ``metadata`` has ``raw_label``, ``availability``, ``from_above`` (see
@@ -68,18 +72,38 @@ class KRadar(Dataset):
         root: A folder with the sequences ``1`` to ``58`` or with separate downloads such as ``rdr_polar_3d``.
         roots: Further such folders, for a set that is spread over several disks.
         labels: ``"v2.1"``, ``"v2.0"``, ``"v1.1"`` or ``"v1.0"``; None takes the newest that a sequence has.
+        reference: ``"os2-64"``, or ``"radar"`` for frames in the radar's coordinates, as K-Radar's own tools train and
+            score: boxes, clouds, cameras and poses are moved. The os1-128 keeps its own.
+        radar_rate: Share of all cells of a cube that the cloud ``radar`` holds before it is cropped; 1 for every cell.
+        radar_region: Where it is cropped: ``"narrow"``, ``"wide"`` or ``"cube"``.
+        radar_over: Whether that share is of ``"all"`` cells, as published, or of the ``"valid"`` ones in the field of
+            view.
 
     Raises:
         DatasetError: If there is nothing of K-Radar, or no annotation of the version asked for.
-        ConfigError: If the version is unknown.
+        ConfigError: If an argument is not one of those possible.
     """
 
     name = "kradar"
     split_file = SEQUENCE_SPLIT
 
-    def __init__(self, root: Path | str, *, roots: Iterable[Path | str] = (), labels: str | None = None) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        roots: Iterable[Path | str] = (),
+        labels: str | None = None,
+        reference: str = "os2-64",
+        radar_rate: float | int = 0.1,
+        radar_region: str = "wide",
+        radar_over: str = "all",
+    ) -> None:
         if labels is not None and labels not in LABEL_TREES:
             raise ConfigError(f"KRadar: expected labels to be one of {', '.join(LABEL_TREES)}; got {labels!r}")
+        if reference not in ("os2-64", "radar"):
+            raise ConfigError(f"KRadar: expected reference os2-64 or radar, got {reference!r}")
+        self.reference = reference
+        self.radar_view = RadarView(rate=radar_rate, region=radar_region, over=radar_over)
         self.root = Path(root)
         self.roots = (self.root, *map(Path, roots))
         self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
@@ -117,7 +141,8 @@ class KRadar(Dataset):
         paths = self._paths(entry, indices)
         times = _times(shared.times, paths, record)
         time_ns = times.get("os2-64", raw.time_ns if raw is not None else None)
-        return Frame(
+        radar = Lazy({name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths})
+        frame = Frame(
             sequence=entry.sequence,
             frame_id=entry.stem,
             time_ns=time_ns,
@@ -128,10 +153,14 @@ class KRadar(Dataset):
             world_T_lidar=self._pose(index, record),
             times_ns=times,
             conditions=shared.conditions,
-            radar=Lazy({name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths}),
+            radar=radar,
             reference="os2-64",
             metadata=Lazy(self._metadata(index, raw, record, indices)),
         )
+        os2_T_radar = self._os2_T_radar(index)
+        if self.reference == "radar":
+            frame = in_radar_frame(frame, os2_T_radar)
+        return with_radar_cloud(frame, self.radar_view, np.eye(4) if self.reference == "radar" else os2_T_radar)
 
     def benchmark_split(self, name: str) -> Dataset:
         """K-Radar's own ``train`` or ``test``: quarters of every sequence in turn.
@@ -217,16 +246,18 @@ class KRadar(Dataset):
         known = record.pose("world_T_lidar") if record is not None else None
         return self._of_sequence(self.sequences[index]).poses.get(index) if known is None else known
 
+    def _os2_T_radar(self, index: int) -> Float[np.ndarray, "4 4"]:
+        _, x_m, y_m = self._geometry[self.sequences[index]]
+        return os2_T_radar() if x_m is None or y_m is None else os2_T_radar(x_m, y_m)
+
     def _metadata(
         self, index: int, raw: KRadarLabels | None, record: FrameRecord | None, indices: dict[str, int]
     ) -> dict[str, Callable[[], Any]]:
-        _, x_m, y_m = self._geometry[self.sequences[index]]
-        radar_pose = os2_T_radar() if x_m is None or y_m is None else os2_T_radar(x_m, y_m)
         known: dict[str, Callable[[], Any]] = {
             "files": lambda: [str(path) for path in self.files(index)],
             "indices": lambda: indices,
             "box_protocol": lambda: "full",
-            "os2_T_radar": lambda: radar_pose,
+            "os2_T_radar": lambda: self._os2_T_radar(index),
         }
         if raw is not None:
             known |= {"raw_label": lambda: raw.raw_label, "from_above": lambda: raw.from_above}

@@ -39,7 +39,7 @@ class KRadarWriter:
       other three cameras) where there are such files;
     - clouds ``os2-64`` and ``os1-128``, the latter in its own sensor's frame, which ``metadata["os2_T_os1"]`` places;
       their columns are described at :func:`~farfield.datasets.kradar.products.write_lidar`;
-    - radar products ``tesseract``, ``cube``, ``polar3d``, ``sparse`` in the radar's frame, described at
+    - radar products ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` in the radar's frame, described at
       :func:`~farfield.datasets.kradar.products.write_radar`;
     - images ``cam-front`` (left eye) and ``cam-front-right``, likewise ``cam-left``, ``cam-right`` and ``cam-rear``,
       and cameras of the same names;
@@ -129,7 +129,8 @@ class KRadarWriter:
     def _write_one(self, frame: Frame, product: str) -> Callable[[Path], None]:
         def radar(path: Path) -> None:
             options: dict[str, Any] = {"dtype": self.tesseract_dtype, "compress": self.compress}
-            write_radar(path, product, np.asarray(frame.radar[product]), **options)
+            values = frame.radar[product]
+            write_radar(path, product, values if product == "cells" else np.asarray(values), **options)
 
         def lidar(path: Path) -> None:
             write_lidar(path, frame.clouds[product], lines=LIDARS[product], columns=self.columns)

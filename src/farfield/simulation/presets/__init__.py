@@ -15,6 +15,7 @@ KRADAR_SENSORS = (
     "cam-left",
     "cam-right",
     "cam-rear",
+    "cells",
     "sparse",
     "polar3d",
     "cube",

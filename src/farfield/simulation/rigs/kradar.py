@@ -13,7 +13,8 @@ from jaxtyping import Float, Float32, Int, Shaped, UInt8
 
 from farfield.frame import Boxes, Camera, Cloud
 from farfield.geometry.poses import invert, pose
-from farfield.radar.products import polar3d_from_moments, sparse_cloud, zyx_cube
+from farfield.radar.cells import RadarCells, cells_of_cube
+from farfield.radar.products import polar3d_from_moments, zyx_cube
 from farfield.simulation import labels
 from farfield.simulation.bodies.sizes import inflated
 from farfield.simulation.camera.render import render
@@ -146,7 +147,7 @@ class KRadarMoment(Moment):
         """The radar's measurement reduced over Doppler."""
         return self.measured(("mean",))
 
-    def product(self, name: str) -> Shaped[np.ndarray, "..."]:
+    def product(self, name: str) -> Shaped[np.ndarray, "..."] | RadarCells:
         """One radar product; all but the tensor come from one measurement of the moments."""
         if name == "tesseract":
             tensor = self.measured(("tensor",)).tensor
@@ -156,7 +157,21 @@ class KRadarMoment(Moment):
             moments = self.moments.moments
             assert moments is not None
             return polar3d_from_moments(moments.mean_power_63, moments.velocity_moment)
-        return self.cube if name == "cube" else sparse_cloud(self.cube)
+        if name == "cube":
+            return self.cube
+        if name == "cells":
+            return self.cells
+        chosen = self.cells.select("wide", 0.1)
+        return np.column_stack([chosen.points_m(), chosen.power])
+
+    @cached_property
+    def cells(self) -> RadarCells:
+        """The cells of the wide region, with their mean velocity."""
+        found = self.moments.moments
+        assert found is not None
+        power, moment = zyx_cube(found.mean_power_63), zyx_cube(found.velocity_moment)
+        doppler = np.divide(moment, power, out=np.zeros_like(power), where=power > 0)
+        return cells_of_cube(self.cube, "wide", doppler_m_s=doppler)
 
     @cached_property
     def cube(self) -> Float32[np.ndarray, "150 400 250"]:

@@ -8,7 +8,7 @@ from farfield.simulation.rigs.drive import Drive
 
 _LIDARS = ("os2-64", "os1-128")
 _CAMERAS = ("cam-front", "cam-left", "cam-right", "cam-rear")
-_PRODUCTS = ("sparse", "polar3d", "cube", "tesseract")
+_PRODUCTS = ("cells", "sparse", "polar3d", "cube", "tesseract")
 _CAMERA_HZ = 30
 _RADAR_LEAD = 5  # the radar's recording began half a second before the LiDARs'
 

@@ -1,0 +1,102 @@
+"""The radar's strongest cells as a point cloud, from whichever product is there, and frames in its coordinates.
+
+From the store (``cells``), the published sparse files (``sparse``), the cube or the tesseract comes the same cloud; the
+published files hold what their rate and region left. The polar map gives its own strongest cells, with their Doppler.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from farfield.datasets.moving import move_frame
+from farfield.errors import ConfigError
+from farfield.frame import Cloud, Frame, Lazy
+from farfield.geometry.poses import invert
+from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_region
+from farfield.radar.products import moments, polar_cloud, zyx_cube
+
+RADAR_CLOUD = "radar"
+_SOURCES = ("cells", "sparse", "cube", "tesseract", "polar3d")  # the cheapest to read first
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadarView:
+    """Which cells of a radar frame become points.
+
+    Args:
+        rate: Share of the cube's cells, 1 or one of ``farfield.radar.cells.RATES``.
+        region: Name of a region.
+        over: ``"all"`` or ``"valid"`` cells are counted.
+
+    Raises:
+        ConfigError: If one is none of those possible.
+    """
+
+    rate: float | int = 0.1
+    region: str = "wide"
+    over: str = "all"
+
+    def __post_init__(self) -> None:
+        if self.rate != 1 and self.rate not in RATES:
+            raise ConfigError(f"radar_rate: expected 1 or one of {', '.join(map(str, RATES))}; got {self.rate}")
+        if self.over not in ("all", "valid"):
+            raise ConfigError(f"radar_over: expected all or valid, got {self.over!r}")
+        find_region(self.region)
+
+
+def with_radar_cloud(frame: Frame, view: RadarView, frame_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
+    """The frame with its cloud ``radar``, if it has a product that gives one; it is read when it is asked for."""
+    source = next((name for name in _SOURCES if name in frame.radar), None)
+    if source is None:
+        return frame
+
+    def load() -> Cloud:
+        cloud = radar_cloud(source, frame.radar[source], view)
+        return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
+
+    return replace(frame, clouds=_with(frame, {RADAR_CLOUD: load}))
+
+
+def _with(frame: Frame, loaders: Mapping[str, Callable[[], Any]]) -> Lazy:
+    def kept(name: str) -> Callable[[], Any]:
+        return lambda: frame.clouds[name]
+
+    return Lazy({name: kept(name) for name in frame.clouds} | dict(loaders))
+
+
+def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
+    """A cloud in the radar's frame: intensity is power over 1e13, extra column ``doppler_m_s`` where it is known.
+
+    Args:
+        product: ``"cells"``, ``"sparse"``, ``"cube"``, ``"tesseract"`` or ``"polar3d"``.
+        values: The product.
+        view: Which cells.
+    """
+    if product == "sparse":
+        return _of_columns(np.asarray(values, dtype=np.float32), view)
+    if product == "polar3d":
+        return _of_columns(polar_cloud(np.ascontiguousarray(values, dtype=np.float32), min(view.rate, 0.999)), view)
+    if product == "tesseract":
+        values = zyx_cube(moments(np.asarray(values, dtype=np.float32)).mean_power)
+    cells = values if isinstance(values, RadarCells) else cells_of_cube(np.asarray(values, np.float32), view.region)
+    chosen = cells.select(view.region, view.rate, over=cast(Over, view.over))
+    doppler = chosen.doppler_m_s
+    return Cloud(chosen.points_m(), chosen.power, {} if doppler is None else {"doppler_m_s": doppler})
+
+
+def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
+    region = find_region(view.region)
+    bounds = np.array([region.x_m, region.y_m, region.z_m], dtype=np.float64)
+    kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
+    extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
+    return Cloud(kept[:, :3], kept[:, 3], extra)
+
+
+def in_radar_frame(frame: Frame, os2_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
+    """A frame of the os2-64's coordinates in the radar's; the os1-128's cloud stays in its own."""
+    moved = move_frame(frame, invert(os2_T_radar))
+    kept = {"os1-128": lambda: frame.clouds["os1-128"]} if "os1-128" in frame.clouds else {}
+    return replace(moved, clouds=_with(moved, kept), reference="radar")

@@ -1,0 +1,111 @@
+"""Cells of a radar cube in HDF5, one file a frame.
+
+A user block of 512 bytes stands before the HDF5 data: a mark and the SHA-256 of what follows. Nothing is parsed unless
+it fits, so a damaged file is told from a whole one before the HDF5 library sees it.
+"""
+
+import hashlib
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int16, Int32, UInt16
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes, write_bytes
+
+_MARK = b"Farfield radar cells 1\n"
+_BLOCK_BYTES = 512
+_MAX_BYTES = 256 << 20
+_MAX_CELLS = 150 * 400 * 250
+
+
+def write_radar_cells(
+    path: Path | str,
+    *,
+    index: Int32[np.ndarray, " n"],
+    code: UInt16[np.ndarray, " n"],
+    quantiles: Int32[np.ndarray, "2 q"],
+    doppler: Int16[np.ndarray, " n"] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write the cells of one frame, all or nothing; the same bytes for the same cells.
+
+    Args:
+        path: The file; its folder must exist.
+        index: Place of each cell in the flat cube, rising.
+        code: Its power, as :class:`farfield.radar.cells.RadarCells` codes it.
+        quantiles: Codes of the cube's quantiles.
+        doppler: Its mean velocity in 0.1 mm/s.
+        attributes: What else is to be remembered, such as the region's name.
+    """
+    import h5py
+
+    gaps = np.diff(index, prepend=np.int32(0)).astype(np.uint32)
+    columns = {"gap": gaps, "code": code, **({} if doppler is None else {"doppler": doppler})}
+    handle = io.BytesIO()
+    with h5py.File(handle, "w", userblock_size=_BLOCK_BYTES, libver=("v110", "v110"), track_order=False) as file:
+        for name, values in columns.items():
+            options = {"chunks": (len(values),), "shuffle": True, "compression": "gzip", "compression_opts": 1}
+            file.create_dataset(name, data=values, track_times=False, **(options if len(values) else {}))
+        file.create_dataset("quantiles", data=quantiles, track_times=False)
+        for name, text in sorted((attributes or {}).items()):
+            file.attrs[name] = text
+    data = handle.getvalue()[_BLOCK_BYTES:]
+    block = (_MARK + hashlib.sha256(data).hexdigest().encode() + b"\n").ljust(_BLOCK_BYTES, b"\0")
+    write_bytes(path, block + data)
+
+
+def read_radar_cells(path: Path | str) -> dict[str, np.ndarray]:
+    """Read the cells of one frame.
+
+    Returns:
+        ``index`` (n,) int32, ``code`` (n,) uint16, ``quantiles`` (2, q) int32 and, where the file has it, ``doppler``
+        (n,) int16.
+
+    Raises:
+        FileFormatError: If the file is damaged, or not of this kind.
+    """
+    import h5py
+
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    block, body = data[:_BLOCK_BYTES], data[_BLOCK_BYTES:]
+    if not block.startswith(_MARK):
+        raise FileFormatError(path, where="byte 0", expected=repr(_MARK.decode()), found=repr(block[:24]))
+    told, found = block[len(_MARK) : len(_MARK) + 64].decode("ascii", "replace"), hashlib.sha256(body).hexdigest()
+    if told != found:
+        mend = "The file is damaged: convert the frame again."
+        raise FileFormatError(path, where="the checksum", expected=told, found=found, mend=mend)
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            arrays = {name: _column(file[name]) for name in ("gap", "code", "quantiles", "doppler") if name in file}
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        expected = "columns gap, code and quantiles"
+        raise FileFormatError(path, where="the HDF5 data", expected=expected, found=str(error)[:120]) from error
+    return _checked(path, arrays)
+
+
+def _column(column: "object") -> np.ndarray:
+    """One column, its size looked at before it is read."""
+    shape, kind = getattr(column, "shape", None), getattr(column, "dtype", np.dtype("O")).kind
+    if shape is None or kind not in "iu" or int(np.prod(shape, dtype=np.float64)) > _MAX_CELLS:
+        raise ValueError(f"expected at most {_MAX_CELLS} whole numbers, found {kind} of shape {shape}")
+    return np.asarray(column[()])  # type: ignore[index]
+
+
+def _checked(path: Path | str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    kinds = {"gap": ("uint32", 1), "code": ("uint16", 1), "quantiles": ("int32", 2), "doppler": ("int16", 1)}
+    for name, (dtype, axes) in kinds.items():
+        if name not in arrays and name == "doppler":
+            continue
+        values = arrays.get(name)
+        if values is None or values.dtype != dtype or values.ndim != axes:
+            found = "nothing" if values is None else f"{values.dtype} with {values.ndim} axes"
+            raise FileFormatError(path, where=f"column {name!r}", expected=f"{dtype}, {axes} axes", found=found)
+    index = np.cumsum(arrays.pop("gap"), dtype=np.int64)
+    lengths = {len(index), *(len(arrays[name]) for name in ("code", "doppler") if name in arrays)}
+    if len(lengths) != 1 or len(arrays["quantiles"]) != 2 or (len(index) and index[-1] >= _MAX_CELLS):
+        found = f"lengths {sorted(lengths)}, last cell {index[-1] if len(index) else None}"
+        raise FileFormatError(path, where="the columns", expected="one number a cell of the cube", found=found)
+    return {"index": index.astype(np.int32), **arrays}
