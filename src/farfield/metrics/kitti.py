@@ -14,27 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.kitti_counts import KittiCurve, ThresholdCounts, recall_mean, shifted
 from farfield.metrics.kitti_frames import Details, KittiFrames, candidates, gather_kitti
-from farfield.metrics.kitti_matching import count_at_thresholds, recall_scores, sample_thresholds, sampled_precision
+from farfield.metrics.kitti_matching import count_at_thresholds, recall_scores, sample_thresholds
 from farfield.metrics.kitti_settings import DIFFICULTIES, KittiSettings
 from farfield.metrics.result import Result, table
 from farfield.metrics.scene import BoxesByFrame, in_range
 
 __all__ = ["Details", "KittiCurve", "KittiResult", "KittiSettings", "evaluate_kitti"]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class KittiCurve:
-    """Precision and recall at KITTI's sampled thresholds, each of shape (thresholds,)."""
-
-    recall: Float[np.ndarray, " t"]
-    precision: Float[np.ndarray, " t"]
-    confidence: Float[np.ndarray, " t"]
-
-    def sampled(self) -> dict[str, list[float]]:
-        """The curve as JSON values."""
-        values = {"recall": self.recall, "precision": self.precision, "confidence": self.confidence}
-        return {name: value.tolist() for name, value in values.items()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,7 +80,9 @@ def evaluate_kitti(
     figures: dict[str, Statistics] = {part: {} for part in parts}
     curves: dict[str, Any] = {part: {} for part in parts}
     for (part, measure, difficulty), found in counted.items():
-        figures[part] |= {f"ap/{measure}_{name}/{difficulty}": value for name, value in found.point().items()}
+        figures[part] |= {
+            f"ap/{measure}_{name}/{difficulty}": value for name, value in _averages(found.sampled()).items()
+        }
         curves[part].setdefault(measure, {})[difficulty] = found.curve()
     counts = {
         part: {"annotated": int((data.is_label & inside[1]).sum()), "predictions": int(inside[0].sum())}
@@ -116,18 +105,18 @@ def evaluate_kitti(
 
 
 def _intervals(
-    counted: "dict[tuple[str, str, str], _Counted]", data: KittiFrames, settings: KittiSettings
+    counted: dict[tuple[str, str, str], ThresholdCounts], data: KittiFrames, settings: KittiSettings
 ) -> dict[str, dict[str, list[float] | None]]:
     """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
-    point = {name: found.point() for name, found in counted.items()}
-    start = {name: found.smooth(np.ones(data.groups)) for name, found in counted.items()}
+    point = {name: _averages(found.sampled()) for name, found in counted.items()}
+    start = {name: _averages(found.smooth(np.ones(data.groups))) for name, found in counted.items()}
 
     def moved(weight: Float[np.ndarray, " groups"]) -> Statistics:
         values: Statistics = {}
         for (part, measure, difficulty), found in counted.items():
             name = part, measure, difficulty
-            for points, drawn in found.smooth(weight).items():
-                values[f"{part}|ap/{measure}_{points}/{difficulty}"] = _shifted(
+            for points, drawn in _averages(found.smooth(weight)).items():
+                values[f"{part}|ap/{measure}_{points}/{difficulty}"] = shifted(
                     point[name][points], drawn, start[name][points]
                 )
         return values
@@ -139,52 +128,8 @@ def _intervals(
     return drawn
 
 
-def _shifted(point: float | None, drawn: float | None, start: float | None) -> float | None:
-    return None if point is None or drawn is None or start is None else min(max(point + drawn - start, 0.0), 1.0)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Counted:
-    """True and false positives by threshold and group, for one part, measure and difficulty."""
-
-    thresholds: list[float]
-    recalls: list[float]
-    true: Float[np.ndarray, "t g"]
-    false: Float[np.ndarray, "t g"]
-    annotated: Int[np.ndarray, " g"]
-
-    def precision(self, weight: Float[np.ndarray, " g"]) -> Float[np.ndarray, " t"]:
-        true, false = self.true @ weight, self.false @ weight
-        return np.divide(true, true + false, out=np.zeros(len(true)), where=true + false > 0)
-
-    def point(self) -> Statistics:
-        total = int(self.annotated.sum())
-        if total == 0:
-            return {"r11": None, "r40": None}
-        precision = self.precision(np.ones(len(self.annotated)))
-        sampled = sampled_precision(precision, np.array(self.recalls), total)
-        return {"r11": float(sampled[::4].mean()), "r40": float(sampled[1:].mean())}
-
-    def smooth(self, weight: Float[np.ndarray, " g"]) -> Statistics:
-        """AP under group weights, interpolated in recall: the thresholds stay, so only its changes are used."""
-        total = float(self.annotated @ weight)
-        if total <= 0:
-            return {"r11": None, "r40": None}
-        if not self.thresholds:
-            return {"r11": 0.0, "r40": 0.0}
-        recall = np.maximum.accumulate(self.true @ weight) / total
-        best = np.maximum.accumulate(self.precision(weight)[::-1])[::-1]
-        wanted = np.linspace(0, 1, 41)
-        sampled = np.interp(wanted, recall, best, right=0.0)
-        return {"r11": float(sampled[::4].mean()), "r40": float(sampled[1:].mean())}
-
-    def curve(self) -> KittiCurve | None:
-        if not self.annotated.sum():
-            return None
-        precision = self.precision(np.ones(len(self.annotated)))
-        return KittiCurve(
-            recall=np.array(self.recalls), precision=precision, confidence=np.array(self.thresholds, dtype=np.float64)
-        )
+def _averages(sampled: Float[np.ndarray, "41"] | None) -> Statistics:
+    return {f"r{points}": None if sampled is None else recall_mean(sampled, points) for points in (11, 40)}
 
 
 def _count(
@@ -194,7 +139,7 @@ def _count(
     difficulty: str,
     predicted_in: Bool[np.ndarray, " n"],
     annotated_in: Bool[np.ndarray, " m"],
-) -> _Counted:
+) -> ThresholdCounts:
     must_find = data.is_label & ~data.hardness[difficulty] & annotated_in
     annotated = np.bincount(data.group[data.annotated_frame[must_find]], minlength=data.groups)
     small = data.height_px < (DIFFICULTIES[difficulty][0] if difficulty in DIFFICULTIES else 0.0)
@@ -203,7 +148,7 @@ def _count(
     total = int(annotated.sum())
     thresholds, recalls = sample_thresholds(recall_scores(found), total) if total else ([], [])
     true, false = count_at_thresholds(found, np.array(thresholds, dtype=np.float64))
-    return _Counted(
+    return ThresholdCounts(
         thresholds=thresholds,
         recalls=recalls,
         true=_by_group(true, data),

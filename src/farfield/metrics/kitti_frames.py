@@ -143,15 +143,22 @@ def _pairs(
     frames: int,
 ) -> Int[np.ndarray, "p 2"]:
     """Pairs (annotated, predicted) of one frame whose circumscribed circles meet, in the order of the boxes."""
-    count = np.bincount(predicted_frame, minlength=frames)
-    start = np.cumsum(count) - count
-    each = count[annotated_frame]
-    box = np.repeat(np.arange(len(annotated)), each)
-    detection = np.arange(len(box)) - np.repeat(np.cumsum(each) - each, each) + np.repeat(start[annotated_frame], each)
+    box, detection = same_owner(annotated_frame, predicted_frame, frames)
     gap = annotated.centre_m[box, :2] - predicted.centre_m[detection, :2]
     reach = (np.hypot(*annotated.size_m[:, :2].T)[box] + np.hypot(*predicted.size_m[:, :2].T)[detection]) / 2
     near = (gap**2).sum(axis=1) < reach**2
     return np.column_stack([box[near], detection[near]])
+
+
+def same_owner(
+    a_owner: Int[np.ndarray, " n"], b_owner: Int[np.ndarray, " m"], owners: int
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """All pairs of a row of ``a`` with a row of ``b`` of the same owner; the rows of ``b`` are sorted by owner."""
+    count = np.bincount(b_owner, minlength=owners)
+    start = np.cumsum(count) - count
+    each = count[a_owner]
+    a = np.repeat(np.arange(len(a_owner)), each)
+    return a, np.arange(len(a)) - np.repeat(np.cumsum(each) - each, each) + np.repeat(start[a_owner], each)
 
 
 def _column(
