@@ -19,12 +19,13 @@ from farfield.datasets.kradar.texts import read_radar_calibration
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One frame: its sequence, radar and LiDAR index, and its annotation where there is one."""
+    """One frame: its sequence, radar and LiDAR index, and its annotation with its version where there is one."""
 
     sequence: str
     radar: int
     lidar: int
     label: Path | None = None
+    version: str | None = None
 
     @property
     def stem(self) -> str:
@@ -79,8 +80,10 @@ def index_sequence(roots: Sequence[Path], sequence: str, versions: Iterable[str]
     labels = find_labels(roots, sequence, versions)
     if labels is not None:
         stems = [path.stem.split("_") for path in labels[1]]
-        pairs = zip(stems, labels[1], strict=True)
-        return [Entry(sequence=sequence, radar=int(r), lidar=int(li), label=path) for (r, li), path in pairs]
+        return [
+            Entry(sequence=sequence, radar=int(radar), lidar=int(lidar), label=path, version=labels[0])
+            for (radar, lidar), path in zip(stems, labels[1], strict=True)
+        ]
     lidars = _numbers(roots, sequence, LIDARS, lambda index: index)
     lidars |= _numbers(roots, sequence, RADAR_PRODUCTS, lambda index: index - difference)
     return [Entry(sequence=sequence, radar=number + difference, lidar=number) for number in sorted(lidars)]

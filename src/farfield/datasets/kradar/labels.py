@@ -25,7 +25,7 @@ from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
 
-_MAX_BYTES = 4 << 20
+MAX_BYTES = 4 << 20
 _LARGEST = 1e6
 _OBJECT = re.compile(r"([*#])\s*,")  # an object may stand on the header's line
 _HEADER = re.compile(
@@ -65,7 +65,67 @@ def read_labels(path: Path) -> KRadarLabels:
     Raises:
         FileFormatError: If it is damaged.
     """
-    return parse_labels(read_bytes(path, max_bytes=_MAX_BYTES), path)
+    return parse_labels(read_bytes(path, max_bytes=MAX_BYTES), path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelLine:
+    """One object as it stands in the file.
+
+    Args:
+        availability: ``R``, ``L``, ``L1``, or nothing where the line does not say.
+        numbers: The one or two whole numbers before the class: the track, or its number now and in the frame before.
+        name: Class.
+        values: x, y, z in metres, yaw in degrees, half the length, width and height.
+        slip: Whether the availability was misspelt.
+    """
+
+    availability: str
+    numbers: tuple[int, ...]
+    name: str
+    values: tuple[float, ...]
+    slip: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelText:
+    """One annotation file as it is written; ``usual_header`` and ``merged_header`` tell of its first line."""
+
+    indices: Mapping[str, int]
+    time_ns: int | None
+    lines: tuple[LabelLine, ...]
+    from_above: tuple[tuple[str, tuple[float, ...]], ...]
+    usual_header: bool
+    merged_header: bool
+
+
+def parse_text(data: bytes, path: Path | str) -> LabelText:
+    """Parse the content of an annotation file and change nothing in it; ``path`` is for messages.
+
+    Raises:
+        FileFormatError: As :func:`parse_labels`.
+    """
+    text = data.decode("utf-8", errors="replace")
+    marks = list(_OBJECT.finditer(text))
+    header = text[: marks[0].start()] if marks else text
+    indices, time_ns = _parse_header(header, path)
+    lines, above = [], []
+    for number, mark in enumerate(marks):
+        end = marks[number + 1].start() if number + 1 < len(marks) else len(text)
+        cells = [cell.strip() for cell in text[mark.end() : end].strip().rstrip(",").split(",")]
+        where = f"line {text.count(chr(10), 0, mark.start()) + 1}"
+        if mark[1] == "#":
+            above.append(_parse_from_above(cells, path, where))
+        else:
+            lines.append(_parse_object(cells, path, where))
+    return LabelText(
+        indices=indices,
+        time_ns=time_ns,
+        lines=tuple(lines),
+        from_above=tuple(above),
+        usual_header=time_ns is not None,
+        merged_header=bool(marks and header.strip() and "\n" not in header),
+    )
 
 
 def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
@@ -74,40 +134,23 @@ def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
     Raises:
         FileFormatError: If the header or an object is not of a form above, or a number is not finite.
     """
-    text = data.decode("utf-8", errors="replace")
-    marks = list(_OBJECT.finditer(text))
-    header = text[: marks[0].start()] if marks else text
-    indices, time_ns = _parse_header(header, path)
-    rows: list[list[float]] = []
-    tracks, classes, availability, above = [], [], [], []
-    for number, mark in enumerate(marks):
-        end = marks[number + 1].start() if number + 1 < len(marks) else len(text)
-        cells = [cell.strip() for cell in text[mark.end() : end].strip().rstrip(",").split(",")]
-        where = f"line {text.count(chr(10), 0, mark.start()) + 1}"
-        if mark[1] == "#":
-            above.append(_parse_from_above(cells, path, where))
-            continue
-        available, track, name, values = _parse_object(cells, path, where)
-        rows.append(values)
-        tracks.append(track)
-        classes.append(name)
-        availability.append(available)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    found = parse_text(data, path)
+    table = np.array([line.values for line in found.lines], dtype=np.float64).reshape(-1, 7)
     boxes = Boxes(
         centre_m=table[:, :3],
         size_m=2 * table[:, 4:],
         yaw_rad=np.deg2rad(table[:, 3]),
-        label=[normalised_class(name, CIRRUS_FROM_KRADAR) for name in classes],
-        track_id=np.array(tracks, dtype=np.int64),
+        label=[normalised_class(line.name, CIRRUS_FROM_KRADAR) for line in found.lines],
+        track_id=np.array([line.numbers[0] for line in found.lines], dtype=np.int64),
     )
-    known = tuple(one for one in availability if one is not None)
+    known = tuple(line.availability for line in found.lines if line.availability)
     return KRadarLabels(
         boxes=boxes,
-        indices=indices,
-        time_ns=time_ns,
-        raw_label=tuple(classes),
-        availability=known if len(known) == len(classes) else (),
-        from_above=tuple(above),
+        indices=found.indices,
+        time_ns=found.time_ns,
+        raw_label=tuple(line.name for line in found.lines),
+        availability=known if len(known) == len(found.lines) else (),
+        from_above=found.from_above,
     )
 
 
@@ -123,24 +166,23 @@ def _parse_header(text: str, path: Path | str) -> tuple[dict[str, int], int | No
     raise FileFormatError(path, where="line 1", expected=expected, found=repr(text[:100]))
 
 
-def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> tuple[str | None, int, str, list[float]]:
-    """Availability, track, class and the seven numbers of an object."""
+def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> LabelLine:
     before, name, numbers = cells[:-8], cells[-8] if len(cells) > 8 else "", cells[-7:]
     values = [_number(cell) for cell in numbers]
-    available = None
+    availability, slip = "", False
     if before and _whole(before[0]) is None:
-        available, before = _AVAILABILITY.get(before[0].upper()), before[1:]
-        if available is None:
-            before = []
-    whole = [_whole(cell) for cell in before]
-    track = whole[0] if whole else None
-    if track is None or len(whole) > 2 or None in whole or not name or _number(name) is not None or None in values:
+        availability = _AVAILABILITY.get(before[0].upper(), "")
+        slip = before[0] != availability
+        before = before[1:] if availability else []
+    whole = [number for number in map(_whole, before) if number is not None]
+    finite = [value for value in values if value is not None]
+    complete = len(whole) == len(before) in (1, 2) and len(finite) == 7
+    if not complete or not name or _number(name) is not None:
         expected = "*, [R, L or L1,] one or two whole numbers, a class and seven numbers"
         raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
-    finite = [value for value in values if value is not None]
     if min(finite[4:]) <= 0:
         raise FileFormatError(path, where=where, expected="positive sizes", found=repr(cells[-3:])[:120])
-    return available, track, name, finite
+    return LabelLine(availability=availability, numbers=tuple(whole), name=name, values=tuple(finite), slip=slip)
 
 
 def _parse_from_above(cells: Sequence[str], path: Path | str, where: str) -> tuple[str, tuple[float, ...]]:
