@@ -65,7 +65,7 @@ FORMATS: dict[str, Callable[..., Dataset]] = {
 _LOOKED_FOR = {
     "cirrus": "dataset<N>_gaussian/*.xyz or dataset<N>_uniform/*.xyz, or the authors' dataset/raw_data/lidar/*.xyz",
     "kitti": "training/velodyne/*.bin",
-    "view_of_delft": "training/velodyne/*.bin with training/pose/*.json",
+    "view_of_delft": "[lidar|radar|radar_3frames|radar_5frames]/training/velodyne/*.bin, with training/pose/*.json",
     "kitti_tracking": "training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     "argoverse2": "<log>/sensors/lidar/*.feather",
     "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt or another part",
@@ -88,9 +88,13 @@ def recognise(root: Path, *, mapping: Any = None) -> str | None:
 
     if find_parts(root, Mapping()):
         return "cirrus"
+    from farfield.datasets.view_of_delft_layout import is_view_of_delft
+
+    if is_view_of_delft(root):
+        return "view_of_delft"
     bases = [root, root / "training", root / "testing"]
     if any(_has(base, "velodyne/*.bin") for base in bases):
-        return "view_of_delft" if any(_has(base, "pose/*.json") for base in bases) else "kitti"
+        return "kitti"
     tracking = ("velodyne/*/*.bin", "label_02/*.txt", "label/*.txt")
     if any(_has(base, pattern) for base in bases for pattern in tracking):
         return "kitti_tracking"

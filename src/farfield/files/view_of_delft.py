@@ -1,0 +1,141 @@
+"""View-of-Delft's JSON files: poses of the camera, and labels with nine degrees of freedom.
+
+A pose file holds three JSON objects one after another, each with one matrix of 16 numbers, row by row:
+``odomToCamera``, ``mapToCamera``, ``UTMToCamera``. In spite of their names they map camera coordinates to the named
+frame: their rotation turns the camera's y axis downwards, and their translation is the camera's place.
+
+A label file is a list of objects with ``className``, ``objectId``, ``geometry`` (size, centre, quaternion) and
+``attributes``. Its axes are x forward, y right, z down, at the radar's origin.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+
+MAX_JSON_BYTES = 1 << 24  # a label file has about 20 kB
+_POSE_NAMES = {"odomToCamera": "odom", "mapToCamera": "map", "UTMToCamera": "utm"}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DelftObjects:
+    """Objects of a JSON label file as they stand there, one row an object.
+
+    Args:
+        class_name: ``car``, ``pedestrian``, ``bicycle``..., n names.
+        object_id: Identity over time, n names.
+        centre_m: Centres: x forward, y right, z down from the radar, shape (n, 3).
+        size_m: Length, width, height, shape (n, 3).
+        quaternion_xyzw: Turn of the box in these axes, shape (n, 4), of unit length.
+        attributes: ``activity``, ``has_rider``, ``spatial occlusion``... of each object.
+    """
+
+    class_name: tuple[str, ...]
+    object_id: tuple[str, ...]
+    centre_m: Float[np.ndarray, "n 3"]
+    size_m: Float[np.ndarray, "n 3"]
+    quaternion_xyzw: Float[np.ndarray, "n 4"]
+    attributes: tuple[Mapping[str, Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.class_name)
+
+
+def read_camera_poses(path: Path | str) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """Read the poses of the camera: ``odom``, ``map`` and ``utm`` to the matrix that maps camera coordinates there.
+
+    Raises:
+        FileFormatError: If the file holds anything but such objects, or a matrix is no rigid motion.
+    """
+    text, decoder, place = _text(path), json.JSONDecoder(), 0
+    poses: dict[str, np.ndarray] = {}
+    while text[place:].strip():
+        place += len(text[place:]) - len(text[place:].lstrip())
+        try:
+            entry, place = decoder.raw_decode(text, place)
+        except (ValueError, RecursionError) as error:
+            raise _wrong(path, f"character {place}", "a JSON object", str(error)) from error
+        if not isinstance(entry, dict) or not set(entry) <= set(_POSE_NAMES):
+            raise _wrong(path, f"character {place}", f"objects of {', '.join(_POSE_NAMES)}", repr(entry))
+        poses |= {_POSE_NAMES[name]: _motion(path, name, values) for name, values in entry.items()}
+    if not poses:
+        raise _wrong(path, "the file", f"objects of {', '.join(_POSE_NAMES)}", "an empty file")
+    return poses
+
+
+def read_objects(path: Path | str) -> DelftObjects:
+    """Read a JSON label file; an empty list is a frame without objects.
+
+    Raises:
+        FileFormatError: If it is no such list, or a size, centre or quaternion is missing or no use.
+    """
+    try:
+        entries = json.loads(_text(path))
+    except (ValueError, RecursionError) as error:
+        raise _wrong(path, "the file", "a JSON list of objects", str(error)) from error
+    if not isinstance(entries, list):
+        raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
+    rows = [_object(path, number, entry) for number, entry in enumerate(entries)]
+    numbers = np.array([row[2] for row in rows], dtype=np.float64).reshape(len(rows), 10)
+    return DelftObjects(
+        class_name=tuple(row[0] for row in rows),
+        object_id=tuple(row[1] for row in rows),
+        centre_m=numbers[:, :3],
+        size_m=numbers[:, 3:6],
+        quaternion_xyzw=numbers[:, 6:] / np.linalg.norm(numbers[:, 6:], axis=1, keepdims=True),
+        attributes=tuple(row[3] for row in rows),
+    )
+
+
+def _object(path: Path | str, number: int, entry: Any) -> tuple[str, str, list[float], Mapping[str, Any]]:
+    where = f"object {number}"
+    try:
+        geometry = entry["geometry"]
+        groups = (("center", "xyz"), ("size", ("length", "width", "height")), ("quaternion", "xyzw"))
+        raw = [geometry[group][key] for group, keys in groups for key in keys]
+        name, identity, attributes = entry["className"], entry.get("objectId", ""), entry.get("attributes", {})
+    except (KeyError, TypeError, AttributeError) as error:
+        expected = "className and geometry with center, size and quaternion"
+        raise _wrong(path, where, expected, f"{type(error).__name__}: {error}") from error
+    if not (isinstance(name, str) and isinstance(identity, str) and isinstance(attributes, dict)):
+        raise _wrong(path, where, "texts for className and objectId, an object for attributes", repr(entry))
+    values = _numbers(path, where, raw, 10)
+    if not (values[3:6] > 0).all() or not 0.5 < float(np.linalg.norm(values[6:])) < 2.0:
+        raise _wrong(path, where, "positive sizes and a unit quaternion", str(values[3:].tolist()))
+    return name, identity, values.tolist(), attributes
+
+
+def _motion(path: Path | str, name: str, values: Any) -> Float[np.ndarray, "4 4"]:
+    matrix = _numbers(path, name, values, 16).reshape(4, 4)
+    turn = matrix[:3, :3]
+    rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+    if not rigid or not np.allclose(matrix[3], [0, 0, 0, 1]):
+        raise _wrong(path, name, "a rotation, a translation and a last row 0 0 0 1", str(matrix.tolist()))
+    return matrix
+
+
+def _numbers(path: Path | str, where: str, values: Any, count: int) -> Float[np.ndarray, " n"]:
+    good = isinstance(values, list) and len(values) == count
+    if not good or not all(isinstance(value, int | float) and abs(value) <= 1e9 for value in values):
+        raise _wrong(path, where, f"{count} numbers within 1e9", repr(values))
+    return np.array(values, dtype=np.float64)
+
+
+def _text(path: Path | str) -> str:
+    try:
+        return read_bytes(path, max_bytes=MAX_JSON_BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise _wrong(
+            path, f"byte {error.start}", "UTF-8 text", repr(error.object[error.start : error.start + 8])
+        ) from None
+
+
+def _wrong(path: Path | str, where: str, expected: str, found: str) -> FileFormatError:
+    return FileFormatError(path, where=where, expected=expected, found=found[:120])
