@@ -16,16 +16,23 @@ from jaxtyping import Shaped
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.mat_format import (
+    CLASSES,
+    COMPLEX_FLAG,
+    COMPRESSED,
+    HEADER_BYTES,
+    INT8,
+    INT32,
+    MATRIX,
+    MAX_AXES,
+    MAX_EXPANSION,
+    STORED,
+    TRUNCATED,
+    UINT32,
+    check_header,
+)
 
-_HEADER_BYTES = 128
-_MATRIX, _COMPRESSED, _INT8, _INT32, _UINT32 = 14, 15, 1, 5, 6
-_STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-_COMPLEX = 0x0800
-_MAX_AXES = 32
 _MAX_NAME_BYTES = 63  # MATLAB's namelengthmax
-_MAX_EXPANSION = 1032  # no zlib stream expands further
-_HDF5 = b"\x89HDF"
 _TEXT = b"MATLAB 5.0 MAT-file, written by Farfield"
 
 
@@ -54,11 +61,11 @@ def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Shap
         FileFormatError: If the file is no such file, is damaged, or has no numeric array of this name.
     """
     data = read_bytes(path, max_bytes=max_bytes)
-    _check_header(data, path)
+    check_header(data, path)
     found = []
-    for element in _elements(memoryview(data)[_HEADER_BYTES:], _HEADER_BYTES, path):
-        matrix = _expanded(element, max_bytes, path) if element.kind == _COMPRESSED else element
-        if matrix.kind != _MATRIX:
+    for element in _elements(memoryview(data)[HEADER_BYTES:], HEADER_BYTES, path):
+        matrix = _expanded(element, max_bytes, path) if element.kind == COMPRESSED else element
+        if matrix.kind != MATRIX:
             continue
         parts = _elements(matrix.data, matrix.offset, path)
         flags, shape, called = (next(parts, None) for _ in range(3))
@@ -68,22 +75,13 @@ def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Shap
         if text == name:
             return _array(flags, shape, next(parts, None), path)
         found.append(text)
-    mend = "The file may be truncated." if not found else ""
+    mend = "" if found else TRUNCATED
     held = ", ".join(found[:8]) or "no array"
     raise FileFormatError(path, where="the file", expected=f"an array {name!r}", found=held, mend=mend)
 
 
 def _fault(path: Path | str, element: _Element, expected: str, found: str) -> FileFormatError:
     return FileFormatError(path, where=f"byte {element.offset}", expected=expected, found=found)
-
-
-def _check_header(data: bytes, path: Path | str) -> None:
-    if data[:4] == _HDF5 or data[:10] == b"MATLAB 7.3":
-        mend = "Save it in MATLAB with -v7."
-        raise FileFormatError(path, where="byte 0", expected="a MATLAB v5 file", found="a v7.3 (HDF5) file", mend=mend)
-    if len(data) < _HEADER_BYTES or data[124:128] != b"\x00\x01IM":
-        expected = "a little-endian MATLAB v5 header of 128 bytes"
-        raise FileFormatError(path, where="byte 124", expected=expected, found=repr(data[124:128]))
 
 
 def _elements(data: memoryview, offset: int, path: Path | str) -> Iterator[_Element]:
@@ -103,7 +101,7 @@ def _elements(data: memoryview, offset: int, path: Path | str) -> Iterator[_Elem
             raise FileFormatError(path, where=f"byte {offset + at}", expected=expected, found=found, mend=mend)
         yield _Element(kind, data[start : start + size], offset + start)
         end = start + size
-        at = at + 8 if small else end if kind == _COMPRESSED else end + -end % 8
+        at = at + 8 if small else end if kind == COMPRESSED else end + -end % 8
 
 
 def _expanded(element: _Element, max_bytes: int, path: Path | str) -> _Element:
@@ -113,27 +111,27 @@ def _expanded(element: _Element, max_bytes: int, path: Path | str) -> _Element:
         stream = zlib.decompressobj()
         tag = stream.decompress(bytes(element.data[:4096]), 8)
         kind, size = (int(number) for number in np.frombuffer(tag, dtype="<u4", count=2))
-        if size > min(max_bytes, len(element.data) * _MAX_EXPANSION):
-            raise _fault(path, element, f"at most {max_bytes} bytes and {_MAX_EXPANSION}-fold expansion", f"{size}")
+        if size > min(max_bytes, len(element.data) * MAX_EXPANSION):
+            raise _fault(path, element, f"at most {max_bytes} bytes and {MAX_EXPANSION}-fold expansion", f"{size}")
         body = zlib.decompressobj().decompress(element.data, 8 + size)
     except (zlib.error, ValueError) as error:
         raise _fault(path, element, expected, str(error)[:120]) from error
-    if len(body) != 8 + size or kind != _MATRIX:
+    if len(body) != 8 + size or kind != MATRIX:
         raise _fault(path, element, f"an array of {size} bytes", f"{len(body) - 8} bytes of type {kind}")
     return _Element(kind, memoryview(body)[8:], element.offset)
 
 
 def _array(flags: _Element, shape: _Element, real: _Element | None, path: Path | str) -> Shaped[np.ndarray, "..."]:
-    if flags.kind != _UINT32 or len(flags.data) != 8:
+    if flags.kind != UINT32 or len(flags.data) != 8:
         raise _fault(path, flags, "8 bytes of array flags", f"{len(flags.data)} bytes of type {flags.kind}")
     word = int(np.frombuffer(flags.data, dtype="<u4", count=1)[0])
-    kind = _CLASSES.get(word & 0xFF)
-    if kind is None or word & _COMPLEX or real is None or real.kind not in _STORED:
+    kind = CLASSES.get(word & 0xFF)
+    if kind is None or word & COMPLEX_FLAG or real is None or real.kind not in STORED:
         raise _fault(path, flags, "a real numeric array", f"class {word & 0xFF}, flags {word:#x}")
-    if shape.kind != _INT32 or len(shape.data) % 4 or not 2 <= len(shape.data) // 4 <= _MAX_AXES:
-        raise _fault(path, shape, f"2 to {_MAX_AXES} dimensions", f"{len(shape.data)} bytes of type {shape.kind}")
+    if shape.kind != INT32 or len(shape.data) % 4 or not 2 <= len(shape.data) // 4 <= MAX_AXES:
+        raise _fault(path, shape, f"2 to {MAX_AXES} dimensions", f"{len(shape.data)} bytes of type {shape.kind}")
     sides = [int(side) for side in np.frombuffer(shape.data, dtype="<i4")]
-    stored = np.dtype("<" + _STORED[real.kind])
+    stored = np.dtype("<" + STORED[real.kind])
     if min(sides) < 0 or math.prod(sides) * stored.itemsize != len(real.data):
         expected = f"{' x '.join(map(str, sides))} numbers of {stored.itemsize} bytes"
         raise _fault(path, real, expected, f"{len(real.data)} bytes")
@@ -153,25 +151,25 @@ def write_mat(path: Path | str, name: str, array: Shaped[np.ndarray, "..."], *, 
     Raises:
         ValueError: If the name or the array does not fit the format (a file holds less than 2 GiB an array).
     """
-    classes = {kind: number for number, kind in _CLASSES.items()}
-    types = {kind: number for number, kind in _STORED.items()}
+    classes = {kind: number for number, kind in CLASSES.items()}
+    types = {kind: number for number, kind in STORED.items()}
     kind = array.dtype.str[1:]
     if not (name.isascii() and name.isidentifier() and not name.startswith("_") and len(name) <= _MAX_NAME_BYTES):
         raise ValueError(f"write_mat: expected a MATLAB variable's name, got {name!r}")
-    if kind not in classes or not 2 <= array.ndim <= _MAX_AXES or array.nbytes >= 1 << 31:
+    if kind not in classes or not 2 <= array.ndim <= MAX_AXES or array.nbytes >= 1 << 31:
         raise ValueError(f"write_mat: expected 2 or more axes of numbers, < 2 GiB, got {array.dtype} {array.shape}")
-    head = _tagged(_UINT32, np.array([classes[kind], 0], dtype="<u4").tobytes())
-    head += _tagged(_INT32, np.array(array.shape, dtype="<i4").tobytes()) + _tagged(_INT8, name.encode("ascii"))
+    head = _tagged(UINT32, np.array([classes[kind], 0], dtype="<u4").tobytes())
+    head += _tagged(INT32, np.array(array.shape, dtype="<i4").tobytes()) + _tagged(INT8, name.encode("ascii"))
     head += np.array([types[kind], array.nbytes], dtype="<u4").tobytes()
     padding = bytes(-array.nbytes % 8)
-    head = np.array([_MATRIX, len(head) + array.nbytes + len(padding)], dtype="<u4").tobytes() + head
+    head = np.array([MATRIX, len(head) + array.nbytes + len(padding)], dtype="<u4").tobytes() + head
     with open_atomic(path) as handle:
         handle.write(_TEXT.ljust(116) + bytes(8) + b"\x00\x01IM")
         body: list[Any] = [head, _first_axis_fastest(array), padding]
         if compress:
             packer = zlib.compressobj(1)
             packed = b"".join([*(packer.compress(part) for part in body), packer.flush()])
-            body = [np.array([_COMPRESSED, len(packed)], dtype="<u4").tobytes(), packed]
+            body = [np.array([COMPRESSED, len(packed)], dtype="<u4").tobytes(), packed]
         handle.writelines(body)
 
 

@@ -4,23 +4,41 @@ Sources: K-Radar's repository (the generator ``gen_3`` for the cube, the v2 load
 pre-processing for sparse clouds). Conventions of :mod:`farfield.radar.axes`.
 """
 
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Float32, Num
 
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT, RadarAxes
+from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE, onto_cube
+from farfield.radar.selection import check_shape, polar_cloud, polar_points, sparse_cloud, sparse_clouds, thresholds
 
-CUBE_STEP_M = 0.4
-CUBE_Z_M = -30.0 + CUBE_STEP_M * np.arange(150)
-CUBE_Y_M = -80.0 + CUBE_STEP_M * np.arange(400)
-CUBE_X_M = CUBE_STEP_M * np.arange(250)
-OUTSIDE = -1.0
-"""Power of the cube's cells outside the field of view."""
+__all__ = [
+    "CUBE_SHAPE",
+    "CUBE_STEP_M",
+    "CUBE_X_M",
+    "CUBE_Y_M",
+    "CUBE_Z_M",
+    "OUTSIDE",
+    "OUTSIDE_DOPPLER_M_S",
+    "Moments",
+    "doppler_cube",
+    "moments",
+    "moments_of_columns",
+    "polar3d",
+    "polar3d_from_moments",
+    "polar_cloud",
+    "polar_points",
+    "sparse_cloud",
+    "sparse_clouds",
+    "thresholds",
+    "zyx_cube",
+]
 
-_BLOCK_RANGES = 32
-_CHUNK_CELLS = 1 << 16
+OUTSIDE_DOPPLER_M_S = -10.0
+"""Doppler of the Doppler cube's cells outside the field of view."""
+_BLOCK_RANGES = 8
 
 
 class Moments(NamedTuple):
@@ -37,25 +55,58 @@ class Moments(NamedTuple):
     velocity_moment: Float32[np.ndarray, "r e a"]
 
 
-def moments(tensor: Float32[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXES) -> Moments:
-    """Reduce a tensor over Doppler in one pass.
+def moments(tensor: Float[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXES) -> Moments:
+    """Reduce a tensor over Doppler in one pass, summing in double precision.
 
     Args:
         tensor: Linear power in file units; any strides, in place.
         axes: Its axes.
     """
-    _check_shape(tensor.shape, axes.shape, "Doppler, range, elevation, azimuth")
+    check_shape(tensor.shape, axes.shape, "Doppler, range, elevation, azimuth")
     count, ranges, *rest = tensor.shape
-    kept = np.where(np.arange(count) > 0, 1.0 / (count - 1), 0.0)
-    weights = np.stack([np.full(count, 1.0 / count), kept, kept * axes.doppler_m_s]).astype(np.float32)
+    weights = _weights(axes)
     out = np.empty((3, ranges, *rest), dtype=np.float32)
-    for start in range(0, ranges, _BLOCK_RANGES):  # a block of a contiguous tensor is a view: nothing is copied
-        block = tensor[:, start : start + _BLOCK_RANGES]
+    for start in range(0, ranges, _BLOCK_RANGES):
+        block = tensor[:, start : start + _BLOCK_RANGES].astype(np.float64, copy=False)
         out[:, start : start + _BLOCK_RANGES] = (weights @ block.reshape(count, -1)).reshape(3, -1, *rest)
     return Moments(out[0], out[1], out[2])
 
 
-def polar3d(tensor: Float32[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXES) -> Float32[np.ndarray, "2 r a e"]:
+def _weights(axes: RadarAxes) -> Float[np.ndarray, "3 d"]:
+    """What a cell's spectrum is multiplied with to give the three moments."""
+    count = len(axes.doppler_m_s)
+    kept = np.where(np.arange(count) > 0, 1.0 / (count - 1), 0.0)
+    return np.stack([np.full(count, 1.0 / count), kept, kept * axes.doppler_m_s])
+
+
+def moments_of_columns(blocks: Iterable[Num[np.ndarray, "n d"]], axes: RadarAxes = KRADAR_AXES) -> Moments:
+    """Reduce a tensor that comes cell by cell, so that it is never in memory whole; sums in double precision.
+
+    Args:
+        blocks: Cells one after another, each row one cell's Doppler spectrum in file units: range runs fastest, then
+            elevation, then azimuth, each as ``axes`` has it. This is the order of K-Radar's files. A block is not
+            looked at again once the next is asked for.
+        axes: The tensor's axes.
+
+    Raises:
+        ValueError: If there are more or fewer cells than the axes have.
+    """
+    _, ranges, elevations, azimuths = axes.shape
+    weights, cells = _weights(axes), ranges * elevations * azimuths
+    out, at = np.empty((3, cells), dtype=np.float32), 0
+    for block in blocks:
+        end = at + len(block)
+        if end > cells or block.shape[1] != weights.shape[1]:
+            raise ValueError(f"expected {cells} cells of {weights.shape[1]} bins, got more: {end} of {block.shape[1]}")
+        np.matmul(weights, block.T.astype(np.float64, copy=False), out=out[:, at:end], casting="same_kind")
+        at = end
+    if at < cells:
+        raise ValueError(f"expected {cells} cells, got {at}")
+    turned = out.reshape(3, azimuths, elevations, ranges).transpose(0, 3, 2, 1)
+    return Moments(turned[0], turned[1], turned[2])
+
+
+def polar3d(tensor: Float[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXES) -> Float32[np.ndarray, "2 r a e"]:
     """Power and mean Doppler of every polar cell: K-Radar's ``polar3d`` in our angles.
 
     Args:
@@ -63,8 +114,8 @@ def polar3d(tensor: Float32[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXE
         axes: Its axes.
 
     Returns:
-        Mean power over all Doppler bins but the first, over :data:`POWER_UNIT`, and the power-weighted mean velocity of
-        the same bins in m/s; axes range, azimuth, elevation.
+        Mean power over all Doppler bins but the first, over :data:`~farfield.radar.axes.POWER_UNIT`, and the
+        power-weighted mean velocity of the same bins in m/s; axes range, azimuth, elevation.
     """
     reduced = moments(tensor, axes)
     return polar3d_from_moments(reduced.mean_power_63, reduced.velocity_moment)
@@ -89,42 +140,6 @@ def polar3d_from_moments(
     return out
 
 
-class _Gather(NamedTuple):
-    cell: Int[np.ndarray, " n"]  # of the flat cube
-    corner: Int[np.ndarray, " n"]  # of the flat (r, e, a) grid, the lowest of the eight
-    range_share: Float32[np.ndarray, " n"]
-    elevation_share: Float32[np.ndarray, " n"]
-    azimuth_share: Float32[np.ndarray, " n"]
-
-
-@lru_cache(maxsize=1)
-def _gather(axes: RadarAxes) -> _Gather:
-    """Where each of the cube's cells inside the field of view takes its eight corners from: 155 MB for K-Radar."""
-    y_m, x_m = np.meshgrid(CUBE_Y_M, CUBE_X_M, indexing="ij")
-    flat_m = np.hypot(x_m, y_m)
-    azimuth, azimuth_share, in_azimuth = _place(axes.azimuth_deg, np.degrees(np.arctan2(y_m, x_m)))
-    parts = []
-    for layer, z_m in enumerate(CUBE_Z_M):
-        rng, rng_share, in_range = _place(axes.range_m, np.hypot(flat_m, z_m))
-        elevation, elevation_share, in_elevation = _place(axes.elevation_deg, np.degrees(np.arctan2(z_m, flat_m)))
-        inside = np.flatnonzero(
-            in_range & in_elevation & in_azimuth & (flat_m > 0)
-        )  # the radar itself has no direction
-        corner = (rng * len(axes.elevation_deg) + elevation) * len(axes.azimuth_deg) + azimuth
-        shares = (share.ravel()[inside].astype(np.float32) for share in (rng_share, elevation_share, azimuth_share))
-        cell = (inside + layer * flat_m.size).astype(np.int32)
-        parts.append((cell, corner.ravel()[inside].astype(np.int32), *shares))
-    return _Gather(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _place(axis: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower neighbour on an even axis, share of the upper one, and whether the value lies on the axis."""
-    position = (value - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
-    inside = (position >= -1e-9) & (position <= len(axis) - 1 + 1e-9)
-    lower = np.clip(np.floor(position), 0, len(axis) - 2).astype(np.int64)
-    return lower, np.clip(position - lower, 0.0, 1.0), inside
-
-
 def zyx_cube(
     mean_power: Float32[np.ndarray, "r e a"], axes: RadarAxes = KRADAR_AXES
 ) -> Float32[np.ndarray, "150 400 250"]:
@@ -138,110 +153,31 @@ def zyx_cube(
         Power on z -30..29.6, y -80..79.6 (left), x 0..99.6 m in steps of 0.4 m, all rising, the radar at the origin;
         -1 outside the field of view.
     """
-    _check_shape(mean_power.shape, axes.shape[1:], "range, elevation, azimuth")
-    where = _gather(axes)
-    flat = np.ascontiguousarray(mean_power).ravel()
-    row = len(axes.azimuth_deg)
-    plane = row * len(axes.elevation_deg)
-    cube = np.full(len(CUBE_Z_M) * len(CUBE_Y_M) * len(CUBE_X_M), OUTSIDE, dtype=np.float32)
-    # (left, right) neighbours side by side: one gather fetches both
-    pairs = np.empty((flat.size, 2), dtype=np.float32)
-    pairs[:, 0], pairs[:-1, 1], pairs[-1, 1] = flat, flat[1:], flat[-1]
-    pairs_at = pairs.view(np.complex64)[:, 0]
-    for start in range(0, len(where.cell), _CHUNK_CELLS):
-        part = slice(start, start + _CHUNK_CELLS)
-        corner = where.corner[part].astype(np.int64)
-        share = where.azimuth_share[part]
-        edges = []
-        for offset in (0, row, plane, plane + row):
-            both = pairs_at[offset:].take(corner)
-            edges.append(_mix(both.real, both.imag, share))
-        share = where.elevation_share[part]
-        near, far = _mix(edges[0], edges[1], share), _mix(edges[2], edges[3], share)
-        cube[where.cell[part]] = _mix(near, far, where.range_share[part])
-    return cube.reshape(len(CUBE_Z_M), len(CUBE_Y_M), len(CUBE_X_M))
+    check_shape(mean_power.shape, axes.shape[1:], "range, elevation, azimuth")
+    return onto_cube(mean_power, axes, OUTSIDE)
 
 
-def _mix(low: np.ndarray, high: np.ndarray, share: np.ndarray) -> np.ndarray:
-    mixed = high - low
-    mixed *= share
-    mixed += low
-    return mixed
-
-
-def sparse_cloud(
-    cube: Float32[np.ndarray, "150 400 250"],
-    rate: float = 0.1,
-    *,
-    over: Literal["all", "valid"] = "all",
-    subtract_half_cell: bool = True,
-) -> Float32[np.ndarray, "n 4"]:
-    """The strongest cells of a cube as points: x, y, z in metres and power over :data:`POWER_UNIT`.
-
-    Args:
-        cube: Power in file units, -1 outside the field of view, as :func:`zyx_cube` returns it.
-        rate: Share of cells above the threshold, between 0 and 1.
-        over: ``"all"`` takes the quantile over every cell, those outside the field of view included, as the published
-            clouds do (a nominal 0.1 keeps 19.4 % of the valid cells); ``"valid"`` over the field of view alone.
-        subtract_half_cell: Move the points by -0.2 m along x, y and z, as the published generators do.
-
-    Returns:
-        Points in the cube's order, z slowest.
-    """
-    _check_rate(rate)
-    flat = cube.ravel()
-    valid = flat > OUTSIDE
-    threshold = np.quantile(flat if over == "all" else flat[valid], 1.0 - rate)
-    cells = np.flatnonzero((flat > threshold) & valid)
-    z, y, x = np.unravel_index(cells, cube.shape)
-    shift_m = CUBE_STEP_M / 2 if subtract_half_cell else 0.0
-    columns = (CUBE_X_M[x] - shift_m, CUBE_Y_M[y] - shift_m, CUBE_Z_M[z] - shift_m, flat[cells] / POWER_UNIT)
-    return np.stack(columns, axis=1).astype(np.float32)
-
-
-def polar_cloud(
-    polar: Float32[np.ndarray, "2 r a e"],
-    rate: float = 0.1,
+def doppler_cube(
+    mean_power_63: Float32[np.ndarray, "r e a"],
+    velocity_moment: Float32[np.ndarray, "r e a"],
     axes: RadarAxes = KRADAR_AXES,
-    *,
-    with_indices: bool = False,
-) -> Float32[np.ndarray, "n c"]:
-    """The strongest share of the polar grid's cells as points ("proportional polar").
+) -> Float32[np.ndarray, "150 400 250"]:
+    """Power-weighted mean velocity of each of the cube's cells, wrapped, from the two sums over Doppler.
+
+    Both sums are interpolated as :func:`zyx_cube` does and then divided, so that the eight corners count by their
+    power, as the Doppler bins of one cell do. (K-Radar's own Doppler cubes hold the strongest bin's velocity instead.)
 
     Args:
-        polar: What :func:`polar3d` returns.
-        rate: Share of cells kept, between 0 and 1: 0.1 of K-Radar's grid is 101,351 points.
-        axes: The grid's axes.
-        with_indices: Also give range in metres, azimuth and elevation in radians, and the three indices.
+        mean_power_63: Mean power over all Doppler bins but the first, file units.
+        velocity_moment: Mean, over the same bins, of power times the bin's velocity.
+        axes: Their axes.
 
     Returns:
-        x, y, z in metres, power over :data:`POWER_UNIT`, mean velocity in m/s; with indices 11 columns.
+        Velocity in m/s; 0 where there is no power, -10 outside the field of view.
     """
-    _check_rate(rate)
-    _check_shape(polar.shape[1:], (len(axes.range_m), len(axes.azimuth_deg), len(axes.elevation_deg)), "r, a, e")
-    power = polar[0].ravel()
-    cells = np.flatnonzero(power > np.quantile(power, 1.0 - rate))
-    indices = np.unravel_index(cells, polar.shape[1:])
-    range_m = axes.range_m[indices[0]]
-    azimuth_rad, elevation_rad = np.radians(axes.azimuth_deg[indices[1]]), np.radians(axes.elevation_deg[indices[2]])
-    flat_m = range_m * np.cos(elevation_rad)
-    columns = [
-        flat_m * np.cos(azimuth_rad),
-        flat_m * np.sin(azimuth_rad),
-        range_m * np.sin(elevation_rad),
-        power[cells],
-        polar[1].ravel()[cells],
-    ]
-    if with_indices:
-        columns += [range_m, azimuth_rad, elevation_rad, *indices]
-    return np.stack(columns, axis=1).astype(np.float32)
-
-
-def _check_shape(shape: tuple[int, ...], expected: tuple[int, ...], names: str) -> None:
-    if tuple(shape) != tuple(expected):
-        raise ValueError(f"expected an array of shape {tuple(expected)} ({names}), got {tuple(shape)}")
-
-
-def _check_rate(rate: float) -> None:
-    if not 0.0 < rate < 1.0:
-        raise ValueError(f"rate: expected a share between 0 and 1, got {rate}")
+    check_shape(mean_power_63.shape, axes.shape[1:], "range, elevation, azimuth")
+    power = onto_cube(mean_power_63, axes, OUTSIDE)
+    velocity = onto_cube(velocity_moment, axes, OUTSIDE_DOPPLER_M_S)
+    np.divide(velocity, power, out=velocity, where=power > 0)
+    velocity[power == 0] = 0.0
+    return velocity
