@@ -171,7 +171,7 @@ def test_both_versions_of_the_annotations(root: Path) -> None:
     ("kept", "clouds", "radar", "annotated"),
     [
         ("1/os2-64", {"os2-64"}, set(), False),
-        ("rtnh_wider_10p_1/1", set(), {"sparse"}, False),
+        ("rtnh_wider_10p_1/1", {"radar"}, {"sparse"}, False),
         ("1/info_label", set(), set(), True),
         ("kradar_revised_label_v2_1/KRadar_revised_visibility/1", set(), set(), True),
     ],
@@ -187,7 +187,8 @@ def test_any_part_of_a_download_is_a_data_set(
     assert set(dataset[0].clouds) == clouds
     assert set(dataset[0].radar) == radar
     assert (dataset[0].boxes is not None) == annotated
-    assert dataset[0].conditions == {}
+    assert dataset[0].conditions == {"road": "urban", "time": "night", "weather": "normal"}
+    assert dataset[0].metadata["conditions_from"] == "published table"
     assert all(dataset.files(index) for index in range(3))
 
 
@@ -195,7 +196,7 @@ def test_several_roots_make_one_set(root: Path, tmp_path: Path) -> None:
     shutil.copytree(root / "1" / "os2-64", tmp_path / "a" / "1" / "os2-64")
     shutil.copytree(root / "rtnh_wider_10p_1", tmp_path / "b" / "rtnh_wider_10p_1")
     back = KRadar(tmp_path / "a", roots=[tmp_path / "b"])[0]
-    assert set(back.clouds) == {"os2-64"}
+    assert set(back.clouds) == {"os2-64", "radar"}
     assert set(back.radar) == {"sparse"}
 
 

@@ -1,0 +1,72 @@
+"""The radar's cloud and its frame: the same points from every product, everything moved alike."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield.datasets.kradar import KRadar, KRadarWriter
+from farfield.errors import ConfigError
+from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
+from farfield.radar.cells import cells_of_cube
+from farfield.radar.products import polar3d_from_moments, zyx_cube
+from tests.datasets.kradar.drive import frame
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three frames; the first has its cells, the second its cube, the third its polar map."""
+    rng = np.random.default_rng(5)
+    power = rng.exponential(10**10.9, KRADAR_AXES.shape[1:]).astype(np.float32)
+    power[60, 18, 53] = 2e14  # 27.8 m straight ahead
+    cube = zyx_cube(power)
+    polar = polar3d_from_moments(power, power * np.float32(0.5))
+    products = ({"cells": cells_of_cube(cube, "wide")}, {"cube": cube}, {"polar3d": polar})
+    root = tmp_path_factory.mktemp("kradar")
+    writer = KRadarWriter(root)
+    for number, radar in enumerate(products, start=1):
+        writer.write(frame(number, radar=radar))
+    writer.finish()
+    return root
+
+
+def test_cells_and_cube_give_the_same_points(root: Path) -> None:
+    data = KRadar(root, reference="radar", radar_rate=0.01, radar_region="narrow")
+    cells, cube = data[0].clouds["radar"], data[1].clouds["radar"]
+    assert len(cells) > 100
+    np.testing.assert_array_equal(cells.points_m, cube.points_m)
+    np.testing.assert_array_equal(cells.intensity, cube.intensity)
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_the_strongest_point_is_the_target(root: Path, index: int) -> None:
+    cloud = KRadar(root, reference="radar", radar_rate=0.01, radar_region="narrow")[index].clouds["radar"]
+    np.testing.assert_allclose(cloud.points_m[cloud.intensity.argmax()], [27.77, 0.0, 0.0], atol=0.45)
+    assert 10 < cloud.intensity.max() <= 20.01  # a node of the Cartesian grid lies beside the polar cell
+    assert ("doppler_m_s" in cloud.extra) == (index == 2)
+
+
+def test_a_frame_is_moved_as_a_whole(root: Path) -> None:
+    ours, theirs = KRadar(root)[0], KRadar(root, reference="radar")[0]
+    origin = np.array(KRADAR_ORIGIN_M)
+    assert (ours.reference, theirs.reference) == ("os2-64", "radar")
+    np.testing.assert_allclose(theirs.boxes.centre_m, ours.boxes.centre_m - origin, atol=1e-12)
+    for name in ("os2-64", "radar"):
+        np.testing.assert_allclose(theirs.clouds[name].points_m, ours.clouds[name].points_m - origin, atol=2e-5)
+    np.testing.assert_array_equal(theirs.clouds["os1-128"].points_m, ours.clouds["os1-128"].points_m)
+    point = np.append(ours.boxes.centre_m[0], 1.0)
+    for name, camera in ours.cameras.items():
+        moved = theirs.cameras[name].camera_T_lidar @ np.append(theirs.boxes.centre_m[0], 1.0)
+        np.testing.assert_allclose(moved, camera.camera_T_lidar @ point, atol=1e-9)
+    np.testing.assert_allclose(theirs.world_T_lidar[:3, 3], (ours.world_T_lidar @ np.append(origin, 1.0))[:3])
+
+
+def test_wrong_settings_of_the_radar_are_told(root: Path) -> None:
+    for options, told in (
+        ({"reference": "camera"}, "os2-64 or radar"),
+        ({"radar_rate": 0.4}, "radar_rate"),
+        ({"radar_region": "corridor"}, "narrow, wide, cube"),
+        ({"radar_over": "some"}, "all or valid"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            KRadar(root, **options)
