@@ -45,9 +45,11 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
 
 
 def as_trained(data: Frames, detector: Any) -> Frames:
-    """Return the data with as many sweeps a frame as the detector was trained on, by its provenance.
+    """Return the data as the detector was trained to see them, by its provenance.
 
-    Frames that are not a data set's, and data that are stacked already, stay as they are.
+    That is with as many sweeps a frame, and in the view of its reader's options: K-Radar's frames in the radar's
+    coordinates, with as dense a radar cloud. Frames that are not a data set's stay as they are, and data that are
+    stacked already are not stacked again.
 
     Raises:
         DatasetError: If the detector wants several sweeps and the frames have no poses or times.
@@ -57,9 +59,10 @@ def as_trained(data: Frames, detector: Any) -> Frames:
 
     trained_on = (getattr(detector, "provenance", None) or {}).get("experiment", {}).get("data", {})
     count = int(trained_on.get("sweeps", 1))
-    if not isinstance(data, Dataset) or sweeps_of(data) > 1:
+    if not isinstance(data, Dataset):
         return data
-    return cast(Frames, stack_sweeps(data, count))
+    seen = data.viewed(trained_on.get("options", {}))
+    return cast(Frames, seen if sweeps_of(seen) > 1 else stack_sweeps(seen, count))
 
 
 def predict(
@@ -151,6 +154,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
         classes=experiment.detector.class_names,
         targets=network.targets,
         augmentation=experiment.augmentation,
+        columns=experiment.detector.extra_columns,
         min_points=experiment.training.min_points,
         seed=experiment.training.seed,
         aliases=experiment.data.aliases,

@@ -25,6 +25,7 @@ class SimulationConfig(BaseModel):
     frames: int = Field(ge=1, description="frames of each sequence")
     seed: int = 0
     sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
+    stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
 
 
 class DataConfig(BaseModel):

@@ -86,7 +86,8 @@ def _simulate_if_absent(data: "DataConfig") -> None:
         sequences=wanted.sequences,
         sensors=wanted.sensors,
         seed=wanted.seed,
-        cache=True,
+        stride_s=wanted.stride_s,
+        cache=wanted.preset.startswith("cirrus"),
     )
 
 

@@ -1,10 +1,12 @@
 """What every data set offers: frames by index, sequences known without reading, selection, splits, a fingerprint."""
 
+import copy
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -77,6 +79,16 @@ class Dataset(ABC):
     def turned(self, yaw_deg: float | int) -> "Dataset":
         """Return the data set with every frame turned counter-clockwise about z, such as 180 to look backwards."""
         return self.moved(pose_from_yaw(float(np.deg2rad(yaw_deg))))
+
+    def viewed(self, options: Mapping[str, Any]) -> "Dataset":
+        """Return the data set seen as a reader with these options sees it, such as K-Radar's in the radar's frame.
+
+        Args:
+            options: Options of a reader; those that do not decide how frames look are passed over, all of them by a
+                format that has no such options.
+        """
+        del options
+        return self
 
     def split_units(self) -> tuple[str, ...]:
         """Name what must not be torn apart by a split, one name a frame: its sequence, unless a format knows better."""
@@ -151,6 +163,15 @@ class Subset(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` of the selection is read from."""
         return self.parent.files(self.indices[index])
+
+    def viewed(self, options: Mapping[str, Any]) -> "Dataset":
+        """The same frames of the parent seen with these options."""
+        parent = self.parent.viewed(options)
+        if parent is self.parent:
+            return self
+        other = copy.copy(self)
+        other.parent = parent
+        return other
 
     def split_units(self) -> tuple[str, ...]:
         """Name what must not be torn apart, one name a frame."""

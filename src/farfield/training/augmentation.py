@@ -14,7 +14,7 @@ def augment(
     """Apply all random changes to one frame.
 
     Args:
-        points: x, y, z (metres), intensity, lag (s), shape (n, 5).
+        points: x, y, z (metres), intensity, lag (s) and further columns, shape (n, 5 + k).
         boxes: Annotated boxes; they carry no scores, ids or counts afterwards.
         config: How much of each change.
         rng: The only source of randomness.

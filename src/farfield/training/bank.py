@@ -10,7 +10,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.geometry.points import points_in_boxes
 
-Points = Float32[np.ndarray, "_ 5"]
+Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
 SAMPLES_PER_FRAME = 16

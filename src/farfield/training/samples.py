@@ -41,6 +41,7 @@ class TrainingSamples(TorchDataset[Sample]):
         classes: Class names of the detector; boxes of other classes are left out.
         targets: The network's target function, of a frame's boxes and points.
         augmentation: Random changes.
+        columns: Further columns of the clouds that the detector reads.
         min_points: Boxes with fewer points in the present sweep of the sample's cloud are left out.
         seed: Seed of order and changes.
         aliases: Renames classes before they are looked up: trains ``large_vehicle`` as ``vehicle``.
@@ -57,6 +58,7 @@ class TrainingSamples(TorchDataset[Sample]):
         classes: Sequence[str],
         targets: Callable[[Boxes, np.ndarray], Any],
         augmentation: AugmentationConfig,
+        columns: Sequence[str] = (),
         min_points: int = 1,
         seed: int = 0,
         aliases: dict[str, str] | None = None,
@@ -64,7 +66,8 @@ class TrainingSamples(TorchDataset[Sample]):
         far_from_m: float | int = 150.0,
     ) -> None:
         self.data, self.clouds, self.classes, self.targets = data, tuple(clouds), tuple(classes), targets
-        self.augmentation, self.min_points, self.seed, self.aliases = augmentation, min_points, seed, aliases or {}
+        self.augmentation, self.columns, self.min_points = augmentation, tuple(columns), min_points
+        self.seed, self.aliases = seed, aliases or {}
         self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
         self._weights: np.ndarray | None = None
         self._set_up()
@@ -93,7 +96,7 @@ class TrainingSamples(TorchDataset[Sample]):
     def load(self, number: int) -> tuple[np.ndarray, Boxes]:
         """The unchanged points and boxes of sample ``number`` of an epoch in order."""
         frame = self.data[number // len(self.clouds)]
-        points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)])).numpy()
+        points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)]), self.columns).numpy()
         boxes = self._wanted(frame)
         if self.min_points and len(boxes):
             present = points[points[:, 4] == 0, :3]
