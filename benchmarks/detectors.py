@@ -48,7 +48,7 @@ def evaluated(run: str, data: Any) -> dict[str, Any]:
     detector = load_detector(run)
     results: dict[str, Any] = {"weights_sha256": digest, "precision": detector.precision, "clouds": {}}
     for cloud in CLOUDS:
-        predictions, annotations, taken = detect_all(detector, data, cloud=cloud, progress=bar)
+        (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=bar)
         found = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
         results["clouds"][cloud] = {**found.to_json(), "convention": str(found.convention), "frame_ms": taken}
     write_text(kept, json.dumps(results))

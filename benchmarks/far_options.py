@@ -33,7 +33,7 @@ def report(title: str, run: str, data: Any) -> None:
         print(f" {title}: {run} is not trained here")
         return
     detector = load_detector(folder)
-    predictions, annotations, _ = detect_all(detector, as_trained(data, detector), cloud="gaussian", progress=bar)
+    (predictions, annotations, *_), _ = detect_all(detector, as_trained(data, detector), cloud="gaussian", progress=bar)
     result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
     training = detector.provenance["experiment"]["training"]
     print(f" {title}: {training['steps']} steps of {training['batch_size']}, seed {training['seed']}")

@@ -54,7 +54,7 @@ def main() -> None:
         clouds, steps = (trained.get(group, {}).get(key) for group, key in (("data", "clouds"), ("training", "steps")))
         print(f"\n{model}: trained on {clouds}, {steps} steps")
         for cloud in ("gaussian", "uniform"):
-            predictions, annotations, taken = detect_all(detector, data, cloud=cloud, progress=bar)
+            (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=bar)
             result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
             found[f"{model}/{cloud}"] = result.to_json()
             print(f" {cloud}: {taken:.0f} ms a frame ({detector.precision})")

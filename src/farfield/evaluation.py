@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from farfield.errors import DatasetError
 from farfield.experiment import environment
 from farfield.frame import Boxes
 from farfield.geometry.points import count_points_in_boxes
-from farfield.metrics import score
+from farfield.metrics import Result, score
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
 
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[Iterable[int], str], Iterable[int]]
 _MARGIN_M = 0.05  # annotators leave a little room, and range noise takes some
-Predictions = dict[tuple[str, str], Boxes]
+_PATTERNS = {"gaussian", "uniform"}
+Key = tuple[str, str]
+Predictions = dict[Key, Boxes]
 
 
 def no_progress(items: Iterable[int], what: str) -> Iterable[int]:
@@ -29,28 +31,55 @@ def no_progress(items: Iterable[int], what: str) -> Iterable[int]:
     return items
 
 
+class Detected(NamedTuple):
+    """What a detector found in the annotated frames of a data set, all by (sequence, frame).
+
+    Args:
+        predictions: Its boxes.
+        annotations: The annotated ones.
+        conditions: Weather, road and time of the frames.
+        visibility: Which sensor sees each annotated box (K-Radar's R, L, L1), of the frames where that is known.
+    """
+
+    predictions: Predictions
+    annotations: Predictions
+    conditions: dict[Key, Mapping[str, str]]
+    visibility: dict[Key, Sequence[str]]
+
+    def score(self, protocol: str, **options: Any) -> Result:
+        """Score the predictions; K-Radar's protocols also by condition and visibility."""
+        if protocol.startswith("kradar"):
+            options["conditions"] = self.conditions
+            options["visibility"] = self.visibility if len(self.visibility) == len(self.annotations) else None
+        return score(self.predictions, self.annotations, protocol=protocol, **options)
+
+
 def detect_all(
     detector: "Detector", data: Dataset, *, cloud: str, progress: Progress = no_progress
-) -> tuple[Predictions, Predictions, float]:
+) -> tuple[Detected, float]:
     """Run a detector over one cloud of every frame.
 
     Returns:
-        Predictions and annotations by (sequence, frame) of the annotated frames, and the median time that a frame took
-        from points to boxes, in milliseconds.
+        Predictions, annotations, conditions and visibility by (sequence, frame) of the annotated frames, and the median
+        time that a frame took from points to boxes, in milliseconds.
     """
     reading = detector.with_cloud(cloud)
-    predictions, annotations, taken_ms = {}, {}, []
+    found, taken_ms = Detected({}, {}, {}, {}), []
     for index in progress(range(len(data)), cloud):
         frame = data[index]
         if frame.boxes is None:
             continue
         points = frame.cloud(cloud)
         began = time.perf_counter()
-        predictions[frame.key] = reading(points)
+        found.predictions[frame.key] = reading(points)
         taken_ms.append(1e3 * (time.perf_counter() - began))
         inside = count_points_in_boxes(points.points_m, frame.boxes, margin_m=_MARGIN_M)
-        annotations[frame.key] = frame.boxes.replace(point_count=inside)  # of this cloud: patterns share their boxes
-    return predictions, annotations, float(np.median(taken_ms)) if taken_ms else float("nan")
+        # of this cloud: patterns share their boxes
+        found.annotations[frame.key] = frame.boxes.replace(point_count=inside)
+        found.conditions[frame.key] = frame.conditions
+        if "availability" in frame.metadata:
+            found.visibility[frame.key] = frame.metadata["availability"]
+    return found, float(np.median(taken_ms)) if taken_ms else float("nan")
 
 
 def evaluate_clouds(
@@ -70,7 +99,7 @@ def evaluate_clouds(
     Args:
         detector: The detector.
         data: Annotated frames.
-        clouds: Which clouds; by default all that the first frame has.
+        clouds: Which clouds; by default those of the first frame that are of the kind that it learnt from.
         shown_frames: Frames that the report shows, spread evenly over the data.
         protocol: The metric.
         title: Title of the report.
@@ -84,15 +113,15 @@ def evaluate_clouds(
     Raises:
         DatasetError: If no frame is annotated or a cloud is missing.
     """
-    names = tuple(clouds or data[0].clouds)
+    names = tuple(clouds or suitable_clouds(detector.provenance, tuple(data[0].clouds)))
     results, objects, predicted, speed_ms = {}, {}, {}, {}
     for name in names:
-        predictions, annotations, speed_ms[name] = detect_all(detector, data, cloud=name, progress=progress)
-        if not annotations:
+        found, speed_ms[name] = detect_all(detector, data, cloud=name, progress=progress)
+        if not found.annotations:
             raise DatasetError(f"{data.root}: expected annotated frames, found none with boxes.")
-        results[name] = score(predictions, annotations, protocol=protocol, **options).to_json()
-        objects[name] = annotated_objects(predictions, annotations)
-        predicted[name] = predictions
+        results[name] = found.score(protocol, **options).to_json()
+        objects[name] = annotated_objects(found.predictions, found.annotations)
+        predicted[name] = found.predictions
     return Evaluation(
         title=title,
         results=results,
@@ -116,6 +145,22 @@ def evaluate_clouds(
             **(provenance or {}),
         },
     )
+
+
+def suitable_clouds(provenance: Mapping[str, Any], present: tuple[str, ...]) -> tuple[str, ...]:
+    """Clouds that a detector may read: those it learnt from, and further scan patterns if it learnt from one.
+
+    Args:
+        provenance: What is known of its training.
+        present: Clouds that there are; all of them are suitable if none is of the kind that it learnt from.
+
+    >>> learnt = {"experiment": {"data": {"clouds": ["radar"]}}}
+    >>> suitable_clouds(learnt, ("os2-64", "radar")), suitable_clouds({}, ("gaussian", "uniform"))
+    (('radar',), ('gaussian', 'uniform'))
+    """
+    learnt = set(provenance.get("experiment", {}).get("data", {}).get("clouds", ()))
+    learnt |= _PATTERNS if learnt & _PATTERNS else set()
+    return tuple(name for name in present if name in learnt) or present
 
 
 def _spread(count: int, wanted: int) -> list[int]:

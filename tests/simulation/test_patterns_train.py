@@ -45,7 +45,7 @@ def test_gaussian_beats_uniform_and_a_change_of_pattern_costs(tmp_path: Path, mo
             assert main(["train", f"{name}.yaml"]) == 0
             detector = load_detector(f"runs/{name}")
             for tested in ("gaussian", "uniform"):
-                predictions, annotations, _ = detect_all(detector, data, cloud=tested)
+                (predictions, annotations, *_), _ = detect_all(detector, data, cloud=tested)
                 window = {"window_m": (0.0, 128.0, -32.0, 32.0), "range_bins_m": (0.0, 70.0, 128.0)}
                 result = score(predictions, annotations, protocol="dds", **window)
                 found.setdefault((trained, tested), []).append(float(result.figures["dds/0/dds"]))

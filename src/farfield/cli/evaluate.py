@@ -3,11 +3,14 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
 from farfield.cli._progress import bar
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -18,11 +21,11 @@ def run(
     split: str = "",
     rotate_deg: float = 0.0,
     mapping: Path | None = None,
-    protocol: Literal["dds", "nuscenes", "kitti"] = "dds",
+    protocol: str = "",
     label: str | None = None,
-    range_bins_m: str = "0,70,150,250",
+    range_bins_m: str = "",
     epsilon: str = "0,0.003,0.006,0.009",
-    region: Literal["window", "range", "none"] = "window",
+    region: str = "",
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
     shown_frames: int = 4,
@@ -34,19 +37,24 @@ def run(
       farfield evaluate pointpillars-cirrus-sim Cirrus_dataset1
       farfield evaluate runs/pointpillars-cirrus-sim data/val --clouds gaussian,uniform --out runs/eval
       farfield evaluate pointpillars-cirrus-sim data/kitti --range-bins-m 0,30,50,80 --region range
+      farfield evaluate runs/rtnh-kradar-sim data/kradar-val --protocol kradar --region narrow
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
         data: The data set; its format is recognised.
-        clouds: Which clouds, comma-separated; by default all that the frames have. "merged" joins them.
+        clouds: Which clouds, comma-separated; by default those of the kind that the detector learnt from. "merged" joins
+            all that the frames have.
         split: train, val or test; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
-        protocol: The metric.
-        label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle).
-        range_bins_m: Edges of the range bins.
+        protocol: dds, nuscenes, kitti, kradar or kradar-compat:VARIANT; kradar on K-Radar's layout and dds on all others
+            unless given. K-Radar's also scores each weather, road and time of day.
+        label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle), or with
+            K-Radar's protocols every class that the detector knows.
+        range_bins_m: Edges of the range bins; 0,70,150,250 or K-Radar's 0,20,40,60,80 unless given.
         epsilon: wDDS weights.
-        region: window (x 0..250, |y| <= 50 m), range, or none.
+        region: window (x 0..250, |y| <= 50 m, the default), range, or none. K-Radar's: wide (the default), narrow,
+            none, or six bounds in the radar's frame.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
         shown_frames: Frames in the report's pictures.
@@ -54,7 +62,6 @@ def run(
     """
     from farfield.api import as_trained, load_detector, open_dataset
     from farfield.evaluation import evaluate_clouds
-    from farfield.metrics import PROTOCOLS
     from farfield.reports.page import write_report
 
     options: dict[str, Any] = {"mapping": mapping} if mapping else {}
@@ -62,9 +69,10 @@ def run(
     opened = opened.split(split) if split else opened
     loaded = load_detector(detector, precision=precision, device=device)
     opened = as_trained(opened, loaded)
-    scoring: dict[str, Any] = {"label": label, "range_bins_m": _numbers(range_bins_m), "epsilons": _numbers(epsilon)}
-    scoring["region"] = region
-    known = PROTOCOLS[protocol].__dataclass_fields__
+    protocol = protocol or ("kradar" if opened.name == "kradar" else "dds")
+    scoring = _settings(protocol, label=label, range_bins_m=range_bins_m, epsilon=epsilon, region=region)
+    if protocol.startswith("kradar"):
+        scoring |= _of_kradar(opened, loaded.class_names if label is None else (label,))
     evaluation = evaluate_clouds(
         loaded,
         opened,
@@ -74,7 +82,7 @@ def run(
         title=f"{detector} on {opened.root.name}",
         provenance={"simulated": is_simulated(opened.root)},
         progress=bar,
-        **{name: value for name, value in scoring.items() if name in known},
+        **scoring,
     )
     folder = out or Path("runs") / f"evaluation-{opened.root.name}"
     evaluation.save(folder)
@@ -91,6 +99,31 @@ def run(
     )
     print(f"evaluation: {folder / 'evaluation.json'}\nreport: {page.resolve()}")
     return 0
+
+
+def _settings(protocol: str, *, label: str | None, range_bins_m: str, epsilon: str, region: str) -> dict[str, Any]:
+    """The flags that a protocol knows, as its settings; K-Radar's are left to their defaults where no flag is given."""
+    from farfield.metrics import PROTOCOLS
+
+    ours = not protocol.startswith("kradar")
+    scoring: dict[str, Any] = {"label": label} if ours else {}
+    if ours or range_bins_m:
+        scoring["range_bins_m"] = _numbers(range_bins_m or "0,70,150,250")
+    if ours or region:
+        scoring["region"] = region or "window"
+    scoring["epsilons"] = _numbers(epsilon)
+    known = (
+        PROTOCOLS[protocol.partition("-")[0]].__dataclass_fields__ if protocol.partition("-")[0] in PROTOCOLS else {}
+    )
+    return {name: value for name, value in scoring.items() if name in known}
+
+
+def _of_kradar(data: "Dataset", classes: tuple[str, ...]) -> dict[str, Any]:
+    """What K-Radar's protocols are told of the data: classes, the frame of the boxes, the annotations' version."""
+    frame = data[0]
+    version = frame.metadata["label_version"] if "label_version" in frame.metadata else "not stated"
+    frame_of_boxes = "radar" if frame.reference == "radar" else "os2-64"
+    return {"classes": classes, "boxes_in": frame_of_boxes, "label_version": version}
 
 
 def is_simulated(root: Path) -> bool:
