@@ -42,13 +42,13 @@ def run(
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
         data: The data set; its format is recognised.
-        clouds: Which clouds, comma-separated; by default those of the kind that the detector learnt from. "merged" joins
-            all that the frames have.
+        clouds: Which clouds, comma-separated; by default those of the kind that the detector learnt from. "merged"
+            joins all that the frames have.
         split: train, val or test; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
-        protocol: dds, nuscenes, kitti, kradar or kradar-compat:VARIANT; kradar on K-Radar's layout and dds on all others
-            unless given. K-Radar's also scores each weather, road and time of day.
+        protocol: dds, nuscenes, kitti, kradar or kradar-compat:VARIANT; kradar on K-Radar's layout and dds on all
+            others unless given. K-Radar's also scores each weather, road and time of day.
         label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle), or with
             K-Radar's protocols every class that the detector knows.
         range_bins_m: Edges of the range bins; 0,70,150,250 or K-Radar's 0,20,40,60,80 unless given.
@@ -112,16 +112,15 @@ def _settings(protocol: str, *, label: str | None, range_bins_m: str, epsilon: s
     if ours or region:
         scoring["region"] = region or "window"
     scoring["epsilons"] = _numbers(epsilon)
-    known = (
-        PROTOCOLS[protocol.partition("-")[0]].__dataclass_fields__ if protocol.partition("-")[0] in PROTOCOLS else {}
-    )
+    kind = PROTOCOLS.get(protocol.partition("-")[0])
+    known = kind.__dataclass_fields__ if kind is not None else {}
     return {name: value for name, value in scoring.items() if name in known}
 
 
 def _of_kradar(data: "Dataset", classes: tuple[str, ...]) -> dict[str, Any]:
     """What K-Radar's protocols are told of the data: classes, the frame of the boxes, the annotations' version."""
     frame = data[0]
-    version = frame.metadata["label_version"] if "label_version" in frame.metadata else "not stated"
+    version = frame.metadata.get("label_version", "not stated")
     frame_of_boxes = "radar" if frame.reference == "radar" else "os2-64"
     return {"classes": classes, "boxes_in": frame_of_boxes, "label_version": version}
 
