@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
 from farfield.datasets.kradar.layout import (
+    CAMERAS,
     LABEL_TREES,
     LIDARS,
     RADAR_PRODUCTS,
@@ -15,6 +17,7 @@ from farfield.datasets.kradar.layout import (
     product_path,
 )
 from farfield.datasets.kradar.texts import read_radar_calibration
+from farfield.files.atomic import read_bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +41,50 @@ def find_file(roots: Sequence[Path], relative: Path) -> Path | None:
     return next((root / relative for root in roots if (root / relative).is_file()), None)
 
 
+class Files:
+    """Finds files below several roots; which folders there are is looked up once.
+
+    Args:
+        roots: Folders that may each hold any part of the data set; the first that has a file gives it.
+    """
+
+    def __init__(self, roots: Sequence[Path]) -> None:
+        self.roots = tuple(roots)
+        self._folders: dict[Path, tuple[Path, ...]] = {}
+
+    def find(self, relative: Path) -> Path | None:
+        """The first root's file of this name, or None."""
+        folders = self._folders.get(relative.parent)
+        if folders is None:
+            known = (root / relative.parent for root in self.roots)
+            folders = self._folders[relative.parent] = tuple(folder for folder in known if folder.is_dir())
+        return next((path for folder in folders if (path := folder / relative.name).is_file()), None)
+
+    def product(self, product: str, sequence: str, index: int) -> Path | None:
+        """A radar product's, LiDAR's or camera's file, also under the other names that documents give its folder."""
+        found = (self.find(path) for path in spellings(product, sequence, index))
+        return next((path for path in found if path is not None), None)
+
+
+def spellings(product: str, sequence: str, index: int) -> tuple[Path, ...]:
+    """Where a product's file may stand, relative to a root; the first is where the real files stand.
+
+    >>> [path.as_posix() for path in spellings("cam-front", "1", 2)]
+    ['1/cam-front/cam-front_00002.png', '1/cam_front/cam-front_00002.png', '1/cam_front/cam_front_00002.png']
+    """
+    path = product_path(product, sequence, index)
+    if product == "cube":
+        return path, path.parents[1] / "radar_xyz_cube" / path.name
+    if product in CAMERAS:
+        other = product.replace("-", "_")
+        return path, *(path.parents[1] / other / name for name in (path.name, path.name.replace(product, other)))
+    return (path,)
+
+
 def find_sequences(roots: Sequence[Path]) -> list[str]:
     """Sequences of which some product, LiDAR sweep or annotation stands below one of the roots, in order."""
     patterns = [product_path(product, "*", 0).parent for product in (*RADAR_PRODUCTS, *LIDARS)]
-    patterns += [Path(tree.format(seq="*")) for trees in LABEL_TREES.values() for tree in trees]
+    patterns += [Path("*", "radar_xyz_cube"), *(Path(tree.format(seq="*")) for t in LABEL_TREES.values() for tree in t)]
     found: set[str] = set()
     for pattern in patterns:
         place = next(number for number, part in enumerate(pattern.parts) if "*" in part)
@@ -50,19 +93,52 @@ def find_sequences(roots: Sequence[Path]) -> list[str]:
                 name = folder.relative_to(root).parts[place].removesuffix("_info_label_revised")
                 if folder.is_dir() and is_sequence(name):
                     found.add(name)
+    for root in roots:
+        bare = (folder for folder in root.glob("*") if is_sequence(folder.name) and folder.name not in found)
+        found |= {folder.name for folder in bare if any(is_stem(path.stem) for path in folder.glob("*_*.txt"))}
     return sorted(found, key=int)
 
 
 def find_labels(roots: Sequence[Path], sequence: str, versions: Iterable[str]) -> tuple[str, list[Path]] | None:
-    """The annotations of the first version that a sequence has, in the order of its frames; or None."""
+    """The annotations of the first version that a sequence has, in the order of its frames; or None.
+
+    A folder ``<sequence>`` that holds annotations itself, as a copy of one version's tree does, is of the version that
+    its parent's name or else its lines tell.
+    """
+    bare = [(path, labels) for root in roots if (labels := _label_files(path := root / sequence))]
     for version in versions:
         for tree in LABEL_TREES[version]:
             for root in roots:
-                folder = root / tree.format(seq=sequence)
-                paths = sorted(path for path in folder.glob("*.txt") if is_stem(path.stem))
+                paths = _label_files(root / tree.format(seq=sequence))
                 if paths:
                     return version, paths
+        for folder, paths in bare:
+            if bare_version(folder, paths) == version:
+                return version, paths
     return None
+
+
+def _label_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*_*.txt") if is_stem(path.stem))
+
+
+def bare_version(folder: Path, paths: Sequence[Path]) -> str:
+    """Version of the annotations in a folder: by its parent's name, or by the first object met; else v2.0.
+
+    Raises:
+        FileFormatError: If a file that has to be looked into is damaged.
+    """
+    parent = folder.resolve().parent.name
+    named = {version: [Path(tree).parent.name for tree in trees] for version, trees in LABEL_TREES.items()}
+    known = next((version for version, names in named.items() if parent and parent in names), None)
+    if known is not None:
+        return known
+    for path in paths:
+        lines = parse_text(read_bytes(path, max_bytes=MAX_BYTES), path).lines
+        if lines:
+            flagged, numbers = bool(lines[0].availability), len(lines[0].numbers)
+            return ("v1.1" if numbers == 2 else "v2.1") if flagged else ("v1.0" if numbers == 2 else "v2.0")
+    return "v2.0"
 
 
 def radar_geometry(roots: Sequence[Path], sequence: str) -> tuple[int, float | None, float | None]:
@@ -93,12 +169,14 @@ def _numbers(
     roots: Sequence[Path], sequence: str, products: Iterable[str], lidar_index: Callable[[int], int]
 ) -> set[int]:
     found: set[int] = set()
-    for product in products:
-        example = product_path(product, sequence, 0)
-        prefix = example.stem.removesuffix("00000")
+    for example in (path for product in products for path in spellings(product, sequence, 0)):
         for root in roots:
-            for path in (root / example.parent).glob(f"{prefix}*{example.suffix}"):
-                digits = path.stem.removeprefix(prefix)
-                if digits.isascii() and digits.isdigit() and len(digits) <= 9:
-                    found.add(lidar_index(int(digits)))
+            found |= {lidar_index(number) for number in numbered_files(root / example.parent, example)}
     return found
+
+
+def numbered_files(folder: Path, example: Path) -> set[int]:
+    """Numbers of a folder's files that are named as an example with the number 0 is."""
+    prefix = example.stem.removesuffix("00000")
+    stems = (path.stem.removeprefix(prefix) for path in folder.glob(f"{prefix}*{example.suffix}"))
+    return {int(digits) for digits in stems if digits.isascii() and digits.isdigit() and len(digits) <= 9}

@@ -203,7 +203,7 @@ def _table(rows: _Rows) -> LabelTable:
     )
     short = (np.array(columns[2], dtype=np.str_) == "") & (table.version[table.frame] == "v1.0")
     counted = {name: int(mask.sum()) for name, mask in _defects(table).items()}
-    table.defects.update(rows.defects | counted | {"short_line": int(short.sum())})
+    table.defects.update(dict.fromkeys(DEFECTS, 0) | rows.defects | counted | {"short_line": int(short.sum())})
     return table
 
 

@@ -3,8 +3,9 @@
 Paek et al., "K-Radar: 4D Radar Object Detection for Autonomous Driving in Various Weather Conditions", NeurIPS 2022.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.kradar.index import Entry, find_file, find_sequences, index_sequence, radar_geometry
+from farfield.datasets.kradar.index import Entry, Files, find_sequences, index_sequence, radar_geometry
+from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.datasets.kradar.labels import KRadarLabels, read_labels
 from farfield.datasets.kradar.layout import (
     CAMERAS,
-    EYES,
     INDEX_NAMES,
     LABEL_TREES,
     LIDARS,
@@ -27,27 +28,18 @@ from farfield.datasets.kradar.layout import (
     SPLIT_FOLDER,
     index_name,
     os2_T_radar,
-    product_path,
 )
+from farfield.datasets.kradar.motion import TimedTable
 from farfield.datasets.kradar.products import read_eye, read_lidar, read_radar
 from farfield.datasets.kradar.radar_cloud import RadarView, in_radar_frame, with_radar_cloud
 from farfield.datasets.kradar.record import FrameRecord, read_record, record_path
-from farfield.datasets.kradar.sequence_files import camera_path, odometry_path, quarters
-from farfield.datasets.kradar.texts import read_camera, read_description, read_lines, read_odometry, read_times
+from farfield.datasets.kradar.sequence import RELEASES, SequenceFacts, annotated_poses, read_sequence
+from farfield.datasets.kradar.sequence_files import quarters
+from farfield.datasets.kradar.splits import read_split_list, split_of_sequences
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Camera, Frame, Lazy
+from farfield.frame import Frame, Lazy
 
-_CALIBRATIONS = ("resources/cam_calib/calib_seq_v2", "cam_calib/calib_seq_v2", "calib_seq_v2", "cam_calib", "calib_seq")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Shared:
-    """Conditions, times of files by name, poses by frame and cameras of a sequence."""
-
-    conditions: dict[str, str]
-    times: dict[str, int]
-    poses: dict[int, Float[np.ndarray, "4 4"]]
-    cameras: dict[str, Camera]
+_VIEW = ("radar_rate", "radar_region", "radar_over")
 
 
 class KRadar(Dataset):
@@ -66,12 +58,17 @@ class KRadar(Dataset):
     - images ``cam-front`` (left eye), ``cam-front-right``, likewise ``cam-left``, ``cam-right``, ``cam-rear``, and
       their cameras.
     - full boxes with Cirrus' class names; ``metadata`` has ``raw_label``, ``availability``, ``from_above`` (see
-      :class:`~farfield.datasets.kradar.labels.KRadarLabels`), ``indices`` and ``files``.
+      :class:`~farfield.datasets.kradar.labels.KRadarLabels`), ``label_version``, ``indices`` and ``files``.
+    - ``metadata["video"]``, the path of the dashboard camera's film, and ``gps``, ``gps_local``, ``imu``, ``imu_2``,
+      the measurement nearest in time.
+    - conditions from ``description.txt``; without it those that are published of a real sequence, as
+      ``metadata["conditions_from"]`` says.
 
     Args:
         root: A folder with the sequences ``1`` to ``58`` or with separate downloads such as ``rdr_polar_3d``.
         roots: Further such folders, for a set that is spread over several disks.
         labels: ``"v2.1"``, ``"v2.0"``, ``"v1.1"`` or ``"v1.0"``; None takes the newest that a sequence has.
+        calibration: Release of the camera calibrations, ``"v2"`` or ``"v1"``; None takes the newest that there is.
         reference: ``"os2-64"``, or ``"radar"`` for frames in the radar's coordinates, as K-Radar's own tools train and
             score: boxes, clouds, cameras and poses are moved. The os1-128 keeps its own.
         radar_rate: Share of all cells of a cube that the cloud ``radar`` holds before it is cropped; 1 for every cell.
@@ -93,6 +90,7 @@ class KRadar(Dataset):
         *,
         roots: Iterable[Path | str] = (),
         labels: str | None = None,
+        calibration: str | None = None,
         reference: str = "os2-64",
         radar_rate: float | int = 0.1,
         radar_region: str = "wide",
@@ -100,12 +98,13 @@ class KRadar(Dataset):
     ) -> None:
         if labels is not None and labels not in LABEL_TREES:
             raise ConfigError(f"KRadar: expected labels to be one of {', '.join(LABEL_TREES)}; got {labels!r}")
-        if reference not in ("os2-64", "radar"):
-            raise ConfigError(f"KRadar: expected reference os2-64 or radar, got {reference!r}")
-        self.reference = reference
+        if calibration is not None and calibration not in RELEASES:
+            raise ConfigError(f"KRadar: expected calibration to be one of {', '.join(RELEASES)}; got {calibration!r}")
+        self.reference, self.calibration = _checked_reference(reference), calibration
         self.radar_view = RadarView(rate=radar_rate, region=radar_region, over=radar_over)
         self.root = Path(root)
         self.roots = (self.root, *map(Path, roots))
+        self._files = Files(self.roots)
         self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
         versions = tuple(LABEL_TREES) if labels is None else (labels,)
         self.entries: Sequence[Entry] = [
@@ -120,12 +119,36 @@ class KRadar(Dataset):
             raise DatasetError(f"{self.root}: expected {wanted}, found none. Looked for {looked}")
         self.sequences = tuple(entry.sequence for entry in self.entries)
         self.frame_ids = tuple(entry.stem for entry in self.entries)
-        self._shared: dict[str, _Shared] = {}
+        self._shared: dict[str, tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]] = {}
 
     def labels(self, index: int) -> KRadarLabels | None:
         """Read the annotations of frame ``index``; None where there are none."""
         path = self.entries[index].label
         return None if path is None else read_labels(path)
+
+    def label_table(self, *, progress: Callable[[int], None] | None = None) -> LabelTable:
+        """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
+        return read_label_table(self.entries, progress=progress)
+
+    def of_sequence(self, sequence: str) -> SequenceFacts:
+        """What the frames of a sequence share, read at the first access.
+
+        Raises:
+            FileFormatError: If a file is damaged.
+        """
+        return self._of_sequence(sequence)[0]
+
+    def viewed(self, options: Mapping[str, Any]) -> "KRadar":
+        """The same frames with the ``reference``, ``radar_rate``, ``radar_region`` and ``radar_over`` of these options.
+
+        Raises:
+            ConfigError: If one is none of those possible.
+        """
+        other = copy.copy(self)
+        other.reference = _checked_reference(options.get("reference", self.reference))
+        changes = {name.removeprefix("radar_"): options[name] for name in options if name in _VIEW}
+        other.radar_view = replace(self.radar_view, **changes)
+        return other
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index`` that are there."""
@@ -136,10 +159,10 @@ class KRadar(Dataset):
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         entry = self.entries[index]
-        raw, record, shared = self.labels(index), self._record(entry), self._of_sequence(entry.sequence)
+        raw, record, shared = self.labels(index), self._record(entry), self.of_sequence(entry.sequence)
         indices = self._indices(entry, raw, record)
         paths = self._paths(entry, indices)
-        times = _times(shared.times, paths, record)
+        times = _times(shared.times_ns, paths, record)
         time_ns = times.get("os2-64", raw.time_ns if raw is not None else None)
         radar = Lazy({name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths})
         frame = Frame(
@@ -155,7 +178,7 @@ class KRadar(Dataset):
             conditions=shared.conditions,
             radar=radar,
             reference="os2-64",
-            metadata=Lazy(self._metadata(index, raw, record, indices)),
+            metadata=Lazy(self._metadata(index, raw, record, indices) | _measured(shared, time_ns)),
         )
         os2_T_radar = self._os2_T_radar(index)
         if self.reference == "radar":
@@ -173,15 +196,18 @@ class KRadar(Dataset):
         """
         if name not in ("train", "test"):
             raise ConfigError(f"benchmark_split: expected train or test, got {name!r}")
-        path = find_file(self.roots, SPLIT_FOLDER / f"{name}.txt")
+        path = self._files.find(SPLIT_FOLDER / f"{name}.txt")
         if path is not None:
-            keys = {tuple(line.removesuffix(".txt").split(",")) for line in read_lines(path)}
+            keys = read_split_list(path)
         else:
             stems: dict[str, list[str]] = {}
             for sequence, stem in self.keys:
                 stems.setdefault(sequence, []).append(stem)
             keys = set(quarters(stems)[name])
         return self.select([index for index, key in enumerate(self.keys) if key in keys])
+
+    def _split_from_file(self) -> dict[str, list[str]]:
+        return super()._split_from_file() or split_of_sequences(self.sequences)
 
     def _indices(
         self, entry: Entry, raw: KRadarLabels | None = None, record: FrameRecord | None = None
@@ -196,55 +222,29 @@ class KRadar(Dataset):
 
     def _paths(self, entry: Entry, indices: dict[str, int]) -> dict[str, Path]:
         found = {
-            product: find_file(self.roots, product_path(product, entry.sequence, indices[index_name(product)]))
+            product: self._files.product(product, entry.sequence, indices[index_name(product)])
             for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS)
             if index_name(product) in indices
         }
         return {product: path for product, path in found.items() if path is not None}
 
     def _record_path(self, entry: Entry) -> Path | None:
-        return find_file(self.roots, record_path(entry.sequence, entry.stem))
+        return self._files.find(record_path(entry.sequence, entry.stem))
 
     def _record(self, entry: Entry) -> FrameRecord | None:
         path = self._record_path(entry)
         return None if path is None else read_record(path)
 
-    def _of_sequence(self, sequence: str) -> "_Shared":
-        """What the frames of a sequence share, read at the first access."""
+    def _of_sequence(self, sequence: str) -> tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]:
         if sequence not in self._shared:
-            description = find_file(self.roots, Path(sequence, "description.txt"))
-            times: dict[str, int] = {}
-            for sensor in (*LIDARS, *CAMERAS):
-                path = find_file(self.roots, Path(sequence, "time_info", f"{sensor}.txt"))
-                times |= read_times(path) if path is not None else {}
-            self._shared[sequence] = _Shared(
-                conditions={} if description is None else read_description(description),
-                times=times,
-                poses=self._read_poses(sequence),
-                cameras=self._read_cameras(sequence),
-            )
+            facts = read_sequence(self._files, sequence, calibration=self.calibration)
+            members = [index for index, one in enumerate(self.entries) if one.sequence == sequence and one.label]
+            self._shared[sequence] = facts, annotated_poses(facts, members)
         return self._shared[sequence]
-
-    def _read_poses(self, sequence: str) -> dict[int, Float[np.ndarray, "4 4"]]:
-        """Poses by frame, if the file has one for each annotated frame."""
-        path = find_file(self.roots, odometry_path(sequence))
-        members = [index for index, entry in enumerate(self.entries) if entry.sequence == sequence and entry.label]
-        poses = np.zeros((0, 4, 4)) if path is None else read_odometry(path)
-        return dict(zip(members, poses, strict=True)) if len(poses) == len(members) else {}
-
-    def _read_cameras(self, sequence: str) -> dict[str, Camera]:
-        cameras = {}
-        for name, number in EYES.items():
-            file = Path(*camera_path(sequence, number).parts[-2:])
-            places = (find_file(self.roots, Path(place) / file) for place in _CALIBRATIONS)
-            path = next((place for place in places if place is not None), None)
-            if path is not None:
-                cameras[name] = read_camera(path)
-        return cameras
 
     def _pose(self, index: int, record: FrameRecord | None) -> Float[np.ndarray, "4 4"] | None:
         known = record.pose("world_T_lidar") if record is not None else None
-        return self._of_sequence(self.sequences[index]).poses.get(index) if known is None else known
+        return self._of_sequence(self.sequences[index])[1].get(index) if known is None else known
 
     def _os2_T_radar(self, index: int) -> Float[np.ndarray, "4 4"]:
         _, x_m, y_m = self._geometry[self.sequences[index]]
@@ -261,11 +261,18 @@ class KRadar(Dataset):
         }
         if raw is not None:
             known |= {"raw_label": lambda: raw.raw_label, "from_above": lambda: raw.from_above}
+            known["label_version"] = lambda: self.entries[index].version
         if raw is not None and len(raw.availability) == len(raw.boxes):
             known["availability"] = lambda: list(raw.availability)
         if record is not None and record.os2_T_os1 is not None:
             known["os2_T_os1"] = lambda: record.pose("os2_T_os1")
         return known
+
+
+def _checked_reference(reference: str) -> str:
+    if reference not in ("os2-64", "radar"):
+        raise ConfigError(f"KRadar: expected reference os2-64 or radar, got {reference!r}")
+    return reference
 
 
 def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
@@ -285,3 +292,20 @@ def _times(of_files: dict[str, int], paths: dict[str, Path], record: FrameRecord
     if record is not None:
         times |= {"os2-64": record.time_ns} | record.times_ns
     return times
+
+
+def _measured(shared: SequenceFacts, time_ns: int | None) -> dict[str, Callable[[], Any]]:
+    """The film, where the conditions come from, and the GPS's and IMUs' measurements nearest to a frame."""
+    known: dict[str, Callable[[], Any]] = {}
+    if shared.conditions_from:
+        known["conditions_from"] = lambda: shared.conditions_from
+    if shared.video is not None:
+        known["video"] = lambda: str(shared.video)
+    if time_ns is not None:
+        known |= {name: partial(_nearest, shared, name, time_ns) for name in shared.motion}
+    return known
+
+
+def _nearest(shared: SequenceFacts, name: str, time_ns: int) -> dict[str, float] | None:
+    table: TimedTable = shared.motion[name]
+    return table.nearest(time_ns)

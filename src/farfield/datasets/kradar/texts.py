@@ -21,23 +21,24 @@ from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
 from farfield.radar.axes import KRADAR_ORIGIN_M
 
-_MAX_BYTES = 4 << 20
+MAX_BYTES = 4 << 20
 _LARGEST = 1e9
 _CAMERA_KEYS = ("fx", "fy", "px", "py", "k1", "k2", "k3", "k4", "k5")
 _POSE_KEYS = tuple(f"{name}_ldr2cam" for name in ("yaw", "pitch", "roll", "x", "y", "z"))
 
 
-def read_lines(path: Path) -> list[str]:
-    """Lines of a small text file, white space stripped, blank ones left out.
+def read_lines(path: Path, *, max_bytes: int = MAX_BYTES) -> list[str]:
+    """Lines of a text file, white space stripped, blank ones left out.
 
     Raises:
-        FileFormatError: If the file is larger than 4 MiB.
+        FileFormatError: If the file is larger than ``max_bytes``.
     """
-    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8", errors="replace")
+    text = read_bytes(path, max_bytes=max_bytes).decode("utf-8", errors="replace")
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _numbers(cells: Sequence[str]) -> list[float] | None:
+def numbers_of(cells: Sequence[str]) -> list[float] | None:
+    """The numbers that cells of text hold; None where one is no number, not finite, or above 1e9."""
     try:
         values = [float(cell) for cell in cells]
     except ValueError:
@@ -76,7 +77,7 @@ def read_radar_calibration(path: Path) -> tuple[int, float, float]:
         FileFormatError: If the second line is not three numbers, the first of them whole.
     """
     lines = read_lines(path)
-    values = _numbers(lines[1].split(",")) if len(lines) > 1 else None
+    values = numbers_of(lines[1].split(",")) if len(lines) > 1 else None
     if values is None or len(values) != 3 or not values[0].is_integer():
         expected = "a whole number and two numbers"
         raise FileFormatError(path, where="line 2", expected=expected, found=repr(lines[1:2])[:100])
@@ -127,7 +128,7 @@ def read_camera(path: Path) -> Camera:
     pairs = [line.partition(":") for line in read_lines(path)]
     cells = {key.strip(): value.strip() for key, _, value in pairs}
     for key in (*_CAMERA_KEYS, *_POSE_KEYS):
-        if _numbers([cells.get(key, "")]) is None:
+        if numbers_of([cells.get(key, "")]) is None:
             found = repr(cells.get(key))[:80]
             raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", found=found)
     fx, fy, px, py, *distortion = (float(cells[key]) for key in _CAMERA_KEYS)
@@ -160,7 +161,7 @@ def read_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
     lines = read_lines(path)
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     for number, line in enumerate(lines, start=1):
-        values = _numbers(line.split())
+        values = numbers_of(line.split())
         if values is None or len(values) != 12 or not all(map(math.isfinite, values)):
             raise FileFormatError(path, where=f"line {number}", expected="12 finite numbers", found=repr(line[:100]))
         poses[number - 1, :3] = np.reshape(values, (3, 4))

@@ -1,0 +1,139 @@
+"""What the frames of a sequence share: conditions, times, poses, cameras, film, GPS and IMU."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.datasets.kradar.conditions import published_conditions
+from farfield.datasets.kradar.index import Files
+from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RIGHT_EYE
+from farfield.datasets.kradar.motion import TimedTable, motion_files, read_gps, read_imu, read_local, read_poses
+from farfield.datasets.kradar.texts import read_camera, read_description, read_times
+from farfield.datasets.kradar.video import find_video
+from farfield.frame import Camera, Lazy
+
+RELEASES = ("v2", "v1")
+"""Releases of the camera calibrations: ``calib_seq_v2`` (April 2025), which changes the front camera of 26 sequences,
+and ``calib_seq``."""
+
+_FOLDERS = {
+    "v2": tuple(Path(place, "calib_seq_v2") for place in ("resources/cam_calib", "cam_calib", "")),
+    "v1": tuple(Path(place, "calib_seq") for place in ("resources/cam_calib", "cam_calib", "")),
+}
+_UNNAMED = (Path("resources/cam_calib"), Path("cam_calib"))
+_COMMON = tuple(Path(place, "common") for place in ("resources/cam_calib", "cam_calib"))
+_DESCRIPTIONS = ("description.txt", "info_condition/description.txt")
+_READERS: Mapping[str, Callable[[Path], TimedTable]] = {
+    "gps": read_gps,
+    "gps_local": read_local,
+    "imu": read_imu,
+    "imu_2": read_imu,
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SequenceFacts:
+    """What is known of a sequence.
+
+    Args:
+        conditions: Road, time and weather.
+        conditions_from: ``"description.txt"``, ``"published table"``, or nothing.
+        times_ns: Times of files by name.
+        poses: Poses of its annotated frames, or None.
+        cameras: Cameras by eye.
+        camera_files: The file of each camera.
+        video: The dashboard camera's film, or None.
+        motion: ``gps``, ``gps_local``, ``imu``, ``imu_2`` where there are such files, read when they are asked for.
+    """
+
+    conditions: dict[str, str]
+    conditions_from: str
+    times_ns: dict[str, int]
+    poses: Float[np.ndarray, "n 4 4"] | None
+    cameras: dict[str, Camera]
+    camera_files: dict[str, Path]
+    video: Path | None
+    motion: Lazy
+
+
+def read_sequence(files: Files, sequence: str, *, calibration: str | None = None) -> SequenceFacts:
+    """Read what there is of a sequence.
+
+    Args:
+        files: The data set's roots.
+        sequence: Its name.
+        calibration: Release of the camera calibrations, one of :data:`RELEASES`; None takes the newest.
+
+    Raises:
+        FileFormatError: If a file is damaged.
+    """
+    conditions, said_by = read_conditions(files, sequence)
+    times: dict[str, int] = {}
+    for sensor in (*LIDARS, *CAMERAS):
+        path = files.find(Path(sequence, "time_info", f"{sensor}.txt"))
+        times |= read_times(path) if path is not None else {}
+    camera_files = find_camera_files(files, sequence, calibration=calibration)
+    motion = motion_files(files.roots, sequence)
+    return SequenceFacts(
+        conditions=conditions,
+        conditions_from=said_by,
+        times_ns=times,
+        poses=read_poses(files.roots, sequence),
+        cameras={name: read_camera(path) for name, path in camera_files.items()},
+        camera_files=camera_files,
+        video=find_video(files.roots, sequence),
+        motion=Lazy({name: partial(_READERS[name], path) for name, path in motion.items()}),
+    )
+
+
+def read_conditions(files: Files, sequence: str) -> tuple[dict[str, str], str]:
+    """Conditions of a sequence and what says so; the published table's where it has no description.
+
+    A simulated sequence is not a published one, though it bears its number: the table is not asked where the
+    simulator's settings or records of frames stand.
+
+    Raises:
+        FileFormatError: If the description is damaged.
+    """
+    for name in _DESCRIPTIONS:
+        path = files.find(Path(sequence, name))
+        if path is not None:
+            return read_description(path), "description.txt"
+    marks = [root / sequence / "frame_record" for root in files.roots]
+    marks += [folder / "simulation.json" for root in files.roots for folder in (root, root.absolute().parent)]
+    known = {} if any(mark.exists() for mark in marks) else published_conditions(sequence)
+    return known, "published table" if known else ""
+
+
+def find_camera_files(files: Files, sequence: str, *, calibration: str | None = None) -> dict[str, Path]:
+    """The calibration file of each eye: of its sequence, or else the one common to all sequences.
+
+    Args:
+        files: The data set's roots.
+        sequence: Name of the sequence.
+        calibration: As :func:`read_sequence`.
+    """
+    releases = RELEASES if calibration is None else (calibration,)
+    folders = [folder for release in releases for folder in _FOLDERS[release]]
+    found = {}
+    for name, number in EYES.items():
+        own = [folder / f"seq_{int(sequence):02d}" / f"cam_{number}.yml" for folder in folders]
+        if calibration is None:
+            eye = f"{name.removesuffix(RIGHT_EYE).removeprefix('cam-')}{int(name.endswith(RIGHT_EYE))}"
+            own += [folder / f"seq_{int(sequence):02d}" / f"cam_{number}.yml" for folder in _UNNAMED]
+            own += [folder / f"cam_{eye}.yml" for folder in _COMMON]
+        path = next((path for place in own if (path := files.find(place)) is not None), None)
+        if path is not None:
+            found[name] = path
+    return found
+
+
+def annotated_poses(facts: SequenceFacts, members: Sequence[int]) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Poses by frame; nothing where the file does not have one for each annotated frame."""
+    if facts.poses is None or len(facts.poses) != len(members):
+        return {}
+    return dict(zip(members, facts.poses, strict=True))
