@@ -1,0 +1,115 @@
+"""The K-Radar paper's Table 4 in shape: radar and LiDAR detectors by weather, on simulated K-Radar drives.
+
+usage: python benchmarks/radar_detectors.py [--runs RUN ...] [--data DATA] [--frames N]
+
+A RUN is the folder of a finished training. The drives it is scored on were made with another seed than those it learnt
+from. Scores are kept beside the weights, so that a cut run goes on where it stopped. The simulator's LiDAR window takes
+snow and ice ("icing"): the LiDAR's figures in sleet and heavy snow follow from that input as well.
+"""
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from _report import ROOT, header
+
+from farfield.api import as_trained, load_detector, open_dataset
+from farfield.cli import simulate
+from farfield.cli._progress import bar
+from farfield.detectors.weights import resolve_weights
+from farfield.evaluation import detect_all
+from farfield.files.atomic import write_text
+
+WEATHERS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
+PROTOCOLS = ("kradar", "kradar-compat:rtnh_narrow")
+DEFAULT_RUNS = [f"runs/{name}-kradar-sim" for name in ("rtnh", "rtn50", "rtnx101", "pointpillars")]
+PUBLISHED = {
+    "RTNH": (47.4, 49.9, 56.7, 52.8, 42.0, 41.5, 50.6, 44.5),
+    "RTN": (40.1, 45.6, 48.8, 46.9, 32.9, 22.6, 36.8, 36.8),
+    "PointPillars": (45.4, 52.3, 61.0, 42.2, 44.5, 22.7, 40.6, 29.7),
+}
+
+
+def evaluated(run: str, data: Any, fingerprint: str) -> dict[str, Any]:
+    """Results of a run by protocol, from its folder if these weights were scored on these frames before."""
+    weights = resolve_weights(run)
+    key = hashlib.sha256(weights.read_bytes() + fingerprint.encode()).hexdigest()
+    kept = weights.with_name(f"{weights.stem}-kradar.json")
+    if kept.is_file() and (known := json.loads(kept.read_text()))["key"] == key:
+        return dict(known)
+    detector = load_detector(run)
+    cloud = detector.provenance["experiment"]["data"]["clouds"][0]
+    found, frame_ms = detect_all(detector, as_trained(data, detector), cloud=cloud, progress=bar)
+    results: dict[str, Any] = {"key": key, "cloud": cloud, "precision": detector.precision, "frame_ms": frame_ms}
+    for protocol in PROTOCOLS:
+        ours: dict[str, Any] = {"region": "narrow", "classes": ("vehicle",)} if protocol == "kradar" else {}
+        result = found.score(protocol, **ours).to_json()
+        results[protocol] = {name: result[name] for name in ("ap", "conditions", "ranges", "convention", "counts")}
+    results["parameters"] = sum(parameter.numel() for parameter in detector.network.parameters())
+    write_text(kept, json.dumps(results))
+    return results
+
+
+def row(result: dict[str, Any], measure: str, iou: str = "0.3") -> list[float | None]:
+    """AP in per cent: in all, then by weather."""
+    parts = [result, *(result["conditions"]["weather"].get(name) for name in WEATHERS)]
+    figures = [None if part is None else part["ap"]["vehicle"][measure][iou] for part in parts]
+    return [None if figure is None else 100 * figure for figure in figures]
+
+
+def line(name: str, what: str, figures: "list[float | None] | tuple[float, ...]") -> str:
+    """One line of the table."""
+    cells = " ".join("     -" if figure is None else f"{figure:6.1f}" for figure in figures)
+    return f"{name:<28} {what:<9} {cells}"
+
+
+def schedule(provenance: dict[str, Any]) -> str:
+    """What a run was trained with, in one line."""
+    experiment = provenance["experiment"]
+    training, data = experiment["training"], experiment["data"]
+    return (
+        f"{training['steps']} steps of {training['batch_size']}, peak {training['learning_rate']}, seed "
+        f"{training['seed']}, {provenance['frames']} frames, cloud {' and '.join(data['clouds'])}, reader "
+        f"{data['options']}, {provenance.get('precision')}, commit {provenance['environment']['commit']}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=ROOT / "data" / "kradar-sim-val")
+    parser.add_argument("--runs", nargs="+", default=DEFAULT_RUNS)
+    parser.add_argument("--frames", type=int, default=348, help="frames to simulate where DATA holds none")
+    options = parser.parse_args()
+    print(header(), "\n", sep="")
+    if not options.data.exists():
+        simulate.run("kradar-sim", options.data, frames=options.frames, stride_s=1.0, seed=12, sensors="os2-64,cells")
+    data = open_dataset(options.data)
+    fingerprint = data.fingerprint()
+    print(
+        f"{options.data.name}: {len(data)} frames of {len(set(data.sequences))} drives, fingerprint {fingerprint[:16]}"
+    )
+    results = {}
+    for run in options.runs:
+        provenance = load_detector(run).provenance
+        name = provenance["experiment"]["name"]
+        print(f"{name:<28} {schedule(provenance)}", flush=True)
+        results[name] = evaluated(run, data, fingerprint)
+    for protocol in PROTOCOLS:
+        print(f"\n{protocol}: AP of Sedan at IoU 0.3, per cent")
+        heads = ("total", "normal", "overc.", "fog", "rain", "sleet", "l.snow", "h.snow")
+        print(line("", "", ()) + " ".join(f"{name:>6}" for name in heads))
+        for measure in ("3d", "bev"):
+            for name, result in results.items():
+                print(line(name, f"AP_{measure}", row(result[protocol], measure)))
+        print(next(iter(results.values()))[protocol]["convention"])
+    print("\npublished on the real drives, AP_3d, whole schedules")
+    print("\n".join(line(name, "AP_3d", figures) for name, figures in PUBLISHED.items()))
+    print("\nparameters, milliseconds a frame (points to boxes, as evaluated)")
+    for name, result in results.items():
+        print(f"{name:<28} {result['parameters'] / 1e6:6.2f} M {result['frame_ms']:7.1f} ms {result['precision']}")
+
+
+if __name__ == "__main__":
+    main()
