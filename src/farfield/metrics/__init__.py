@@ -1,6 +1,6 @@
-"""Scores of 3D detections: DDS and wDDS (Cirrus), nuScenes, KITTI. One protocol is one file."""
+"""Scores of 3D detections: DDS and wDDS (Cirrus), nuScenes, KITTI, K-Radar. One protocol is one file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -11,15 +11,19 @@ from farfield.metrics.bootstrap import Bootstrap
 from farfield.metrics.dds import DdsResult, DdsSettings, evaluate_dds
 from farfield.metrics.kitti import KittiResult, evaluate_kitti
 from farfield.metrics.kitti_settings import KittiSettings
+from farfield.metrics.kradar import KRadarResult, evaluate_kradar
+from farfield.metrics.kradar_settings import KRadarSettings, kradar_settings
 from farfield.metrics.nuscenes import NuScenesResult, NuScenesSettings, evaluate_nuscenes
 from farfield.metrics.result import Result
-from farfield.metrics.scene import BoxesByFrame, labels_of
+from farfield.metrics.scene import BoxesByFrame, Key, labels_of
 
 __all__ = [
     "PROTOCOLS",
     "Bootstrap",
     "DdsResult",
     "DdsSettings",
+    "KRadarResult",
+    "KRadarSettings",
     "KittiResult",
     "KittiSettings",
     "NuScenesResult",
@@ -27,24 +31,34 @@ __all__ = [
     "Result",
     "evaluate_dds",
     "evaluate_kitti",
+    "evaluate_kradar",
     "evaluate_nuscenes",
+    "kradar_settings",
     "score",
     "scored_labels",
 ]
 
-PROTOCOLS: dict[str, type[DdsSettings | NuScenesSettings | KittiSettings]] = {
+_Settings = DdsSettings | NuScenesSettings | KittiSettings | KRadarSettings
+PROTOCOLS: dict[str, type[_Settings]] = {
     "dds": DdsSettings,
     "nuscenes": NuScenesSettings,
     "kitti": KittiSettings,
+    "kradar": KRadarSettings,
 }
 _Details = Mapping[tuple[str, str], Mapping[str, np.ndarray]]
 
 
 def scored_labels(annotations: BoxesByFrame, protocol: str = "dds", **options: Any) -> tuple[str, ...]:
-    """Classes that can be scored, the most annotated first: relabelled ones as one, ignored ones left out."""
-    default = _settings(protocol, {key: options[key] for key in ("relabel", "ignore") if key in options})
+    """Classes that can be scored, the most annotated first: relabelled ones as one, ignored ones left out.
+
+    K-Radar's protocols score the classes of their settings; those that occur are given.
+    """
+    default = _settings(protocol, {key: options[key] for key in ("relabel", "ignore", "classes") if key in options})
     names = (name for name, _ in labels_of(annotations, default.relabel))
-    return tuple(name for name in names if name not in (default.ignore or ()))
+    if isinstance(default, KRadarSettings):
+        return tuple(name for name in names if name in default.classes)
+    ignored = default.ignore or ()
+    return tuple(name for name in names if name not in ignored)
 
 
 def score(
@@ -55,6 +69,8 @@ def score(
     label: str | None = None,
     prediction_details: _Details | None = None,
     annotation_details: _Details | None = None,
+    conditions: Mapping[Key, Mapping[str, str]] | None = None,
+    visibility: Mapping[Key, Sequence[str]] | None = None,
     **options: Any,
 ) -> Result:
     """Score predictions by any protocol.
@@ -62,15 +78,24 @@ def score(
     Args:
         predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
         annotations: Annotated boxes by (sequence, frame): every frame that counts, those without boxes too.
-        protocol: ``"dds"``, ``"nuscenes"`` or ``"kitti"``.
-        label: The class; None takes the one with most annotated boxes.
+        protocol: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"`` or ``"kradar-compat:VARIANT"``.
+        label: The class; None takes the one with most annotated boxes, or for K-Radar's protocols all that their
+            settings name, each for itself.
         prediction_details: For ``"kitti"``: ``box_px`` of the predictions, see :func:`evaluate_kitti`.
         annotation_details: For ``"kitti"``: what makes a box easy or hard, see :func:`evaluate_kitti`.
+        conditions: For K-Radar's protocols: weather, road and time of the frames, see :func:`evaluate_kradar`.
+        visibility: For K-Radar's protocols: which sensor sees each annotated box, see :func:`evaluate_kradar`.
         **options: Fields of the protocol's settings: ``range_bins_m``, ``epsilons``, ``region``, ``bootstrap``...
 
     Raises:
         ConfigError: If the protocol, an option or the label is unknown, or frames do not pair.
     """
+    if protocol.partition(":")[0] in ("kradar", "kradar-compat"):
+        chosen = _settings(protocol, options if label is None else {**options, "classes": (label,)})
+        assert isinstance(chosen, KRadarSettings)
+        return evaluate_kradar(
+            predictions, annotations, chosen, conditions=conditions, visibility=visibility, protocol=protocol
+        )
     default = _settings(protocol, options)
     if label is None:
         label = next(iter(scored_labels(annotations, protocol, **options)), default.label)
@@ -85,12 +110,16 @@ def score(
         )
     if isinstance(settings, NuScenesSettings):
         return evaluate_nuscenes(predictions, annotations, settings)
+    assert isinstance(settings, DdsSettings)
     return evaluate_dds(predictions, annotations, settings)
 
 
-def _settings(protocol: str, options: Mapping[str, Any]) -> DdsSettings | NuScenesSettings | KittiSettings:
+def _settings(protocol: str, options: Mapping[str, Any]) -> _Settings:
+    if protocol == "kradar" or protocol.startswith("kradar-compat"):
+        return kradar_settings(protocol, **options)
     if protocol not in PROTOCOLS:
-        raise ConfigError(f"protocol: expected one of {', '.join(PROTOCOLS)}, got {protocol!r}")
+        names = ", ".join([*PROTOCOLS, "kradar-compat:VARIANT"])
+        raise ConfigError(f"protocol: expected one of {names}, got {protocol!r}")
     kind = PROTOCOLS[protocol]
     known = [option.name for option in fields(kind)]
     unknown = sorted(set(options) - set(known))

@@ -151,7 +151,7 @@ def _inside(side: Side, settings: KRadarSettings) -> Bool[np.ndarray, " n"]:
     if bounds_m is None:
         return np.ones(len(side), dtype=bool)
     centre_m = side.box[:, :3]
-    inside: Bool[np.ndarray, " n"] = ((centre_m >= bounds_m[::2]) & (centre_m <= bounds_m[1::2])).all(axis=1)
+    inside = np.all((centre_m >= bounds_m[::2]) & (centre_m <= bounds_m[1::2]), axis=1)
     if settings.azimuth_deg is not None:
         inside &= np.abs(np.arctan2(centre_m[:, 1], centre_m[:, 0])) <= math.radians(settings.azimuth_deg)
     return inside
@@ -170,7 +170,7 @@ def _written(box: Float[np.ndarray, "n 7"], settings: KRadarSettings) -> Float[n
 
 
 def _pairs(annotated: Side, predicted: Side, owners: int, classes: int) -> Int[np.ndarray, "p 2"]:
-    """Pairs (annotated, predicted) of a frame and class whose circumscribed circles (almost) meet, in the boxes' order."""
+    """Pairs (annotated, predicted) of a frame and class whose circumscribed circles meet, in the boxes' order."""
     box, detection = same_owner(
         annotated.frame * classes + annotated.kind, predicted.frame * classes + predicted.kind, owners
     )
