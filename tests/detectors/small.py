@@ -20,6 +20,11 @@ def _level(centres: int, radii_m: tuple[float, float], *widths: tuple[int, int])
     return {"centres": centres, "radii_m": radii_m, "limits": [16, 32], "widths": widths}
 
 
+_CELLS = {
+    "grid": {"range_m": 64.0, "half_width_m": 20.0, "z_min_m": -3.0, "z_max_m": 1.0, "voxel_m": [1.0, 1.0, 1.0]},
+    "anchors": {"vehicle": {"size_m": [4.2, 2.1, 2.0], "z_m": -1.0, "positive_iou": 0.5, "negative_iou": 0.2}},
+    "proposals": "anchors",
+}
 _PILLARS = {"grid": {"range_m": 64.0, "half_width_m": 20.0, "cell_m": 0.5}}
 
 SMALL: dict[str, Small] = {
@@ -48,6 +53,14 @@ SMALL: dict[str, Small] = {
             "refinement": {"points": 64, "match": {"drawn": 48}},
         },
         steps=70,
+    ),
+    "rtn": Small(
+        {**_CELLS, "planes": 16, "depths": [1, 1, 1], "strides": [1, 2, 2], "neck_width": 32},
+        steps=70,
+        learning_rate=5e-3,
+    ),
+    "rtnh": Small(
+        {**_CELLS, "cell_channels": 16, "widths": [16, 16, 32], "neck_width": 32}, steps=65, learning_rate=5e-3
     ),
     "second": Small(
         {

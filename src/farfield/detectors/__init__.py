@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 DETECTORS = {
     "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
     "pointrcnn": ("farfield.detectors.pointrcnn", "PointRCNN", "PointRCNNConfig"),
+    "rtn": ("farfield.detectors.rtn", "RTN", "RTNConfig"),
+    "rtnh": ("farfield.detectors.rtnh", "RTNH", "RTNHConfig"),
     "second": ("farfield.detectors.second", "Second", "SecondConfig"),
     "sparsecentre": ("farfield.detectors.sparsecentre", "SparseCentre", "SparseCentreConfig"),
     "voxelnet": ("farfield.detectors.voxelnet", "VoxelNet", "VoxelNetConfig"),

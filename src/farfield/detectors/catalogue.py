@@ -17,6 +17,8 @@ PAPERS = {
     "voxelnet": "Zhou and Tuzel, CVPR 2018",
     "second": "Yan, Mao and Li, Sensors 2018",
     "pointrcnn": "Shi, Wang and Li, CVPR 2019",
+    "rtn": "Paek, Kong and Wijaya (K-Radar), NeurIPS 2022",
+    "rtnh": "Paek, Kong and Wijaya (K-Radar), NeurIPS 2022",
     "sparsecentre": "after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024",
 }
 

@@ -47,7 +47,8 @@ class Detector:
         provenance: What is known of its training.
         device: Where to run; by default a GPU if there is one, else the CPU.
         precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
-        cloud: Which of a frame's clouds to read; by default its first, ``"merged"`` joins all.
+        cloud: Which of a frame's clouds to read; by default one that it learnt from, where a frame has none of them
+            its first; ``"merged"`` joins all.
 
     Raises:
         ConfigError: If the precision is unknown.
@@ -97,17 +98,41 @@ class Detector:
 
     def detect(self, frames: Sequence[Frame | Cloud]) -> list[Boxes]:
         """Detect objects in a batch of frames."""
-        clouds = [frame if isinstance(frame, Cloud) else frame.cloud(self.cloud) for frame in frames]
-        boxes: list[Boxes] = self.network.predict([cloud_tensor(cloud).to(self.device) for cloud in clouds])
+        clouds = [frame if isinstance(frame, Cloud) else frame.cloud(self._chosen(frame)) for frame in frames]
+        boxes: list[Boxes] = self.network.predict(
+            [cloud_tensor(cloud, self.config.extra_columns).to(self.device) for cloud in clouds]
+        )
         return boxes
 
+    def _chosen(self, frame: Frame) -> str | None:
+        """The cloud that was asked for, or the first of those learnt from that the frame has, or none in particular."""
+        learnt = self.provenance.get("experiment", {}).get("data", {}).get("clouds", ())
+        return self.cloud or next((name for name in learnt if name in frame.clouds), None)
 
-def cloud_tensor(cloud: Cloud) -> Tensor:
-    """A cloud as the tensor that networks read: x, y, z (metres), intensity, lag (seconds), shape (n, 5), float32.
+
+def cloud_tensor(cloud: Cloud, extra_columns: Sequence[str] = ()) -> Tensor:
+    """A cloud as the tensor that networks read: x, y, z (metres), intensity, lag (seconds), shape (n, 5 + k), float32.
 
     The lag is the age of a point's sweep: the cloud's column ``lag_s``, or zero. Points that are not
     finite are dropped.
+
+    Args:
+        cloud: The cloud.
+        extra_columns: Further columns of the cloud, by name; a value that is not finite counts as 0.
+
+    Raises:
+        ConfigError: If the cloud lacks one of these columns.
     """
+    missing = [name for name in extra_columns if name not in cloud.extra]
+    if missing:
+        raise ConfigError(
+            f"Expected a cloud with the column {missing[0]!r}, which the detector reads; "
+            f"got {', '.join(cloud.extra) or 'no extra columns'}. Take a detector without it, or data that has it."
+        )
     lag_s = cloud.extra["lag_s"] if "lag_s" in cloud.extra else np.zeros(len(cloud))
     rows = np.column_stack([cloud.points_m, cloud.intensity, lag_s]).astype(np.float32, copy=False)
-    return torch.from_numpy(rows[np.isfinite(rows).all(axis=1)])
+    kept = np.isfinite(rows).all(axis=1)
+    if extra_columns:
+        extra = np.column_stack([cloud.extra[name] for name in extra_columns]).astype(np.float32, copy=False)
+        rows = np.concatenate([rows, np.where(np.isfinite(extra), extra, np.float32(0.0))], axis=1)
+    return torch.from_numpy(rows[kept])

@@ -6,7 +6,7 @@ OpenPCDet it gives a logit for each class, whichever its own.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -162,35 +162,38 @@ class AnchorHead(nn.Conv2d):
 
 
 class AnchorDetector(nn.Module, ABC):
-    """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads."""
+    """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads.
 
-    head: AnchorHead
+    The head is an :class:`AnchorHead` or another module with its methods.
+    """
+
+    head: Any
 
     @abstractmethod
     def image(self, clouds: Sequence[Tensor]) -> Tensor:
-        """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5)."""
+        """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5 + k)."""
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Targets] | None = None) -> AnchorMaps:
-        """Run the network.
+    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Any] | None = None) -> Any:
+        """Run the network; gives the head's maps.
 
         Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
+            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), further columns, shape (n, 5 + k).
             targets: Not looked at.
         """
         del targets
-        maps: AnchorMaps = self.head(self.image(clouds))
-        return maps
+        return self.head(self.image(clouds))
 
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Targets:
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n columns"]) -> Any:
         """What one frame's annotation asks of the anchors."""
         del points
         return self.head.targets(boxes)
 
-    def loss(self, outputs: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
-        """Focal, smooth-L1 and direction losses over a batch."""
+    def loss(self, outputs: Any, targets: Sequence[Any]) -> Any:
+        """The head's losses over a batch."""
         return self.head.loss(outputs, targets)
 
     @torch.no_grad()
     def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
         """Detect: one set of scored boxes a frame, best first."""
-        return self.head.boxes(self(clouds))
+        boxes: list[Boxes] = self.head.boxes(self(clouds))
+        return boxes

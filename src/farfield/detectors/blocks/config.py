@@ -35,6 +35,11 @@ class DetectorConfig(BaseModel, ABC):
         """The classes that the detector tells apart."""
 
     @property
+    def extra_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a cloud's ``extra`` that the network reads after those of ``POINT_COLUMNS``."""
+        return ()
+
+    @property
     @abstractmethod
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
@@ -54,9 +59,9 @@ class Network(Protocol):
     low_precision: tuple[str, ...]
 
     def __call__(self, clouds: Sequence[Tensor], targets: Sequence[Any] | None = None) -> Any:
-        """Raw outputs for one tensor of points a frame, shape (n, 5); only two-stage detectors look at targets."""
+        """Raw outputs for one tensor of points a frame, shape (n, 5 + k); only two-stage detectors look at targets."""
 
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> Any:
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n columns"]) -> Any:
         """What one frame's annotation asks of the network; numpy, so that the loader's workers can do it."""
 
     def loss(self, outputs: Any, targets: Sequence[Any]) -> Any:

@@ -1,0 +1,163 @@
+"""RTNH's backbone (K-Radar, NeurIPS 2022, section 3.4 and appendix E.2) and the neck that RTNH and RTN share.
+
+Three stages of sparse 3D convolutions, each of one strided and two submanifold layers; the height of each stage is
+collapsed by a convolution as tall as its map; transposed convolutions bring all to the resolution of the first.
+
+A radar cloud can fill most of its raster, and then dense convolution is faster. Both ways compute the same function
+with the same weights: what no cell reaches stays zero.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from farfield.detectors.blocks.norm import affine, normalise_rows
+from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
+from farfield.detectors.blocks.sparse.tensor import Triple
+
+Execution = Literal["auto", "sparse", "dense"]
+DENSE_FROM = 0.3
+"""Share of cells in the first stage from which ``auto`` convolves densely: measured, see radar_detector_speed.py."""
+
+
+class RadarNeck(nn.Module):
+    """Feature maps at several strides to the first one's, concatenated (appendix E.1).
+
+    Args:
+        widths: Channels of each map.
+        strides: Stride of each map.
+        channels: Channels that each map contributes.
+        overlap: Kernels of three times the stride, as RTNH's; otherwise as wide as the stride, 3 at stride 1.
+    """
+
+    def __init__(self, widths: Sequence[int], strides: Sequence[int], channels: int, *, overlap: bool) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList()
+        for width, stride in zip(widths, strides, strict=True):
+            wide = overlap or stride == 1
+            up = nn.ConvTranspose2d(
+                width, channels, 3 * stride if wide else stride, stride, stride if wide else 0, bias=False
+            )
+            self.layers.append(nn.Sequential(up, nn.BatchNorm2d(channels), nn.ReLU(inplace=True)))
+        self.channels = channels * len(self.layers)
+
+    def forward(self, maps: Sequence[Tensor]) -> Tensor:
+        """Maps (b, c, nx / stride, ny / stride) to one of shape (b, channels, nx, ny)."""
+        return torch.cat([layer(image) for layer, image in zip(self.layers, maps, strict=True)], 1)
+
+
+class RadarBackbone(nn.Module):
+    """The 3D sparse convolution blocks with their neck.
+
+    Args:
+        c_in: Features a cell.
+        widths: Channels of each stage; each stage after the first halves the resolution.
+        neck_width: Channels that each stage contributes to the bird's-eye map.
+        depth: Layers of cells along z.
+        execution: How to convolve: sparse, dense, or whichever is faster.
+    """
+
+    def __init__(
+        self, c_in: int, *, widths: Sequence[int], neck_width: int, depth: int, execution: Execution = "auto"
+    ) -> None:
+        super().__init__()
+        self.execution = execution
+        self.stages, self.to_bev = nn.ModuleList(), nn.ModuleList()
+        for number, width in enumerate(widths):
+            step = 1 if number == 0 else 2
+            depth = (depth - 1) // step + 1
+            first = _block(SparseConv(c_in, width, (3, 3, 3), (step, step, step), (1, 1, 1)))
+            rest = [_block(SubmanifoldConv(width, width)) for _ in range(2)]
+            self.stages.append(nn.Sequential(first, *rest))
+            self.to_bev.append(_block(SparseConv(width, width, (depth, 1, 1), (1, 1, 1), (0, 0, 0))))
+            c_in = width
+        self.neck = RadarNeck(widths, [2**n for n in range(len(widths))], neck_width, overlap=True)
+        self.channels = self.neck.channels
+
+    def forward(self, cells: SparseTensor) -> Tensor:
+        """Occupied cells to a bird's-eye map (b, channels, nx, ny)."""
+        if self.execution == "sparse" or self.execution == "auto" and not _convolves_fast(cells.features):
+            return self._sparse(cells)
+        occupied = _occupied(cells)
+        if self.execution == "dense" or float(_reached(occupied, self.stages[0][0].conv).mean()) >= DENSE_FROM:
+            return self._dense(cells, occupied)
+        return self._sparse(cells)
+
+    def _sparse(self, sparse: SparseTensor) -> Tensor:
+        maps = []
+        for stage, collapse in zip(self.stages, self.to_bev, strict=True):
+            sparse = stage(sparse)
+            maps.append(collapse(sparse).dense().squeeze(2))
+        out: Tensor = self.neck(maps)
+        return out
+
+    def _dense(self, cells: SparseTensor, occupied: Tensor) -> Tensor:
+        volume, maps = cells.dense(), []
+        for stage, collapse in zip(self.stages, self.to_bev, strict=True):
+            for block in stage:
+                volume, occupied = dense_block(block, volume, occupied)
+            maps.append(dense_block(collapse, volume, occupied)[0].squeeze(2))
+        out: Tensor = self.neck(maps)
+        return out
+
+
+def _convolves_fast(features: Tensor) -> bool:
+    """Whether PyTorch has a fast dense 3D convolution here: with one thread it has none for float32 on a CPU."""
+    device = features.device.type
+    coarse = features.dtype != torch.float32 or torch.is_autocast_enabled(device)
+    return device != "cpu" or (torch.backends.mkldnn.is_available() and (coarse or torch.get_num_threads() > 1))
+
+
+def _block(conv: SparseConv | SubmanifoldConv) -> SparseBlock:
+    return SparseBlock(conv, nn.BatchNorm1d(conv.c_out))
+
+
+def _occupied(cells: SparseTensor) -> Tensor:
+    """1 at the occupied cells, else 0, shape (b, 1, D, nx, ny), float32."""
+    flat = torch.zeros(cells.batch_size * cells.shape[0] * cells.shape[1] * cells.shape[2], device=cells.keys.device)
+    return flat.index_fill_(0, cells.keys, 1.0).view(cells.batch_size, 1, *cells.shape)
+
+
+def _reached(occupied: Tensor, conv: SparseConv | SubmanifoldConv) -> Tensor:
+    """The cells that hold a value after a convolution, in the form of :func:`_occupied`."""
+    if isinstance(conv, SubmanifoldConv):
+        return occupied
+    padded = functional.pad(occupied, [side for size in reversed(conv.padding) for side in (size, size)])
+    return functional.max_pool3d(padded, conv.kernel, conv.stride)
+
+
+def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[Tensor, Tensor]:
+    """What a sparse block computes, by dense convolution.
+
+    Args:
+        block: Sparse convolution, normalisation, ReLU.
+        volume: Features, zero where no cell is occupied, shape (b, c, D, nx, ny), channels last in memory.
+        occupied: 1 at the occupied cells, else 0, shape (b, 1, D, nx, ny).
+
+    Returns:
+        The same two after the block.
+    """
+    conv: Any = block.conv
+    submanifold = isinstance(conv, SubmanifoldConv)
+    stride: Triple = (1, 1, 1) if submanifold else conv.stride
+    padding = tuple(size // 2 for size in conv.kernel) if submanifold else conv.padding
+    weight = conv.weight.view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
+    device = volume.device.type
+    dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else weight.dtype
+    bias = None if conv.bias is None else conv.bias.to(dtype)
+    out = functional.conv3d(volume.to(dtype), weight.to(dtype), bias, stride, padding)
+    occupied = _reached(occupied, conv)
+    rows = out.permute(0, 2, 3, 4, 1).reshape(-1, conv.c_out)
+    if block.training:
+        keys = occupied.flatten().nonzero().squeeze(1)
+        active = torch.relu(normalise_rows(block.norm, rows.index_select(0, keys)))
+        rows = active.new_zeros(rows.shape).index_copy(0, keys, active)
+    else:
+        if isinstance(block.norm, nn.BatchNorm1d):
+            scale, shift = affine(block.norm)
+            rows = torch.addcmul(shift, rows.float(), scale).to(dtype)
+        rows = rows.relu_() * occupied.view(-1, 1).to(rows.dtype)
+    return rows.view(len(out), *out.shape[2:], conv.c_out).permute(0, 4, 1, 2, 3), occupied
