@@ -17,7 +17,7 @@ from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSI
 
 Population = Literal["all", "valid"]
 _SAMPLES = 1 << 16
-_STRIDE = 7  # samples come in runs of one cell, this far apart at least; no divisor of the cube's sides
+_STRIDE = 7  # set in the step between samples: it then shares no divisor 2 with the cube's sides
 _SPARE = 1.1  # the sampled level is lowered until it keeps so many times the cells wanted
 
 
