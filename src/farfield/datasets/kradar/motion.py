@@ -86,17 +86,16 @@ def read_local(path: Path) -> TimedTable:
 
 
 def _read_table(path: Path, columns: Sequence[str]) -> TimedTable:
-    lines = read_lines(path, max_bytes=_TABLE_BYTES)
-    if lines and _time_ns(lines[0].split(",")[0]) is None:
+    lines = [line.replace(",", " ").split() or [""] for line in read_lines(path, max_bytes=_TABLE_BYTES)]
+    if lines and _time_ns(lines[0][0]) is None:
         lines = lines[1:]  # a line of names
     times = np.empty(len(lines), dtype=np.int64)
     values = np.empty((len(lines), len(columns)))
-    for row, line in enumerate(lines):
-        cells = line.replace(",", " ").split()
+    for row, cells in enumerate(lines):
         found, time_ns = numbers_of(cells[1:]), _time_ns(cells[0])
         if found is None or time_ns is None or len(found) != len(columns):
             expected = f"a time and {len(columns)} finite numbers"
-            raise FileFormatError(path, where=f"row {row + 1}", expected=expected, found=repr(line[:100]))
+            raise FileFormatError(path, where=f"row {row + 1}", expected=expected, found=repr(", ".join(cells))[:100])
         times[row], values[row] = time_ns, found
     return TimedTable(time_ns=times, values=values, columns=tuple(columns))
 

@@ -17,8 +17,8 @@ from farfield.datasets.kradar.video import find_video
 from farfield.frame import Camera, Lazy
 
 RELEASES = ("v2", "v1")
-"""Releases of the camera calibrations: ``calib_seq_v2`` (April 2025), which changes the front camera of 26 sequences,
-and ``calib_seq``."""
+"""Releases of the camera calibrations: ``calib_seq_v2`` (April 2025), which changes 21 sequences (11 in every camera,
+the others in the front one), and ``calib_seq``."""
 
 _FOLDERS = {
     "v2": tuple(Path(place, "calib_seq_v2") for place in ("resources/cam_calib", "cam_calib", "")),
