@@ -46,6 +46,12 @@ def _kradar(root: Path, **options: Any) -> Dataset:
     return KRadar(root, **options)
 
 
+def _radiate(root: Path, **options: Any) -> Dataset:
+    from farfield.datasets.radiate import Radiate
+
+    return Radiate(root, **options)
+
+
 def _folder(root: Path, **options: Any) -> Dataset:
     from farfield.datasets.folder import Folder
 
@@ -59,6 +65,7 @@ FORMATS: dict[str, Callable[..., Dataset]] = {
     "kitti_tracking": _kitti_tracking,
     "argoverse2": _argoverse2,
     "kradar": _kradar,
+    "radiate": _radiate,
     "folder": _folder,
 }
 
@@ -69,6 +76,7 @@ _LOOKED_FOR = {
     "kitti_tracking": "training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     "argoverse2": "<log>/sensors/lidar/*.feather",
     "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt or another part",
+    "radiate": "[<sequence>/]Navtech_Polar/*.png or [<sequence>/]Navtech_Cartesian/*.png",
     "folder": "*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
 }
 
@@ -104,6 +112,8 @@ def recognise(root: Path, *, mapping: Any = None) -> str | None:
 
     if find_sequences([root]):
         return "kradar"
+    if any(_has(root, f"{prefix}Navtech_{kind}/*.png") for prefix in ("", "*/") for kind in ("Polar", "Cartesian")):
+        return "radiate"
     return "folder" if any(_has(root, f"*{suffix}") for suffix in CLOUD_SUFFIXES) else None
 
 

@@ -1,0 +1,262 @@
+"""RADIATE: a turning Navtech radar (360 degrees, no height, no Doppler), an HDL-32e lidar and a stereo camera.
+
+Sheeny et al.: "RADIATE: A Radar Dataset for Automotive Perception in Bad Weather", ICRA 2021. What its documentation
+leaves open was settled on the sample sequence of the authors' SDK: the sense of the boxes' turn by a car that turns
+off, the radar's azimuth by the Cartesian picture, the lidar's place and the 0.25 s between the stamps by laying both
+over each other.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.classes import normalised_class
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.files.images import read_image
+from farfield.files.radiate import RadiateTracks, read_times, read_tracks
+from farfield.files.xyz import read_xyz
+from farfield.frame import Boxes, Cloud, Frame, Lazy
+
+CELL_M = 100.0 / 576  # of the polar picture along range, and of the Cartesian one along both axes
+POLAR_SHAPE, CARTESIAN_SHAPE = (576, 400), (1152, 1152)
+CENTRE_PX = 575.5
+STAMP_LAG_S = 0.25
+"""A radar picture is stamped a whole turn after the moment that it fits in lidar and cameras (the SDK's ``sync``)."""
+RADAR_T_LIDAR_M = (-0.120102, -0.6003, 0.250012)  # the SDK's calibration, in our axes: x forward, y left, z up
+GROUND_Z_M = -1.8  # the SDK's height of the sensors
+
+CLASSES = {
+    "car": "vehicle",
+    "van": "vehicle",
+    "truck": "large_vehicle",
+    "bus": "large_vehicle",
+    "motorbike": "motorcycle",
+    "bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+    "group_of_pedestrians": "pedestrian",
+}
+NOMINAL_HEIGHT_M = {"vehicle": 1.6, "large_vehicle": 3.2, "motorcycle": 1.6, "bicycle": 1.7, "pedestrian": 1.7}
+_PICTURES = {"polar": "Navtech_Polar", "cartesian": "Navtech_Cartesian"}
+_SCENES = {"fog": "weather", "rain": "weather", "snow": "weather", "night": "time"}
+_NEAREST_S = 0.06
+
+
+class Radiate(Dataset):
+    """RADIATE's sequences, one frame a turn of the radar, in the radar's coordinates: x forward, y left.
+
+    What a frame has depends on the files that are there:
+
+    - radar ``polar``, shape (576 ranges, 400 azimuths clockwise from forward), and ``cartesian``, shape (1152, 1152),
+      forward up and right to the right, both float32 in [0, 1] of the files' 0 to 255, which are decibels without a
+      known scale; cells of :data:`CELL_M`.
+    - clouds ``radar`` (the strongest cells of the polar picture, z = 0) and ``lidar`` (with ``ring``), the sweep
+      nearest to the moment that the radar's picture shows, see :data:`STAMP_LAG_S`.
+    - images ``zed_left`` and ``zed_right``, not rectified. There are no cameras: the set has only Euler angles for
+      them, in an order that its documentation does not give.
+    - boxes with track ids. They were drawn on the radar's picture, so height and z are nominal
+      (:data:`NOMINAL_HEIGHT_M`, on the ground at :data:`GROUND_Z_M`): score them from above only.
+
+    Args:
+        root: A folder of sequences such as ``fog_6_0``, or one sequence.
+        radar_share: Share of the polar picture's cells that the cloud ``radar`` gets, in (0, 1].
+        classes: ``"cirrus"`` translates class names, ``"radiate"`` keeps them.
+
+    Raises:
+        DatasetError: If there is no radar picture.
+        ConfigError: If an option is out of range.
+    """
+
+    name = "radiate"
+
+    def __init__(self, root: Path | str, *, radar_share: float | int = 0.02, classes: str = "cirrus") -> None:
+        if not 0 < radar_share <= 1:
+            raise ConfigError(f"radiate: expected radar_share in (0, 1], got {radar_share!r}")
+        if classes not in ("cirrus", "radiate"):
+            raise ConfigError(f"radiate: expected classes to be one of 'cirrus', 'radiate', got {classes!r}")
+        self.root, self.radar_share, self.classes = Path(root), float(radar_share), classes
+        self.folders = {folder.name: folder for folder in find_sequences(self.root)}
+        frames = [(name, number) for name, folder in self.folders.items() for number in radar_frames(folder)]
+        if not frames:
+            raise DatasetError(f"{self.root}: expected [<sequence>/]Navtech_Polar/*.png, found none")
+        self.sequences = tuple(name for name, _ in frames)
+        self.frame_ids = tuple(f"{number:06d}" for _, number in frames)
+        self._times: dict[tuple[str, str], dict[int, int]] = {}
+        self._tracks: dict[str, RadiateTracks | None] = {}
+
+    def _listed(self, sequence: str, sensor: str) -> dict[int, int]:
+        """Times by frame number of a sensor, read at the first access."""
+        key = (sequence, sensor)
+        if key not in self._times:
+            path = self.folders[sequence] / f"{sensor}.txt"
+            self._times[key] = read_times(path) if path.is_file() else {}
+        return self._times[key]
+
+    def _annotated(self, sequence: str) -> RadiateTracks | None:
+        if sequence not in self._tracks:
+            path = self.folders[sequence] / "annotations" / "annotations.json"
+            self._tracks[sequence] = read_tracks(path) if path.is_file() else None
+        return self._tracks[sequence]
+
+    def _time_ns(self, index: int) -> int | None:
+        number = int(self.frame_ids[index])
+        times = (self._listed(self.sequences[index], sensor).get(number) for sensor in _PICTURES.values())
+        return next((time_ns for time_ns in times if time_ns is not None), None)
+
+    def _paths(self, index: int) -> dict[str, tuple[Path, int | None]]:
+        """Files and times of frame ``index`` by product; a sensor without a sweep near enough is left out."""
+        folder, stem, time_ns = self.folders[self.sequences[index]], self.frame_ids[index], self._time_ns(index)
+        found = {name: (folder / place / f"{stem}.png", time_ns) for name, place in _PICTURES.items()}
+        for sensor, suffix in (("velo_lidar", ".csv"), ("zed_left", ".png"), ("zed_right", ".png")):
+            near = _nearest(self._listed(self.sequences[index], sensor), time_ns)
+            if near is not None:
+                found[sensor] = (folder / sensor / f"{near[0]:06d}{suffix}", near[1])
+        return {name: (path, time) for name, (path, time) in found.items() if path.is_file()}
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index`` that are there."""
+        folder = self.folders[self.sequences[index]]
+        beside = [folder / "annotations" / "annotations.json", folder / "meta.json"]
+        return [*(path for path, _ in self._paths(index).values()), *(path for path in beside if path.is_file())]
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        sequence, paths = self.sequences[index], self._paths(index)
+        tracks, meta = self._annotated(sequence), read_meta(self.folders[sequence] / "meta.json")
+        number = int(self.frame_ids[index])
+        clouds: dict[str, Callable[[], Cloud]] = {}
+        if "polar" in paths:
+            clouds["radar"] = partial(radar_cloud, paths["polar"][0], self.radar_share)
+        if "velo_lidar" in paths:
+            clouds["lidar"] = partial(lidar_cloud, paths["velo_lidar"][0])
+        files = [str(path) for path in self.files(index)]
+        names = {"polar": "radar", "velo_lidar": "lidar"}
+        return Frame(
+            sequence=sequence,
+            frame_id=self.frame_ids[index],
+            time_ns=self._time_ns(index),
+            clouds=Lazy(clouds),
+            images=Lazy(
+                {name: partial(read_image, paths[name][0]) for name in ("zed_left", "zed_right") if name in paths}
+            ),
+            annotation=None if tracks is None else partial(boxes_of, tracks, number, classes=self.classes),
+            times_ns={names.get(name, name): time for name, (_, time) in paths.items() if time is not None},
+            conditions=_conditions(meta),
+            radar=Lazy({name: partial(read_picture, paths[name][0], name) for name in _PICTURES if name in paths}),
+            reference="radar",
+            metadata=Lazy(
+                {"files": lambda: files, "box_protocol": lambda: "full, height nominal", "meta": lambda: meta}
+            ),
+        )
+
+
+def find_sequences(root: Path) -> list[Path]:
+    """Folders with radar pictures: the root itself, or those in it, by name."""
+
+    def holds(folder: Path) -> bool:
+        return any(next(iter((folder / place).glob("*.png")), None) is not None for place in _PICTURES.values())
+
+    return [root] if holds(root) else sorted(path for path in root.glob("*") if path.is_dir() and holds(path))
+
+
+def radar_frames(folder: Path) -> list[int]:
+    """Numbers of the radar frames whose picture is there, in order."""
+    stems = {path.stem for place in _PICTURES.values() for path in (folder / place).glob("*.png")}
+    return sorted(int(stem) for stem in stems if len(stem) == 6 and stem.isascii() and stem.isdigit())
+
+
+def _nearest(times: Mapping[int, int], time_ns: int | None) -> tuple[int, int] | None:
+    """Frame and time nearest to the moment that a radar picture shows, within :data:`_NEAREST_S`."""
+    if time_ns is None or not times:
+        return None
+    wanted_ns = time_ns - round(STAMP_LAG_S * 1e9)
+    number = min(times, key=lambda frame: abs(times[frame] - wanted_ns))
+    return (number, times[number]) if abs(times[number] - wanted_ns) <= _NEAREST_S * 1e9 else None
+
+
+def read_meta(path: Path) -> dict[str, str]:
+    """Read ``meta.json``: ``name``, ``type``, ``set`` and so on; empty where there is none.
+
+    Raises:
+        FileFormatError: If it is no JSON object.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(read_bytes(path, max_bytes=1 << 20).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the file", expected="a JSON object", found=str(error)[:100]) from error
+    if not isinstance(meta, dict):
+        raise FileFormatError(path, where="the file", expected="a JSON object", found=type(meta).__name__)
+    return {str(key): str(value) for key, value in meta.items()}
+
+
+def _conditions(meta: Mapping[str, str]) -> dict[str, str]:
+    scene = meta.get("type", "")
+    return {_SCENES.get(scene, "road"): scene} if scene else {}
+
+
+def read_picture(path: Path, name: str) -> Float32[np.ndarray, "height width"]:
+    """Read a radar picture, ``"polar"`` or ``"cartesian"``, as numbers in [0, 1].
+
+    Raises:
+        DatasetError: If it has another size.
+    """
+    shape = POLAR_SHAPE if name == "polar" else CARTESIAN_SHAPE
+    image = read_image(path, max_pixels=CARTESIAN_SHAPE[0] * CARTESIAN_SHAPE[1])
+    if image.shape[:2] != shape:
+        raise DatasetError(
+            f"{path}: expected a {name} picture of {shape[0]} rows and {shape[1]} columns, got {image.shape}"
+        )
+    return image[:, :, 0].astype(np.float32) / np.float32(255)
+
+
+def radar_cloud(path: Path, share: float) -> Cloud:
+    """The strongest cells of a polar picture as points at z = 0: those above the rest, at most ``share`` of all.
+
+    Cell (i, j) lies ``i`` cells away, in the middle of the j-th of 400 sectors, counted clockwise from forward.
+    """
+    picture = read_picture(path, "polar")
+    count = int(share * picture.size)
+    rest = picture.size - count
+    weakest = np.partition(picture, rest - 1, axis=None)[rest - 1] if rest else -1.0
+    row, column = np.nonzero(picture > weakest)
+    range_m, azimuth_rad = row * CELL_M, -(column + 0.5) * (2 * np.pi / POLAR_SHAPE[1])
+    points = np.column_stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), np.zeros(len(row))])
+    return Cloud(points.astype(np.float32), picture[row, column])
+
+
+def lidar_cloud(path: Path) -> Cloud:
+    """Read a lidar sweep (x right, y forward, z up, intensity 0 to 255, ring) into the radar's frame."""
+    rows = read_xyz(path, columns=5, delimiter=",")
+    points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
+    intensity = np.clip(rows[:, 3] / 255, 0, 1).astype(np.float32)
+    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
+
+
+def boxes_of(tracks: RadiateTracks, frame: int, *, classes: str = "cirrus") -> Boxes:
+    """Convert the boxes of one radar frame, from pixels of the Cartesian picture to metres.
+
+    Args:
+        tracks: The sequence's boxes.
+        frame: Number of the radar frame, from 1.
+        classes: ``"cirrus"`` or ``"radiate"``.
+    """
+    here = np.flatnonzero(tracks.frame == frame)
+    centre_px = (tracks.corner_px + tracks.size_px / 2)[here]
+    names = [tracks.class_name[row] for row in here]
+    ours = [normalised_class(name, CLASSES) for name in names]
+    height_m = np.array([NOMINAL_HEIGHT_M.get(name, 1.7) for name in ours])
+    forward_m, left_m = (CELL_M * (CENTRE_PX - centre_px[:, axis]) for axis in (1, 0))
+    return Boxes(
+        centre_m=np.column_stack([forward_m, left_m, GROUND_Z_M + height_m / 2]),
+        size_m=np.column_stack([tracks.size_px[here, 1] * CELL_M, tracks.size_px[here, 0] * CELL_M, height_m]),
+        yaw_rad=np.radians(tracks.rotation_deg[here]),
+        label=ours if classes == "cirrus" else names,
+        track_id=tracks.track_id[here],
+    )

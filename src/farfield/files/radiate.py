@@ -1,0 +1,117 @@
+"""RADIATE's files: time lists and annotated tracks (Sheeny et al., ICRA 2021; format: the authors' SDK's README)."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+
+MAX_TEXT_BYTES = 1 << 27
+_FORM = "Frame: 000001 Time: 1574859771.744660272"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RadiateTracks:
+    """Boxes of a sequence, one row a box, in pixels of the Cartesian radar picture (1152 x 1152, forward is up).
+
+    Args:
+        frame: Number of the radar frame, from 1, shape (n,).
+        track_id: Identity over the sequence, shape (n,).
+        class_name: ``car``, ``van``, ``group_of_pedestrians``..., n names.
+        corner_px: Left and top of the box before it is turned about its centre, shape (n, 2).
+        size_px: Width (to the right) and height (down) before it is turned, shape (n, 2).
+        rotation_deg: Counter-clockwise turn, shape (n,).
+    """
+
+    frame: Int[np.ndarray, " n"]
+    track_id: Int[np.ndarray, " n"]
+    class_name: tuple[str, ...]
+    corner_px: Float[np.ndarray, "n 2"]
+    size_px: Float[np.ndarray, "n 2"]
+    rotation_deg: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.class_name)
+
+
+def read_times(path: Path | str) -> dict[int, int]:
+    """Read a list of a sensor's frames: number to nanoseconds.
+
+    The digits after the point are a count of nanoseconds, which the recorder wrote without leading zeros.
+
+    Raises:
+        FileFormatError: If a line has another form.
+    """
+    times: dict[int, int] = {}
+    text = read_bytes(path, max_bytes=MAX_TEXT_BYTES).decode("ascii", "replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        seconds, _, fraction = words[-1].partition(".")
+        digits = [words[1] if len(words) == 4 else "", seconds, fraction or "0"]
+        limits = (9, 12, 9)
+        good = len(words) == 4 and words[0] == "Frame:" and words[2] == "Time:"
+        if not good or not all(
+            d.isascii() and d.isdigit() and len(d) <= n for d, n in zip(digits, limits, strict=True)
+        ):
+            raise FileFormatError(path, where=f"line {number}", expected=f"such as {_FORM!r}", found=repr(line[:80]))
+        times[int(digits[0])] = int(digits[1]) * 1_000_000_000 + int(digits[2])
+    return times
+
+
+def read_tracks(path: Path | str) -> RadiateTracks:
+    """Read ``annotations.json``: a list of objects, each with one box or an empty list for every radar frame.
+
+    Raises:
+        FileFormatError: If it is no such list, or a box's numbers are missing or no use.
+    """
+    try:
+        entries = json.loads(read_bytes(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _wrong(path, "the file", "a JSON list of objects", str(error)) from error
+    if not isinstance(entries, list):
+        raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
+    rows: list[tuple[int, int, str, list[float]]] = []
+    for place, entry in enumerate(entries):
+        name, track_id, boxes = _object(path, place, entry)
+        for index, box in enumerate(boxes):
+            if box:
+                rows.append((index + 1, track_id, name, _box(path, f"object {place}, box {index}", box)))
+    numbers = np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), 5)
+    return RadiateTracks(
+        frame=np.array([row[0] for row in rows], dtype=np.int64),
+        track_id=np.array([row[1] for row in rows], dtype=np.int64),
+        class_name=tuple(row[2] for row in rows),
+        corner_px=numbers[:, :2],
+        size_px=numbers[:, 2:4],
+        rotation_deg=numbers[:, 4],
+    )
+
+
+def _object(path: Path | str, place: int, entry: Any) -> tuple[str, int, list[Any]]:
+    values = [entry.get(key) for key in ("class_name", "id", "bboxes")] if isinstance(entry, dict) else [None] * 3
+    name, track_id, boxes = values
+    sound = isinstance(name, str) and isinstance(boxes, list) and type(track_id) is int and 0 <= track_id < 2**31
+    if not sound:
+        raise _wrong(path, f"object {place}", "id, class_name and bboxes", repr(entry))
+    return str(name), int(str(track_id)), list(boxes or [])
+
+
+def _box(path: Path | str, where: str, box: Any) -> list[float]:
+    position = box.get("position") if isinstance(box, dict) else None
+    values = [*position, box.get("rotation")] if isinstance(position, list) else []
+    if len(values) != 5 or not all(isinstance(v, int | float) and abs(v) <= 1e6 for v in values):
+        raise _wrong(path, where, "position of four numbers and rotation", repr(box))
+    if not (values[2] > 0 and values[3] > 0):
+        raise _wrong(path, where, "a positive width and height", repr(box))
+    return [float(value) for value in values]
+
+
+def _wrong(path: Path | str, where: str, expected: str, found: str) -> FileFormatError:
+    return FileFormatError(path, where=where, expected=expected, found=found[:120])
