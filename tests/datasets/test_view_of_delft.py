@@ -104,6 +104,7 @@ def test_no_column_of_the_radar_is_lost(root):
     names = ("rcs_dbsm", "v_r_m_s", "v_r_compensated_m_s", "scan")
     kept = np.column_stack([cloud.points_m, *(cloud.extra[name] for name in names)])
     np.testing.assert_array_equal(kept, RADAR_ROWS.astype(np.float32))
+    np.testing.assert_array_equal(cloud.extra["doppler_m_s"], cloud.extra["v_r_m_s"])
     np.testing.assert_allclose(cloud.intensity, [0.25, 0.5, 0.75, 1.0, 1.0])
     np.testing.assert_allclose(cloud.extra["lag_s"], [0, 0, 0, 0, 2 / 13], rtol=1e-6)
 

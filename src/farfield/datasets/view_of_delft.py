@@ -53,11 +53,15 @@ class ViewOfDelft(Dataset):
     """View-of-Delft frames, from the data set's root or from one of its folders alone.
 
     Clouds are ``"lidar"``, ``"radar"`` (one scan), ``"radar_3frames"`` and ``"radar_5frames"``, those that are there.
-    A radar cloud keeps all columns of its file in ``extra``: ``rcs_dbsm`` (which its intensity is too, see
-    :data:`RCS_LIMIT_DBSM`), ``v_r_m_s`` (radial velocity relative to the radar, positive away from it),
-    ``v_r_compensated_m_s`` (the same over ground, without the ego vehicle's motion) and ``scan`` (0, -1, -2...);
-    ``lag_s`` is the scan's age at :data:`RADAR_RATE_HZ`. Radial means along the ray from the radar, which stands at
-    ``metadata["reference_T_radar"]``.
+    A radar cloud keeps all columns of its file in ``extra``:
+
+    - ``rcs_dbsm``, which its intensity is too, see :data:`RCS_LIMIT_DBSM`,
+    - ``v_r_m_s``, radial velocity relative to the radar, positive away from it; once more as ``doppler_m_s``, the name
+      that detectors of radar cells ask for,
+    - ``v_r_compensated_m_s``, the same over ground, without the ego vehicle's motion,
+    - ``scan``, 0 for the newest, -1, -2...; ``lag_s`` is its age at :data:`RADAR_RATE_HZ`.
+
+    Radial means along the ray from the radar, which stands at ``metadata["reference_T_radar"]``.
 
     ``world_T_lidar`` is the pose of the reference sensor in the odometry's frame, which is smooth within a drive and
     begins anew with the next; ``metadata["world_T_camera"]`` has the camera's poses in ``odom``, ``map`` and ``utm``.
@@ -280,6 +284,7 @@ def read_radar(path: Path) -> Cloud:
     extra = {
         "rcs_dbsm": rcs_dbsm,
         "v_r_m_s": rows[:, 4],
+        "doppler_m_s": rows[:, 4],
         "v_r_compensated_m_s": rows[:, 5],
         "scan": rows[:, 6],
         "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
