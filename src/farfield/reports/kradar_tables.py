@@ -1,0 +1,95 @@
+"""Results by condition in the form of the K-Radar paper's Table 4: a row a detector, a column a weather."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from farfield.errors import ConfigError
+from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
+from farfield.metrics.kradar_conditions import CONDITIONS
+from farfield.metrics.result import table
+
+Results = Mapping[str, Mapping[str, Any]]
+
+PUBLISHED_TABLE_4: dict[str, tuple[float, ...]] = {
+    "RTNH (4D radar)": (47.4, 49.9, 56.7, 52.8, 42.0, 41.5, 50.6, 44.5),
+    "RTN (4D radar)": (40.1, 45.6, 48.8, 46.9, 32.9, 22.6, 36.8, 36.8),
+    "PointPillars (os2-64)": (45.4, 52.3, 61.0, 42.2, 44.5, 22.7, 40.6, 29.7),
+}
+"""AP3D of Sedan at IoU 0.3 in per cent, in total and by weather as in ``CONDITIONS["weather"]``: Paek et al., NeurIPS
+2022, Table 4 (labels v1.0, narrow region, the kit's first evaluation)."""
+
+
+def conditional_rows(
+    results: Results, *, label: str = "vehicle", measure: str = "3d", iou: float = 0.3, kind: str = "weather"
+) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table; figures in per cent, ``-`` where a subset has no annotated box.
+
+    Args:
+        results: Result JSON of K-Radar's protocols by the detector's name, all of one convention.
+        label: The class.
+        measure: ``"3d"`` or ``"bev"``.
+        iou: The overlap.
+        kind: ``"weather"``, ``"road"`` or ``"time"``.
+
+    Raises:
+        ConfigError: If a result is of another protocol, their conventions differ, or one lacks the figure.
+    """
+    if kind not in CONDITIONS:
+        raise ConfigError(f"kind: expected one of {', '.join(CONDITIONS)}, got {kind!r}")
+    _check(results)
+    values = list(CONDITIONS[kind])
+    for result in results.values():
+        values += [value for value in result.get("conditions", {}).get(kind, {}) if value not in values]
+    rows = []
+    for name, result in results.items():
+        told = result.get("conditions", {}).get(kind, {})
+        parts = [result, *(told.get(value) for value in values)]
+        cells = [_figure(part, label, measure, iou) for part in parts]
+        if not any(label in (part or {}).get("ap", {}) for part in parts[:1]):
+            raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")
+        rows.append([name, *("-" if value is None else f"{100 * value:.1f}" for value in cells)])
+    return ["", "total", *(value.replace("_", " ") for value in values)], rows
+
+
+def conditional_table(
+    results: Results, *, label: str = "vehicle", measure: str = "3d", iou: float = 0.3, kind: str = "weather"
+) -> str:
+    """The table as text with its convention; arguments and errors as of :func:`conditional_rows`."""
+    head, rows = conditional_rows(results, label=label, measure=measure, iou=iou, kind=kind)
+    return f"{_title(label, measure, iou)}\n\n{table(head, rows)}\n\n{_convention(results)}"
+
+
+def conditional_markdown(
+    results: Results, *, label: str = "vehicle", measure: str = "3d", iou: float = 0.3, kind: str = "weather"
+) -> str:
+    """The table as Markdown with its convention; arguments and errors as of :func:`conditional_rows`."""
+    head, rows = conditional_rows(results, label=label, measure=measure, iou=iou, kind=kind)
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return f"{_title(label, measure, iou)}\n\n" + "\n".join(lines) + f"\n\n{_convention(results)}\n"
+
+
+def _title(label: str, measure: str, iou: float) -> str:
+    return f"AP{'3D' if measure == '3d' else '_BEV'} of {label!r} at IoU {iou:g}, per cent; '-': nothing annotated"
+
+
+def _check(results: Results) -> None:
+    first = next(iter(results), None)
+    if first is None:
+        raise ConfigError("results: expected at least one, got none")
+    for name, result in results.items():
+        if protocol_family(result) != "kradar":
+            raise ConfigError(f"{name}: expected a result of kradar or kradar-compat, got {result.get('protocol')!r}")
+        differing = differing_settings(results[first], result)
+        if differing:
+            words = "; ".join(f"{key} ({a} and {b})" for key, (a, b) in differing.items())
+            raise ConfigError(f"{first} and {name} have different conventions, so they share no column: {words}")
+
+
+def _convention(results: Results) -> str:
+    return convention_text(next(iter(results.values())))
+
+
+def _figure(part: Mapping[str, Any] | None, label: str, measure: str, iou: float) -> float | None:
+    value = ((part or {}).get("ap", {}).get(label, {}).get(measure) or {}).get(f"{iou:g}")
+    return value if isinstance(value, float | int) else None
