@@ -1,7 +1,7 @@
-"""``farfield convert``: write a data set in another layout, or as a fast binary cache."""
+"""``farfield convert``: write a data set in another layout, as a fast binary cache, or its radar tensors made light."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
@@ -11,23 +11,33 @@ def run(
     target: tyro.conf.Positional[Path | None] = None,
     /,
     *,
-    to: Literal["kitti", "cirrus", "boxes-csv", "cache"],
+    to: Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"],
     mapping: Path | None = None,
     format: str | None = None,
+    roots: tuple[Path, ...] = (),
     boxes: Literal["boxes", "full_boxes"] = "boxes",
     cloud: str | None = None,
+    products: str = "cells",
+    region: Literal["narrow", "wide", "cube"] = "wide",
+    rate: float = 1.0,
+    over: Literal["all", "valid"] = "all",
+    doppler: bool = True,
+    workers: int = 1,
+    verify: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Write a data set in another layout, or its ASCII clouds as a binary cache beside them.
+    """Write a data set in another layout, its ASCII clouds as a binary cache, or its radar tensors as a light store.
 
     examples:
       farfield convert Cirrus_dataset1 --to cache
       farfield convert Cirrus_dataset1 data/as_kitti --to kitti
       farfield convert data/sim labels.csv --to boxes-csv
       farfield convert data/kitti data/as_cirrus --to cirrus
+      farfield convert data/kradar data/store --to radar-store
+      farfield convert data/kradar data/store --to radar-store --verify
 
     An interrupted conversion goes on where it stopped: files that are there, intact and from unchanged sources are
-    skipped.
+    skipped. A radar store also gets radar_store.json, which tells how many bytes each task needs.
 
     Args:
         source: Folder of the data set; its format is recognised.
@@ -35,8 +45,16 @@ def run(
         to: The layout to write.
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         format: Format of the source, if it is not to be recognised.
+        roots: Further folders over which a K-Radar is spread.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
         cloud: Which cloud to write (gaussian, uniform, merged...); the first unless given.
+        products: What a radar store keeps: cells, polar3d, or both with a comma between.
+        region: Where a radar store keeps cells.
+        rate: Share of all cells that a radar store keeps before it is cropped; 1 keeps every cell of the region.
+        over: Whether that share is of all cells, as published, or of the valid ones in the field of view.
+        doppler: Keep each cell's velocity in a radar store.
+        workers: Processes that write a radar store.
+        verify: Only compare a radar store with its checksums and its source.
         overwrite: Write everything anew.
     """
     from rich.console import Console
@@ -44,8 +62,19 @@ def run(
 
     from farfield.datasets import open_dataset
     from farfield.datasets.convert import convert
+    from farfield.datasets.kradar.store import StoreSettings
+    from farfield.errors import ConfigError
 
-    dataset = open_dataset(source, format=format) if mapping is None else open_dataset(source, mapping=mapping)
+    options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
+    options |= {"roots": roots} if roots else {}
+    if verify and to != "radar-store":
+        raise ConfigError(f"convert: --verify is for --to radar-store, got --to {to}")
+    dataset = open_dataset(source, **options)
+    kept = tuple(name.strip() for name in products.split(","))
+    store = StoreSettings(products=kept, region=region, rate=rate, over=over, doppler=doppler)
+    if verify:
+        _verify(dataset, target, store)
+        return
     columns = (TextColumn("writing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("writing", total=None)
@@ -56,6 +85,24 @@ def run(
             boxes=boxes,
             cloud=cloud,
             overwrite=overwrite,
+            store=store,
+            workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     Console().print(f"{outcome.written} written, {outcome.skipped} were there and intact.", highlight=False)
+
+
+def _verify(dataset: Any, target: Path | None, store: Any) -> None:
+    from rich.console import Console
+
+    from farfield.datasets.kradar.store import verify_store
+    from farfield.errors import ConfigError, DatasetError
+
+    if target is None:
+        raise ConfigError("convert: expected the store's folder with --verify, got none")
+    faults = verify_store(dataset, target, store)
+    if faults:
+        shown = "".join(f"\n  {fault}" for fault in faults[:20]) + ("\n  ..." if len(faults) > 20 else "")
+        mend = "Convert again without --verify to mend them."
+        raise DatasetError(f"{target}: expected every frame intact, found {len(faults)} that are not. {mend}{shown}")
+    Console().print(f"{len(dataset)} frames: the store is intact.", highlight=False)

@@ -14,13 +14,14 @@ from farfield.datasets.cloud_files import cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
 from farfield.datasets.journal import Journal
 from farfield.datasets.kitti_writer import KittiWriter
+from farfield.datasets.kradar.store import StoreSettings, convert_to_store
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.frame import Boxes, Frame
 
-TARGETS = ("kitti", "cirrus", "boxes-csv", "cache")
-Target = Literal["kitti", "cirrus", "boxes-csv", "cache"]
+TARGETS = ("kitti", "cirrus", "boxes-csv", "cache", "radar-store")
+Target = Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"]
 BoxSource = Literal["boxes", "full_boxes"]
 Progress = Callable[[int, int], None]
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
@@ -43,6 +44,8 @@ def convert(
     boxes: BoxSource = "boxes",
     cloud: str | None = None,
     overwrite: bool = False,
+    store: StoreSettings | None = None,
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> Outcome:
     """Convert a data set. What was written before from unchanged sources, and is intact, is skipped.
@@ -50,10 +53,12 @@ def convert(
     Args:
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
-        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"`` or ``"cache"``.
+        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or ``metadata["full_boxes"]``.
         cloud: Which cloud KITTI's velodyne and Cirrus's Gaussian files get; None takes the first.
         overwrite: Write everything anew.
+        store: What a radar store keeps.
+        workers: Processes that convert, for ``radar-store``.
         progress: Called with the number of units done and the number of all.
 
     Raises:
@@ -73,6 +78,12 @@ def convert(
         return _to_kitti(dataset, Path(target), boxes, cloud, overwrite, step)
     if to == "cirrus":
         return _to_cirrus(dataset, Path(target), boxes, cloud, overwrite, step)
+    if to == "radar-store":
+        if dataset.name != "kradar":
+            raise DatasetError(f"{dataset.root}: expected K-Radar with to='radar-store', got {dataset.name}")
+        return Outcome(
+            *convert_to_store(dataset, Path(target), store, overwrite=overwrite, workers=workers, progress=step)
+        )
     raise ConfigError(f"convert: expected to to be one of {', '.join(TARGETS)}; got {to!r}")
 
 

@@ -47,10 +47,17 @@ class Journal:
 
     def has(self, unit: str, sources: Iterable[Path], setting: str) -> bool:
         """Whether a unit was written from these very sources with this setting, and its files are intact."""
+        return not self.fault(unit, sources, setting)
+
+    def fault(self, unit: str, sources: Iterable[Path], setting: str) -> str:
+        """Why a unit must be written again; empty if it need not."""
         if unit not in self._done:
-            return False
+            return "not written"
         source, files = self._done[unit]
-        return source == state_of(sources, setting) and all(self._intact(name, *mark) for name, mark in files.items())
+        if source != state_of(sources, setting):
+            return "written from another source or with other settings"
+        broken = [name for name, mark in files.items() if not self._intact(name, *mark)]
+        return f"damaged or missing: {', '.join(broken)}" if broken else ""
 
     def _intact(self, name: str, size: int, crc: int) -> bool:
         path = self.folder / name

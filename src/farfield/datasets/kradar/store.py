@@ -1,0 +1,253 @@
+"""Radar tensors made light: every frame's cells of a region, a few hundred kilobytes instead of hundreds of megabytes.
+
+The store stands in K-Radar's layout (``radar_cells/<sequence>/cells_00033.h5``, ``rdr_polar_3d/...``), so that
+``KRadar(data, roots=[store])`` reads it. A conversion that was broken off goes on where it stopped, by the journal.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.journal import JOURNAL_NAME, Journal
+from farfield.datasets.kradar.layout import product_path
+from farfield.datasets.kradar.manifest import write_manifest
+from farfield.datasets.kradar.products import read_radar, write_radar
+from farfield.datasets.kradar.tesseract import read_moments
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.radar_cells import write_radar_cells
+from farfield.radar.axes import POWER_UNIT
+from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_region
+from farfield.radar.products import Moments, doppler_cube, polar3d_from_moments, zyx_cube
+
+STORED = ("cells", "polar3d")
+SOURCES = ("tesseract", "cube", "polar3d")  # what cells are made of, the best first
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoreSettings:
+    """What a store keeps of each frame.
+
+    Args:
+        products: ``"cells"`` and ``"polar3d"`` (16 MB a frame; only from tesseracts).
+        region: Region of the cells, ``"narrow"``, ``"wide"`` or ``"cube"``.
+        rate: 1 keeps every cell of the region, so that any density can be chosen when the cells are read; one of
+            ``farfield.radar.cells.RATES`` keeps those above that quantile of the whole cube, and any lower density.
+        over: Whether the quantile counts ``"all"`` cells, as published, or the ``"valid"`` ones in the field of view.
+        doppler: Keep each cell's mean velocity, where the source tells it.
+
+    Raises:
+        ConfigError: If one is none of those possible.
+    """
+
+    products: tuple[str, ...] = ("cells",)
+    region: str = "wide"
+    rate: float | int = 1.0
+    over: Over = "all"
+    doppler: bool = True
+
+    def __post_init__(self) -> None:
+        find_region(self.region)
+        if not self.products or not set(self.products) <= set(STORED):
+            raise ConfigError(f"radar store: expected products from {', '.join(STORED)}; got {self.products!r}")
+        if self.rate != 1 and self.rate not in RATES:
+            raise ConfigError(f"radar store: expected rate 1 or one of {', '.join(map(str, RATES))}; got {self.rate}")
+        if self.over not in ("all", "valid"):
+            raise ConfigError(f"radar store: expected over all or valid, got {self.over!r}")
+
+    @property
+    def text(self) -> str:
+        """All settings in one line: another line, another store."""
+        rate = f"{self.region} {float(self.rate)} {self.over} {'doppler' if self.doppler else 'no doppler'}"
+        return f"radar-store 1 {' '.join(sorted(self.products))} {rate}"
+
+
+def convert_to_store(
+    dataset: Dataset,
+    target: Path,
+    settings: StoreSettings | None = None,
+    *,
+    overwrite: bool = False,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> tuple[int, int]:
+    """Write the store of a K-Radar tree, or go on with it; what stands there intact is skipped.
+
+    Args:
+        dataset: K-Radar, or some frames of it, with tesseracts, cubes or polar maps.
+        target: Folder of the store.
+        settings: What to keep.
+        overwrite: Write everything anew.
+        workers: Processes that convert; each takes about half a gigabyte and, from packed tesseracts, two cores.
+        progress: Called with the number of frames done and the number of all.
+
+    Returns:
+        How many frames were written, and how many stood there.
+
+    Raises:
+        DatasetError: If no frame has a product that the store can be made from.
+    """
+    settings = settings or StoreSettings()
+    step = progress or (lambda _done, _all: None)
+    journal = Journal(target, overwrite=overwrite)
+    jobs = [job for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
+    if not jobs:
+        wanted = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
+        raise DatasetError(f"{dataset.root}: expected frames with {wanted} files to convert, found none")
+    open_jobs = [job for job in jobs if not journal.has(job.unit, [job.path], settings.text)]
+    skipped = len(jobs) - len(open_jobs)
+    step(skipped, len(jobs))
+    for number, (job, written) in enumerate(_run(open_jobs, target, settings, workers), start=skipped + 1):
+        journal.add(job.unit, [job.path], settings.text, written)
+        step(number, len(jobs))
+    write_manifest(dataset, target, settings.text)
+    return len(open_jobs), skipped
+
+
+@dataclass(frozen=True)
+class Job:
+    """One frame to convert.
+
+    Args:
+        sequence: Its sequence.
+        index: Its radar index.
+        source: Product that it is converted from.
+        path: File of that product.
+    """
+
+    sequence: str
+    index: int
+    source: str
+    path: Path
+
+    @property
+    def unit(self) -> str:
+        """Name in the journal."""
+        return f"{self.sequence}/{self.index:05d}"
+
+
+def _job(dataset: Dataset, index: int, settings: StoreSettings) -> Job | None:
+    """The frame's best source, if it has one."""
+    sequence, stem = dataset.keys[index]
+    number = int(stem.split("_")[0])
+    by_place = {path.parts[-3:]: path for path in dataset.files(index)}
+    for source in SOURCES if "cells" in settings.products else SOURCES[:1]:
+        path = by_place.get(product_path(source, sequence, number).parts)
+        if path is not None:
+            return Job(sequence, number, source, path)
+    return None
+
+
+def _run(jobs: Sequence[Job], target: Path, settings: StoreSettings, workers: int) -> Iterator[tuple[Job, list[Path]]]:
+    """Convert frames, in this process or in several; each is yielded when its files stand."""
+    if workers <= 1:
+        for job in jobs:
+            yield job, convert_frame(job, target, settings)
+        return
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        queue, waiting = iter(jobs), dict[Future, Job]()
+        try:
+            while True:
+                for job in queue:
+                    waiting[pool.submit(convert_frame, job, target, settings)] = job
+                    if len(waiting) >= 2 * workers:
+                        break
+                if not waiting:
+                    return
+                for done in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    yield waiting.pop(done), done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def convert_frame(job: Job, target: Path, settings: StoreSettings) -> list[Path]:
+    """Convert one frame.
+
+    Args:
+        job: The frame.
+        target: Folder of the store.
+        settings: What to keep.
+
+    Returns:
+        The files written.
+
+    Raises:
+        FileFormatError: If the source is damaged.
+    """
+    moments = _moments(job)
+    written = []
+    if "polar3d" in settings.products and job.source == "tesseract" and moments is not None:
+        path = _made(target / product_path("polar3d", job.sequence, job.index))
+        write_radar(path, "polar3d", polar3d_from_moments(moments.mean_power_63, moments.velocity_moment))
+        written.append(path)
+    if "cells" in settings.products:
+        path = _made(target / product_path("cells", job.sequence, job.index))
+        cells = _cells(job, moments, settings).select(settings.region, settings.rate, over=settings.over)
+        attributes = {"source": job.source, "region": settings.region, "rate": str(float(settings.rate))}
+        write_radar_cells(
+            path,
+            index=cells.index,
+            code=cells.code,
+            quantiles=cells.quantiles,
+            doppler=cells.doppler,
+            attributes=attributes | {"over": settings.over},
+        )
+        written.append(path)
+    return written
+
+
+def _made(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _moments(job: Job) -> Moments | None:
+    """The sums over Doppler that a source gives; a polar map lacks the first bin: its mean must do."""
+    if job.source == "tesseract":
+        return read_moments(job.path)
+    if job.source == "cube":
+        return None
+    power, velocity = (
+        np.ascontiguousarray(channel.transpose(0, 2, 1), dtype=np.float32)
+        for channel in cast(np.ndarray, read_radar(job.path, "polar3d"))
+    )
+    power *= np.float32(POWER_UNIT)
+    return Moments(power, power, power * velocity)
+
+
+def _cells(job: Job, moments: Moments | None, settings: StoreSettings) -> RadarCells:
+    if moments is None:
+        cube = np.ascontiguousarray(cast(np.ndarray, read_radar(job.path, "cube")), dtype=np.float32)
+        return cells_of_cube(cube, settings.region)
+    doppler = doppler_cube(moments.mean_power_63, moments.velocity_moment) if settings.doppler else None
+    return cells_of_cube(zyx_cube(moments.mean_power), settings.region, doppler_m_s=doppler)
+
+
+def verify_store(dataset: Dataset, target: Path, settings: StoreSettings | None = None) -> list[str]:
+    """Compare a store with what its journal and the source say; nothing is written.
+
+    Args:
+        dataset: The source.
+        target: Folder of the store.
+        settings: What it should keep.
+
+    Returns:
+        What is wrong, one line a frame: missing, damaged (by checksum), or made from another source or with other
+        settings.
+
+    Raises:
+        DatasetError: If there is no store.
+    """
+    settings = settings or StoreSettings()
+    if not (target / JOURNAL_NAME).is_file():
+        raise DatasetError(f"{target}: expected a radar store, found no {JOURNAL_NAME}")
+    journal = Journal(target)
+    jobs = [job for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
+    return [f"{job.unit}: {fault}" for job in jobs if (fault := journal.fault(job.unit, [job.path], settings.text))]
