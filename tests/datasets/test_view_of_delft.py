@@ -269,6 +269,7 @@ IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
         ('{"odomToCamera": [NaN' + ", 0" * 15 + "]}", "16 numbers"),
         (json.dumps({"wheelToCamera": IDENTITY}), "wheelToCamera"),
         ("{" * 100_000, "JSON"),
+        ("{}" * 40_000, "at most"),
         ("\udcff", "UTF-8"),
     ],
 )

@@ -20,7 +20,8 @@ from jaxtyping import Float
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 
-MAX_JSON_BYTES = 1 << 24  # a label file has about 20 kB
+MAX_LABEL_BYTES = 1 << 24  # a label file has about 20 kB
+MAX_POSE_BYTES = 1 << 16  # a pose file has about 900 bytes
 _POSE_NAMES = {"odomToCamera": "odom", "mapToCamera": "map", "UTMToCamera": "utm"}
 
 
@@ -54,7 +55,7 @@ def read_camera_poses(path: Path | str) -> dict[str, Float[np.ndarray, "4 4"]]:
     Raises:
         FileFormatError: If the file holds anything but such objects, or a matrix is no rigid motion.
     """
-    text, decoder, place = _text(path), json.JSONDecoder(), 0
+    text, decoder, place = _text(path, MAX_POSE_BYTES), json.JSONDecoder(), 0
     poses: dict[str, np.ndarray] = {}
     while text[place:].strip():
         place += len(text[place:]) - len(text[place:].lstrip())
@@ -77,7 +78,7 @@ def read_objects(path: Path | str) -> DelftObjects:
         FileFormatError: If it is no such list, or a size, centre or quaternion is missing or no use.
     """
     try:
-        entries = json.loads(_text(path))
+        entries = json.loads(_text(path, MAX_LABEL_BYTES))
     except (ValueError, RecursionError) as error:
         raise _wrong(path, "the file", "a JSON list of objects", str(error)) from error
     if not isinstance(entries, list):
@@ -128,9 +129,9 @@ def _numbers(path: Path | str, where: str, values: Any, count: int) -> Float[np.
     return np.array(values, dtype=np.float64)
 
 
-def _text(path: Path | str) -> str:
+def _text(path: Path | str, max_bytes: int) -> str:
     try:
-        return read_bytes(path, max_bytes=MAX_JSON_BYTES).decode("utf-8")
+        return read_bytes(path, max_bytes=max_bytes).decode("utf-8")
     except UnicodeDecodeError as error:
         raise _wrong(
             path, f"byte {error.start}", "UTF-8 text", repr(error.object[error.start : error.start + 8])
