@@ -58,7 +58,7 @@ def run(
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
     sides = [
-        _side(data, name, frames, vehicle_labels=labels, focus_deg=focus_deg)
+        side_of(data, name, frames, vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
@@ -89,7 +89,8 @@ def _open(path: Path, mapping: Path | None) -> "Dataset":
     return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
 
 
-def _side(data: "Dataset", name: str, frames: int, **settings: Any) -> "Side":
+def side_of(data: "Dataset", name: str, frames: int, **settings: Any) -> "Side":
+    """Statistics of a data set's clouds, boxes and radar over so many frames, spread evenly; 0 takes all."""
     from farfield.cli.evaluate import is_simulated
     from farfield.datasets.statistics import Statistics
     from farfield.reports.comparison import Side

@@ -33,7 +33,7 @@ _QUANTILES = {"5": 0.5, "25": 0.8, "50": 1.2, "75": 2.0, "95": 4.2}
 def _series(sides: "Sequence[Side]") -> "Iterator[tuple[Side, str, Mapping[str, Any], str, Any]]":
     """Every cloud of every side: side, cloud, its figures, colour (by side) and dashes (by cloud)."""
     names = list(dict.fromkeys(name for side in sides for name in side.summary["clouds"]))
-    for side, colour in zip(sides, SIDES, strict=True):
+    for side, colour in zip(sides, SIDES, strict=False):
         for name, cloud in side.summary["clouds"].items():
             yield side, name, cloud, colour, _DASHES[names.index(name) % len(_DASHES)]
 
@@ -178,7 +178,7 @@ def ranges(sides: "Sequence[Side]") -> "Figure | None":
 
 def objects(sides: "Sequence[Side]") -> "Figure | None":
     """Distances of vehicles and shares of classes."""
-    having = [(side, colour) for side, colour in zip(sides, SIDES, strict=True) if side.summary["boxes"]["count"]]
+    having = [(side, colour) for side, colour in zip(sides, SIDES, strict=False) if side.summary["boxes"]["count"]]
     if not having:
         return None
     with house_style():
@@ -301,7 +301,7 @@ def conditions(sides: "Sequence[Side]") -> "Figure | None":
         figure = new_figure(11.0, 1.4 + 0.38 * most)
         panels = figure.subplots(1, len(kinds), squeeze=False)[0]
         for axes, kind in zip(panels, kinds, strict=True):
-            having = [(side, c) for side, c in zip(sides, SIDES, strict=True) if side.summary["conditions"][kind]]
+            having = [(side, c) for side, c in zip(sides, SIDES, strict=False) if side.summary["conditions"][kind]]
             shares = {side.title: side.summary["conditions"][kind] for side, _ in having}
             _bars(axes, shares, [colour for _, colour in having])
             axes.set_ylim(most - 0.5, -0.5)
@@ -334,7 +334,7 @@ def radar_maps(sides: "Sequence[Side]") -> "Figure | None":
 
 def radar_levels(sides: "Sequence[Side]") -> "Figure | None":
     """Range profile above the floor, and quantiles of the strongest object's row."""
-    drawn = [(s, c, s.arrays["radar"]) for s, c in zip(sides, SIDES, strict=True) if s.arrays.get("radar")]
+    drawn = [(s, c, s.arrays["radar"]) for s, c in zip(sides, SIDES, strict=False) if s.arrays.get("radar")]
     if not drawn:
         return None
     with house_style():

@@ -1,0 +1,145 @@
+"""``farfield stats``: the figures and tables of one data set."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
+    from farfield.reports.statistics import DatasetFigures
+
+
+def run(
+    path: Positional[Path],
+    /,
+    *,
+    out: Path | None = None,
+    name: str = "",
+    sweeps: int = 20,
+    format: str | None = None,
+    mapping: Path | None = None,
+    labels: str | None = None,
+    roots: tuple[Path, ...] = (),
+) -> int:
+    """Count a data set: frames by weather, road and time, boxes by class, weather, range and visibility, sensors.
+
+    examples:
+      farfield stats Cirrus_dataset1
+      farfield stats K-Radar --labels v2.1 --out runs/kradar
+      farfield stats KRadar_revised_visibility
+      farfield stats dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58
+
+    Writes statistics.html, one self-contained page, statistics.json and figures/*.png.
+
+    Args:
+        path: Folder of the data set; its format is recognised. Annotations alone are enough.
+        out: Folder to write into; runs/stats-NAME unless given.
+        name: What to call the data set; its folder's name unless given.
+        sweeps: Number of frames whose clouds and radar are read, spread evenly; 0 reads annotations alone.
+        format: Format, if it is not to be recognised.
+        mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
+        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        roots: Further folders of a K-Radar that is spread over several disks.
+    """
+    from farfield.datasets import open_dataset
+    from farfield.errors import ConfigError
+    from farfield.reports.statistics import write_statistics
+
+    if sweeps < 0:
+        raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
+    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
+    dataset = open_dataset(path, format=format, **{key: value for key, value in given.items() if value})
+    called = name or path.resolve().name
+    found = _count(dataset, called, path, sweeps)
+    folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
+    page = write_statistics(folder, found)
+    _print(found)
+    print(f"written: {folder / 'statistics.json'}, {folder / 'figures'}\nreport: {page.resolve()}")
+    return 0
+
+
+def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "DatasetFigures":
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from farfield.cli.compare import side_of
+    from farfield.datasets.statistics.census import take_census
+    from farfield.reports.statistics import DatasetFigures
+
+    columns = (TextColumn("annotations"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("annotations", total=len(dataset))
+        census = take_census(dataset, progress=lambda done, _: bar.update(task, completed=done))
+    return DatasetFigures(
+        name=called,
+        format=dataset.name,
+        path=str(path),
+        census=census.summary(),
+        arrays={"name": census.name, "range_m": census.range_m, "objects": census.objects},
+        sensors=side_of(dataset, called, sweeps) if sweeps and _has_sensors(dataset) else None,
+        notes=_notes(dataset),
+    )
+
+
+def _has_sensors(dataset: "Dataset") -> bool:
+    """Whether the first, the middle or the last frame has a cloud or a radar product."""
+    from farfield.errors import FarfieldError
+
+    for index in {0, len(dataset) // 2, len(dataset) - 1} if len(dataset) else ():
+        try:
+            frame = dataset[index]
+        except (FarfieldError, OSError):
+            continue
+        if frame.clouds or frame.radar:
+            return True
+    return False
+
+
+def _notes(dataset: "Dataset") -> tuple[str, ...]:
+    """What is special about a K-Radar: versions of its annotations, and where its conditions come from."""
+    from collections import Counter
+
+    from farfield.datasets.kradar import KRadar
+    from farfield.errors import FarfieldError
+
+    if not isinstance(dataset, KRadar):
+        return ()
+    versions = Counter(entry.version or "none" for entry in dataset.entries)
+    said: Counter[str] = Counter()
+    for sequence in dict.fromkeys(dataset.sequences):
+        try:
+            said[dataset.of_sequence(sequence).conditions_from or "nowhere"] += 1
+        except FarfieldError:
+            said["a damaged file"] += 1
+    shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())
+    told = ", ".join(f"{place} in {count} sequences" for place, count in said.most_common())
+    return f"annotations: {shown}", f"conditions are told by: {told}"
+
+
+def _print(found: "DatasetFigures") -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from farfield.reports.statistics import tables
+
+    census, console = found.census, Console(width=None if sys.stdout.isatty() else 160)
+    annotated = f"{census['annotated_frames']:,} annotated, {census['empty_frames']:,} of them empty"
+    console.print(f"{found.format}: {census['frames']:,} frames of {census['sequences']} sequences, {annotated}")
+    for kind, counts in census["frames_by"].items():
+        console.print(f"{kind}: " + ", ".join(f"{name} {count:,}" for name, count in counts.items()))
+    for title, heads, rows in tables(census):
+        if title == "Sequences" and len(rows) > 1:
+            continue  # on the page
+        table = Table(title=title, title_justify="left")
+        for place, head in enumerate(heads):
+            table.add_column(head, justify="right" if place else "left", overflow="fold")
+        for row in rows:
+            table.add_row(*map(Text, row))
+        console.print(table)
+    for text in found.notes:
+        console.print(f"note: {text}")
+    for text in census["damaged"][:10]:
+        console.print(Text(f"damaged: {text}"))

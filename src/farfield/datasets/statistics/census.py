@@ -1,0 +1,273 @@
+"""What was annotated, counted over every frame of a data set: by class, weather, road, time, range and visibility.
+
+Only annotations and conditions are read, no cloud: a data set of annotations alone can be counted too. K-Radar's are
+read all at once.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.kradar import KRadar
+from farfield.datasets.kradar.label_table import LabelTable
+from farfield.errors import FarfieldError
+from farfield.frame import Boxes, Frame
+
+Progress = Callable[[int, int], None]
+
+RANGE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0, 200.0, np.inf)
+CONDITIONS = ("weather", "road", "time")
+UNKNOWN = "unknown"
+_KRADAR_SIGHT = {"R": "seen by the radar", "L": "by the LiDAR only", "L1": "not matched", "": UNKNOWN}
+_KITTI_SIGHT = ("fully visible", "partly hidden", "largely hidden", UNKNOWN)
+_POINTS = ("no point", "1 to 9 points", "10 points or more", UNKNOWN)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Census:
+    """Columns over frames (``f`` rows) and over annotated objects (``n`` rows).
+
+    Args:
+        sequence: Sequence of each frame.
+        conditions: Weather, road and time of each frame by kind; ``unknown`` where the frame does not say.
+        objects: Number of objects of each frame; -1 where it was not annotated.
+        frame: Row of the frame of each object.
+        name: Class of each object as the data set has it.
+        range_m: Ground distance of each object from the frame's origin.
+        size_m: Length, width and height of each object.
+        visibility: How each object is seen, in words of the data set, or ``unknown``.
+        track: Track of each object, unique within its sequence; None where the data set has none.
+        farfield_class: Farfield's name of each class.
+        damaged: Frames that could not be read, and why.
+    """
+
+    sequence: Shaped[np.ndarray, " f"]
+    conditions: Mapping[str, Shaped[np.ndarray, " f"]]
+    objects: Int[np.ndarray, " f"]
+    frame: Int[np.ndarray, " n"]
+    name: Shaped[np.ndarray, " n"]
+    range_m: Float[np.ndarray, " n"]
+    size_m: Float[np.ndarray, "n 3"]
+    visibility: Shaped[np.ndarray, " n"]
+    track: Int[np.ndarray, " n"] | None = None
+    farfield_class: Mapping[str, str] = field(default_factory=dict)
+    damaged: tuple[str, ...] = ()
+
+    def of_objects(self, kind: str) -> Shaped[np.ndarray, " n"]:
+        """A column over objects: ``name``, ``visibility``, ``range`` (the bin, in words), or a condition."""
+        if kind == "range":
+            return np.array(range_names(), dtype=np.str_)[np.digitize(self.range_m, RANGE_EDGES_M) - 1]
+        if kind in self.conditions:
+            return self.conditions[kind][self.frame]
+        return {"name": self.name, "visibility": self.visibility}[kind]
+
+    def names(self, kind: str) -> list[str]:
+        """What a column over objects holds: most frequent first, ranges and degrees of visibility in their order."""
+        found = Counter(self.of_objects(kind).tolist())
+        if kind == "range":
+            return [name for name in range_names() if name in found]
+        if kind == "visibility":
+            known = [*_KRADAR_SIGHT.values(), *_KITTI_SIGHT, *_POINTS]
+            return sorted(found, key=lambda name: (name == UNKNOWN, known.index(name) if name in known else 0))
+        return [name for name, _ in found.most_common()]
+
+    def table(self, rows: str, columns: str) -> dict[str, dict[str, int]]:
+        """Objects by two columns, such as ``name`` and ``weather``; combinations that do not occur are 0."""
+        counts = Counter(zip(self.of_objects(rows).tolist(), self.of_objects(columns).tolist(), strict=True))
+        across = self.names(columns)
+        return {row: {column: counts[row, column] for column in across} for row in self.names(rows)}
+
+    def frames_by(self, kind: str) -> dict[str, int]:
+        """Frames by a condition, most first."""
+        return dict(Counter(self.conditions[kind].tolist()).most_common())
+
+    def sequences(self) -> list[dict[str, Any]]:
+        """One row a sequence, in the order of the data set: frames, conditions, objects (K-Radar's Table 5)."""
+        found = []
+        for name in dict.fromkeys(self.sequence.tolist()):
+            mine = self.sequence == name
+            said = {kind: ", ".join(dict.fromkeys(self.conditions[kind][mine].tolist())) for kind in CONDITIONS}
+            objects = int(np.maximum(self.objects[mine], 0).sum())
+            found.append({"sequence": name, "frames": int(mine.sum()), **said, "objects": objects})
+        return found
+
+    def tracks(self) -> dict[str, int]:
+        """Number of tracks of each class; nothing where the data set has none."""
+        if self.track is None:
+            return {}
+        sequence = self.sequence[self.frame].tolist()
+        keys = set(zip(self.name.tolist(), sequence, self.track.tolist(), strict=True))
+        return dict(Counter(name for name, _, _ in keys).most_common())
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Which of the conditions and of visibility the data set tells of any frame or object."""
+        kinds = [kind for kind in CONDITIONS if (self.conditions[kind] != UNKNOWN).any()]
+        return (*kinds, "visibility") if (self.visibility != UNKNOWN).any() else tuple(kinds)
+
+    def summary(self) -> dict[str, Any]:
+        """Every figure as plain numbers, lists and mappings that JSON takes."""
+        annotated = self.objects >= 0
+        sequences, tracks = self.sequences(), self.tracks()
+        means = {name: self.size_m[self.name == name].mean(axis=0).round(3).tolist() for name in self.names("name")}
+        return {
+            "frames": len(self.sequence),
+            "annotated_frames": int(annotated.sum()),
+            "empty_frames": int((self.objects == 0).sum()),
+            "sequences": len(sequences),
+            "objects": len(self.name),
+            "objects_per_annotated_frame": len(self.name) / max(int(annotated.sum()), 1),
+            "most_objects_in_a_frame": int(self.objects.max(initial=0)),
+            "classes": {
+                name: {
+                    "objects": int((self.name == name).sum()),
+                    "tracks": tracks.get(name),
+                    "farfield_class": self.farfield_class.get(name, name),
+                    "mean_size_m": means[name],
+                }
+                for name in self.names("name")
+            },
+            "frames_by": {kind: self.frames_by(kind) for kind in CONDITIONS if kind in self.known},
+            "objects_by": {
+                f"class_and_{kind}": self.table("name", kind)
+                for kind in (*CONDITIONS, "range", "visibility")
+                if kind == "range" or kind in self.known
+            },
+            "visibility_by": {
+                kind: self.table(kind, "visibility") for kind in ("range", *CONDITIONS) if self._told(kind)
+            },
+            "table_5": sequences,
+            "damaged": list(self.damaged),
+        }
+
+    def _told(self, kind: str) -> bool:
+        return "visibility" in self.known and (kind == "range" or kind in self.known)
+
+
+def range_names() -> list[str]:
+    """Names of the bins of range.
+
+    >>> range_names()[0], range_names()[-1]
+    ('0 to 20 m', '200 m and more')
+    """
+    inner = [f"{low:g} to {high:g} m" for low, high in pairwise(RANGE_EDGES_M[:-1])]
+    return [*inner, f"{RANGE_EDGES_M[-2]:g} m and more"]
+
+
+def take_census(dataset: Dataset, *, progress: Progress | None = None) -> Census:
+    """Count the annotations of every frame.
+
+    Args:
+        dataset: What :func:`farfield.datasets.open_dataset` gave.
+        progress: Called with the number of frames done and the number of all.
+    """
+    if type(dataset) is KRadar and dataset.reference == "os2-64":
+        return _census_of_kradar(dataset, progress)
+    return _census_of_frames(dataset, progress)
+
+
+def _census_of_kradar(dataset: KRadar, progress: Progress | None) -> Census:
+    """The same counts as over its frames, from the table of all annotations."""
+    count = len(dataset)
+    table = dataset.label_table(progress=None if progress is None else lambda done: progress(done, count))
+    keys = list(zip(table.sequence.tolist(), table.stem.tolist(), strict=True))
+    row_of = {key: row for row, key in enumerate(dataset.keys)}
+    rows = np.array([row_of[key] for key in keys], dtype=np.int64)
+    objects = np.full(count, -1, dtype=np.int64)
+    objects[rows] = table.per_frame
+    boxes = table.boxes()
+    label = np.asarray(boxes.label).tolist()
+    return Census(
+        sequence=np.array(dataset.sequences, dtype=np.str_),
+        conditions=_conditions([_conditions_of(dataset, sequence) for sequence in dataset.sequences]),
+        objects=objects,
+        frame=rows[table.frame],
+        name=table.name,
+        range_m=table.range_m,
+        size_m=table.size_m,
+        visibility=_sight(table),
+        track=table.track,
+        farfield_class=dict(zip(table.name.tolist(), label, strict=True)),
+        damaged=table.damaged,
+    )
+
+
+def _sight(table: LabelTable) -> Shaped[np.ndarray, " n"]:
+    return np.array([_KRADAR_SIGHT[flag] for flag in table.availability.tolist()], dtype=np.str_)
+
+
+def _conditions_of(dataset: KRadar, sequence: str) -> Mapping[str, str]:
+    try:
+        return dataset.of_sequence(sequence).conditions
+    except FarfieldError:
+        return {}
+
+
+def _conditions(rows: Sequence[Mapping[str, str]]) -> dict[str, Shaped[np.ndarray, " f"]]:
+    return {kind: np.array([str(row.get(kind, UNKNOWN)) for row in rows], dtype=np.str_) for kind in CONDITIONS}
+
+
+def _census_of_frames(dataset: Dataset, progress: Progress | None) -> Census:
+    said: list[Mapping[str, str]] = []
+    parts: list[Boxes] = []
+    names, sight, objects, damaged = [], [], [], []
+    for index in range(len(dataset)):
+        boxes, conditions = None, {}
+        try:
+            frame = dataset[index]
+            boxes, conditions = frame.boxes, dict(frame.conditions)
+            if boxes is not None:
+                called, seen = class_names(frame, boxes), visibility(frame, boxes)
+                names += called
+                sight += seen
+        except (FarfieldError, OSError, ValueError) as error:
+            damaged.append(str(error))
+            boxes = None
+        said.append(conditions)
+        objects.append(-1 if boxes is None else len(boxes))
+        parts += [] if boxes is None else [boxes]
+        if progress is not None:
+            progress(index + 1, len(dataset))
+    counts = np.array(objects, dtype=np.int64)
+    tracked = bool(parts) and all(part.track_id is not None for part in parts if len(part))
+    together = Boxes.concatenate([part.replace(score=None, track_id=None, point_count=None) for part in parts])
+    ids = [part.track_id for part in parts if part.track_id is not None and len(part)]
+    return Census(
+        sequence=np.array(dataset.sequences, dtype=np.str_),
+        conditions=_conditions(said),
+        objects=counts,
+        frame=np.repeat(np.arange(len(counts)), np.maximum(counts, 0)),
+        name=np.array(names, dtype=np.str_),
+        range_m=np.hypot(together.centre_m[:, 0], together.centre_m[:, 1]),
+        size_m=together.size_m,
+        visibility=np.array(sight, dtype=np.str_),
+        track=np.concatenate(ids) if tracked and ids else None,
+        farfield_class=dict(zip(names, np.asarray(together.label).tolist(), strict=True)),
+        damaged=tuple(damaged),
+    )
+
+
+def class_names(frame: Frame, boxes: Boxes) -> list[str]:
+    """Class of each box as the data set's files have it, where the reader tells; else Farfield's."""
+    raw = list(frame.metadata.get("raw_label") or ())
+    return [str(name) for name in raw] if len(raw) == len(boxes) else np.asarray(boxes.label).tolist()
+
+
+def visibility(frame: Frame, boxes: Boxes) -> list[str]:
+    """How each box is seen: K-Radar's availability, KITTI's occlusion, or the points inside; else ``unknown``."""
+    flags = list(frame.metadata.get("availability") or ())
+    if len(boxes) and len(flags) == len(boxes):
+        return [_KRADAR_SIGHT.get(str(flag), UNKNOWN) for flag in flags]
+    hidden = frame.metadata.get("occlusion")
+    if hidden is not None and len(hidden) == len(boxes):
+        return [_KITTI_SIGHT[int(level)] if 0 <= int(level) < 3 else UNKNOWN for level in hidden]
+    if boxes.point_count is not None:
+        place = np.digitize(boxes.point_count, (0, 1, 10)) - 1
+        return [_POINTS[int(level)] for level in place]
+    return [UNKNOWN] * len(boxes)
