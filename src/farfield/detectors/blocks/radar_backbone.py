@@ -79,7 +79,7 @@ class RadarBackbone(nn.Module):
 
     def forward(self, cells: SparseTensor) -> Tensor:
         """Occupied cells to a bird's-eye map (b, channels, nx, ny)."""
-        if self.execution == "sparse" or self.execution == "auto" and not _convolves_fast(cells.features):
+        if self.execution == "sparse" or (self.execution == "auto" and not _convolves_fast(cells.features)):
             return self._sparse(cells)
         occupied = _occupied(cells)
         if self.execution == "dense" or float(_reached(occupied, self.stages[0][0].conv).mean()) >= DENSE_FROM:
