@@ -3,7 +3,7 @@
 import json as json_text
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
@@ -19,6 +19,8 @@ def run(
     *,
     mapping: Path | None = None,
     format: str | None = None,
+    labels: str | None = None,
+    roots: tuple[Path, ...] = (),
     clouds: int = 20,
     json: bool = False,
 ) -> int:
@@ -28,13 +30,17 @@ def run(
       farfield doctor Cirrus_dataset1
       farfield doctor Cirrus_dataset1 --mapping mapping.yaml
       farfield doctor data/kitti --clouds 0 --json > report.json
+      farfield doctor dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58 --labels v2.1
 
     Exit status 1 when training would fail or score zero.
 
     Args:
         path: Folder of the data set; its format is recognised.
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
-        format: Format, if it is not to be recognised: cirrus, kitti, kitti_tracking, argoverse2 or folder.
+        format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar
+            or folder.
+        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        roots: Further folders of a K-Radar that is spread over several disks.
         clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.
         json: Print the report as JSON instead of a table.
     """
@@ -44,7 +50,8 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.datasets.doctor import examine
 
-    dataset = open_dataset(path, format=format) if mapping is None else open_dataset(path, mapping=mapping)
+    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
+    dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
     columns = (TextColumn("reading"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading", total=len(dataset))

@@ -5,6 +5,7 @@ from typing import Any
 from farfield.datasets.base import Dataset
 from farfield.datasets.doctor import content, conventions, inventory
 from farfield.datasets.doctor.findings import Finding, Report
+from farfield.datasets.doctor.kradar import kradar
 from farfield.datasets.doctor.survey import Progress, survey
 
 __all__ = ["Finding", "Report", "examine"]
@@ -12,6 +13,7 @@ __all__ = ["Finding", "Report", "examine"]
 _CHECKS = (
     inventory.inventory,
     inventory.timing,
+    kradar,
     content.clouds,
     conventions.quaternions,
     conventions.readings,

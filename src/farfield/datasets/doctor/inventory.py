@@ -24,7 +24,10 @@ def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             severity="ok" if found.sensors else "fail",
             topic="frames",
             what=f"{counted(count, 'frame')}: {kinds}",
-            mend="" if found.sensors else "Add the clouds: without them nothing can be trained or detected.",
+            mend=""
+            if found.sensors
+            else "Add the clouds: without them nothing can be trained or detected. Annotations alone are enough for "
+            "farfield stats and farfield score.",
         )
     yield _labels(found)
     images = ", ".join(f"{number} of {name}" for name, number in found.images.items())

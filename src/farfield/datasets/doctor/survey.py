@@ -23,8 +23,8 @@ class Sample:
 
     @property
     def points_m(self) -> Float[np.ndarray, "n 3"]:
-        """Points of the cloud that the boxes belong to: the first one."""
-        first = next(iter(self.clouds.values()), None)
+        """Points of the cloud that the boxes belong to: the first that is no radar's."""
+        first = next((cloud for name, cloud in self.clouds.items() if not name.startswith("radar")), None)
         return np.zeros((0, 3)) if first is None else first.points_m.astype(np.float64)
 
 
@@ -63,9 +63,13 @@ class Survey:
         return Boxes.concatenate([_bare(boxes) for boxes in self.boxes]) if self.boxes else Boxes.empty()
 
     def annotated_samples(self) -> Iterator[tuple[Sample, Boxes]]:
-        """Samples with a cloud and at least one box."""
+        """Samples with a LiDAR's cloud and at least one box."""
         for sample in self.samples:
-            if sample.boxes is not None and len(sample.boxes) and sample.clouds:
+            if (
+                sample.boxes is not None
+                and len(sample.boxes)
+                and not all(name.startswith("radar") for name in sample.clouds)
+            ):
                 yield sample, sample.boxes
 
 

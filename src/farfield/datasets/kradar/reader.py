@@ -150,6 +150,10 @@ class KRadar(Dataset):
         other.radar_view = replace(self.radar_view, **changes)
         return other
 
+    def calibrated(self, sequence: str) -> bool:
+        """Whether the sequence's own ``calib_radar_lidar.txt`` says where its radar stands."""
+        return self._geometry[sequence][1] is not None
+
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index`` that are there."""
         entry = self.entries[index]
