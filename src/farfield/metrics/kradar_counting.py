@@ -111,7 +111,7 @@ def _count(
 
     def above(values: np.ndarray | None) -> Float[np.ndarray, "t g"]:
         sums = np.bincount(step * groups + owner, weights=values, minlength=(len(thresholds) + 1) * groups)
-        return sums.reshape(-1, groups)[:-1].cumsum(axis=0).astype(np.float64)
+        return sums.reshape(len(thresholds) + 1, groups)[:-1].cumsum(axis=0).astype(np.float64)
 
     true = above(gain.true[rows])
     return ThresholdCounts(

@@ -128,6 +128,8 @@ class KRadarSettings:
         for name in self.classes:
             if self.relabel.get(name, name) != name:
                 raise ConfigError(f"classes: {name!r} is relabelled as {self.relabel[name]!r}; name that one")
+        if any("/" in name for name in self.classes):
+            raise ConfigError(f"classes: expected names without a slash, got {self.classes}")
         if not self.ious or not all(0 < iou < 1 for iou in self.ious) or len(set(self.ious)) < len(self.ious):
             raise ConfigError(f"ious: expected different numbers between 0 and 1, got {self.ious}")
         if self.azimuth_deg is not None and not 0 < self.azimuth_deg <= 180:
