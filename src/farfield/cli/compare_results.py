@@ -194,9 +194,11 @@ def _entries(paths: Sequence[Path], names: str) -> list[Entry]:
 
 def _read(path: Path) -> dict[str, Tree]:
     """Results of a file: one of ``farfield score``, or those of each cloud of ``farfield evaluate``."""
-    from farfield.errors import FileFormatError
+    from farfield.errors import ConfigError, FileFormatError
     from farfield.files.atomic import read_bytes
 
+    if not path.is_file():
+        raise ConfigError(f"{path}: expected a JSON file of results, found none there")
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
     except (ValueError, RecursionError) as error:
