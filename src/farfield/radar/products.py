@@ -39,6 +39,7 @@ __all__ = [
 OUTSIDE_DOPPLER_M_S = -10.0
 """Doppler of the Doppler cube's cells outside the field of view."""
 _BLOCK_RANGES = 8
+_BLOCK_CELLS = 1024  # so few that the product stays on one thread: others read and inflate meanwhile
 
 
 class Moments(NamedTuple):
@@ -98,7 +99,9 @@ def moments_of_columns(blocks: Iterable[Num[np.ndarray, "n d"]], axes: RadarAxes
         end = at + len(block)
         if end > cells or block.shape[1] != weights.shape[1]:
             raise ValueError(f"expected {cells} cells of {weights.shape[1]} bins, got more: {end} of {block.shape[1]}")
-        np.matmul(weights, block.T.astype(np.float64, copy=False), out=out[:, at:end], casting="same_kind")
+        for start in range(0, len(block), _BLOCK_CELLS):
+            part = block[start : start + _BLOCK_CELLS].T.astype(np.float64, copy=False)
+            out[:, at + start : at + start + part.shape[1]] = weights @ part
         at = end
     if at < cells:
         raise ValueError(f"expected {cells} cells, got {at}")
