@@ -14,7 +14,6 @@ from farfield.datasets.kradar.index import find_labels, numbered_files, spelling
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable
 from farfield.datasets.kradar.layout import (
     CAMERAS,
-    FRAME_DIFFERENCES,
     LABEL_TREES,
     LIDARS,
     RADAR_PRODUCTS,
@@ -48,7 +47,7 @@ def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if not len(table.stem):
         return
     yield from _defects(table, known)
-    yield from _published(table, known)
+    yield from _published(dataset, table, known)
     yield from _units(table, known)
 
 
@@ -145,26 +144,19 @@ def _defects(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic="label defects", what="none of those that K-Radar is known for")
 
 
-def _published(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
-    """Compare indices and numbers of frames with what is published of each sequence."""
+def _published(dataset: KRadar, table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+    """Compare numbers of frames with the published ones, and the frames' names with the calibration."""
     frames = Counter(table.sequence.tolist())
     short = [name for name, count in frames.items() if name in PUBLISHED and count != PUBLISHED[name].frames]
     known["as_published"] = len(frames) - len(short)
     what = f"{len(frames) - len(short)} of {counted(len(frames), 'sequence')} have as many frames as published"
     yield Finding(severity="ok", topic="completeness", what=what + (f"; not {_listed(short)}" if short else ""))
     stems = np.array([stem.split("_") for stem in table.stem.tolist()], dtype=np.int64)
-    expected = np.array([_difference(name) for name in table.sequence.tolist()])
-    off = sorted({*table.sequence[(stems[:, 0] - stems[:, 1] != expected) & (expected > -99)].tolist()}, key=int)
-    what = (
-        "radar minus LiDAR index is the published one" if not off else f"differs from the published in {_listed(off)}"
-    )
+    expected = np.array([dataset.frame_difference(name) for name in table.sequence.tolist()])
+    off = dict.fromkeys(table.sequence[stems[:, 0] - stems[:, 1] != expected].tolist())
+    what = "the frames' names differ from it in " + _listed(off) if off else "radar minus LiDAR index is as calibrated"
     mend = "Radar and LiDAR would not be of the same moment: check info_calib." if off else ""
     yield Finding(severity="warn" if off else "ok", topic="frame difference", what=what, mend=mend)
-
-
-def _difference(sequence: str) -> int:
-    number = int(sequence)
-    return FRAME_DIFFERENCES[number - 1] if number <= len(FRAME_DIFFERENCES) else -99
 
 
 def _units(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:

@@ -150,6 +150,10 @@ class KRadar(Dataset):
         other.radar_view = replace(self.radar_view, **changes)
         return other
 
+    def frame_difference(self, sequence: str) -> int:
+        """Radar index minus LiDAR index of a sequence, as its calibration says; the published one without it."""
+        return self._geometry[sequence][0]
+
     def calibrated(self, sequence: str) -> bool:
         """Whether the sequence's own ``calib_radar_lidar.txt`` says where its radar stands."""
         return self._geometry[sequence][1] is not None
