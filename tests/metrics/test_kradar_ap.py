@@ -165,6 +165,10 @@ def test_subsets_are_the_evaluations_of_their_frames(rng: np.random.Generator) -
         assert result.conditions["weather"][name.replace(" ", "_")] == alone.figures
     assert set(result.conditions["weather"]["rain"].values()) == {None}
     assert result.counts["conditions"]["weather"]["fog"]["frames"] == 20
+    unknown = evaluate_kradar(
+        predictions, annotations, KRadarSettings(**PLAIN), conditions={key: {} for key in annotations}
+    )
+    assert unknown.conditions == {}
 
 
 def test_range_bins_cut_both_kinds_of_boxes(rng: np.random.Generator) -> None:

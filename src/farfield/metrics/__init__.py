@@ -38,13 +38,9 @@ __all__ = [
     "scored_labels",
 ]
 
-_Settings = DdsSettings | NuScenesSettings | KittiSettings | KRadarSettings
-PROTOCOLS: dict[str, type[_Settings]] = {
-    "dds": DdsSettings,
-    "nuscenes": NuScenesSettings,
-    "kitti": KittiSettings,
-    "kradar": KRadarSettings,
-}
+_OneClass = DdsSettings | NuScenesSettings | KittiSettings
+_ONE_CLASS: dict[str, type[_OneClass]] = {"dds": DdsSettings, "nuscenes": NuScenesSettings, "kitti": KittiSettings}
+PROTOCOLS: dict[str, type[_OneClass | KRadarSettings]] = {**_ONE_CLASS, "kradar": KRadarSettings}
 _Details = Mapping[tuple[str, str], Mapping[str, np.ndarray]]
 
 
@@ -53,12 +49,13 @@ def scored_labels(annotations: BoxesByFrame, protocol: str = "dds", **options: A
 
     K-Radar's protocols score the classes of their settings; those that occur are given.
     """
-    default = _settings(protocol, {key: options[key] for key in ("relabel", "ignore", "classes") if key in options})
+    chosen: dict[str, Any] = {key: options[key] for key in ("relabel", "ignore", "classes") if key in options}
+    if _is_kradar(protocol):
+        several = kradar_settings(protocol, **chosen)
+        return tuple(name for name, _ in labels_of(annotations, several.relabel) if name in several.classes)
+    default = _settings(protocol, chosen)
     names = (name for name, _ in labels_of(annotations, default.relabel))
-    if isinstance(default, KRadarSettings):
-        return tuple(name for name in names if name in default.classes)
-    ignored = default.ignore or ()
-    return tuple(name for name in names if name not in ignored)
+    return tuple(name for name in names if name not in (default.ignore or ()))
 
 
 def score(
@@ -90,11 +87,10 @@ def score(
     Raises:
         ConfigError: If the protocol, an option or the label is unknown, or frames do not pair.
     """
-    if protocol.partition(":")[0] in ("kradar", "kradar-compat"):
-        chosen = _settings(protocol, options if label is None else {**options, "classes": (label,)})
-        assert isinstance(chosen, KRadarSettings)
+    if _is_kradar(protocol):
+        several = kradar_settings(protocol, **(options if label is None else {**options, "classes": (label,)}))
         return evaluate_kradar(
-            predictions, annotations, chosen, conditions=conditions, visibility=visibility, protocol=protocol
+            predictions, annotations, several, conditions=conditions, visibility=visibility, protocol=protocol
         )
     default = _settings(protocol, options)
     if label is None:
@@ -110,17 +106,18 @@ def score(
         )
     if isinstance(settings, NuScenesSettings):
         return evaluate_nuscenes(predictions, annotations, settings)
-    assert isinstance(settings, DdsSettings)
     return evaluate_dds(predictions, annotations, settings)
 
 
-def _settings(protocol: str, options: Mapping[str, Any]) -> _Settings:
-    if protocol == "kradar" or protocol.startswith("kradar-compat"):
-        return kradar_settings(protocol, **options)
-    if protocol not in PROTOCOLS:
+def _is_kradar(protocol: str) -> bool:
+    return protocol.partition(":")[0] in ("kradar", "kradar-compat")
+
+
+def _settings(protocol: str, options: Mapping[str, Any]) -> _OneClass:
+    if protocol not in _ONE_CLASS:
         names = ", ".join([*PROTOCOLS, "kradar-compat:VARIANT"])
         raise ConfigError(f"protocol: expected one of {names}, got {protocol!r}")
-    kind = PROTOCOLS[protocol]
+    kind = _ONE_CLASS[protocol]
     known = [option.name for option in fields(kind)]
     unknown = sorted(set(options) - set(known))
     if unknown:

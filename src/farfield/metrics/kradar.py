@@ -176,10 +176,10 @@ def _all_counts(
 
 
 def _subsets(data: KRadarFrames, conditions: Conditions) -> Iterator[tuple[str, Bool[np.ndarray, " f"]]]:
-    """Frames of each condition."""
-    if not conditions:
-        return
+    """Frames of each condition of which anything is known."""
     for kind in CONDITIONS:
+        if not any(kind in values for values in conditions.values()):
+            continue
         told = [condition_name(conditions.get(key, {}).get(kind, "")) for key in data.keys]
         values = np.array(told, dtype=np.str_)
         for value in group_conditions(conditions, kind):
