@@ -20,6 +20,7 @@ from farfield.detectors.blocks.sparse import (
     functional,
     kernel_offsets,
     neighbour_table,
+    neighbours,
     submanifold_rulebook,
 )
 
@@ -225,7 +226,12 @@ def test_dense_is_differentiable_and_indices_round_trip():
     assert (dense != 0).sum() == (sparse.features != 0).sum()
 
 
-def test_neighbours_and_dilation_by_brute_force():
+BITMAP_LIMITS = [2**30, 0]  # look-up in a bitmap, binary search
+
+
+@pytest.mark.parametrize("limit", BITMAP_LIMITS)
+def test_neighbours_and_dilation_by_brute_force(limit, monkeypatch):
+    monkeypatch.setattr(neighbours, "_MAX_BITMAP_CELLS", limit)
     sparse = random_sparse(share=0.1)
     offsets = kernel_offsets((3, 3, 5))
     place = {tuple(row): number for number, row in enumerate(sparse.indices().tolist())}
@@ -240,6 +246,40 @@ def test_neighbours_and_dilation_by_brute_force():
     }
     dilated = SparseTensor(torch.zeros(len(grown), 1), dilate(sparse.keys, SHAPE, offsets), SHAPE, 2)
     assert dilated.indices().tolist() == [list(cell) for cell in sorted(grown)]
+
+
+@pytest.mark.parametrize("limit", BITMAP_LIMITS)
+@pytest.mark.parametrize("share", [0.02, 0.5, 1.0])
+def test_pairs_of_neighbours_by_brute_force(share, limit, monkeypatch):
+    monkeypatch.setattr(neighbours, "_MAX_BITMAP_CELLS", limit)
+    shape, offsets = (3, 5, 70), kernel_offsets((3, 1, 5))[:7]  # lines of more than two words
+    sparse = random_sparse(share=share, shape=shape)
+    place = {tuple(row): number for number, row in enumerate(sparse.indices().tolist())}
+    mine, theirs, counts = neighbours.neighbour_pairs(sparse.keys, shape, offsets)
+    truth = [
+        [(row, place[near]) for (b, z, x, y), row in place.items() if (near := (b, z + dz, x + dx, y + dy)) in place]
+        for dz, dx, dy in offsets
+    ]
+    assert counts == tuple(len(pairs) for pairs in truth)
+    assert list(zip(mine.tolist(), theirs.tolist(), strict=True)) == [pair for pairs in truth for pair in pairs]
+
+
+def test_a_grid_beyond_32_bits_is_searched():
+    shape = (40, 20_000, 20_000)
+    indices = torch.tensor([[0, 39, 19_999, 19_998], [0, 39, 19_999, 19_999], [0, 0, 0, 0], [0, 38, 19_998, 19_999]])
+    sparse = SparseTensor.from_indices(torch.ones(4, 1), indices, shape, 1)
+    out = SubmanifoldConv(1, 1).requires_grad_(False)
+    out.weight.fill_(1)
+    assert out(sparse).features[:, 0].tolist() == [1, 3, 3, 3]
+    strided = SparseConv(1, 1).requires_grad_(False)(sparse)
+    assert strided.indices().tolist() == [[0, 0, 0, 0], [0, 19, 9999, 9999]]
+
+
+def test_count_of_bits():
+    words = torch.randint(0, 2**31, (1000,), generator=torch.Generator().manual_seed(0), dtype=torch.int32)
+    words[:3] = torch.tensor([0, 1, 2**31 - 1])
+    expected = [bin(word).count("1") for word in words.tolist()]
+    assert neighbours._count_bits(words).tolist() == expected
 
 
 def test_what_cannot_work_is_refused():

@@ -3,15 +3,17 @@
 A rulebook depends on the occupied cells only. It is found once a frame and shared by all layers on the same cells.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import groupby, pairwise, product
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from farfield.detectors.blocks.sparse.neighbours import neighbour_columns
+from farfield.detectors.blocks.sparse.neighbours import neighbour_pairs
 from farfield.detectors.blocks.sparse.tensor import Triple, decode_keys
 
 _KEY_BITS = 62
@@ -28,7 +30,8 @@ class Rulebook:
         shape: Output grid.
         sources: Input row of each pair, shape (p,), int32.
         targets: Output row of each pair, shape (p,), int32.
-        counts: Number of pairs of each of the K kernel elements.
+        counts: Number of pairs of each run; a run holds the pairs of one kernel element, and each of the K has one.
+        numbers: Kernel element of each run.
         symmetric: Inputs and outputs are the same cells and the kernel is odd: its own inverse, the kernel mirrored.
     """
 
@@ -39,15 +42,30 @@ class Rulebook:
     sources: Tensor
     targets: Tensor
     counts: tuple[int, ...]
+    numbers: tuple[int, ...]
     symmetric: bool = False
 
     def elements(self) -> Iterator[tuple[int, slice]]:
         """Number of each kernel element that has pairs, and where these are."""
         start = 0
-        for number, count in enumerate(self.counts):
+        for number, count in zip(self.numbers, self.counts, strict=True):
             if count:
                 yield number, slice(start, start + count)
             start += count
+
+    def batches(self) -> Iterator[tuple[slice, slice]]:
+        """Neighbouring runs with as many pairs each, for one batched product: which runs, and where their pairs are."""
+        run, start = 0, 0
+        for count, alike in groupby(self.counts):
+            size = len(list(alike))
+            if count:
+                yield slice(run, run + size), slice(start, start + size * count)
+            run, start = run + size, start + size * count
+
+    @cached_property
+    def run_elements(self) -> Tensor:
+        """Kernel element of each run, shape (K,), int64."""
+        return torch.tensor(self.numbers, device=self.keys.device)
 
     @cached_property
     def by_target(self) -> tuple[Tensor, Tensor]:
@@ -56,16 +74,17 @@ class Rulebook:
         Returns:
             Numbers of the pairs, shape (p,), int64, and where those of each output start, shape (n_out,), int64.
         """
-        ordered, order = torch.sort(self.targets, stable=True)
-        outputs = torch.arange(len(self.keys), dtype=torch.int32, device=ordered.device)
-        return order, torch.searchsorted(ordered, outputs)
+        order = torch.sort(self.targets, stable=True).indices
+        held = torch.bincount(self.targets, minlength=len(self.keys))
+        return order, held.cumsum(0).sub_(held)
 
     @cached_property
     def inverse(self) -> "Rulebook":
         """The rulebook that leads back: input and output change places."""
         if self.symmetric:
             raise ValueError("Expected a rulebook between different cells; a symmetric one is its own inverse.")
-        back = Rulebook(self.keys, self.shape, self.keys_in, self.shape_in, self.targets, self.sources, self.counts)
+        cells = (self.keys, self.shape, self.keys_in, self.shape_in)
+        back = Rulebook(*cells, self.targets, self.sources, self.counts, self.numbers)
         back.__dict__["inverse"] = self
         return back
 
@@ -111,17 +130,16 @@ def submanifold_rulebook(keys: Tensor, shape: Triple, kernel: Triple) -> Ruleboo
     if any(size % 2 == 0 for size in kernel):
         raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
     offsets = kernel_offsets(kernel)
-    centre = len(offsets) // 2
-    mine: list[Tensor] = []
-    theirs: list[Tensor] = []
-    for column in neighbour_columns(keys, keys, shape, offsets[:centre]):
-        row = (column < len(keys)).nonzero().squeeze(1)
-        mine.append(row.int())
-        theirs.append(column.index_select(0, row))
-    own = [torch.arange(len(keys), dtype=torch.int32, device=keys.device)]
-    sources, targets = [*theirs, *own, *mine[::-1]], [*mine, *own, *theirs[::-1]]
-    counts = tuple(len(rows) for rows in sources)
-    return Rulebook(keys, shape, keys, shape, torch.cat(sources), torch.cat(targets), counts, symmetric=True)
+    half = len(offsets) // 2
+    mine, theirs, counts = neighbour_pairs(keys, shape, offsets[:half])
+    own = torch.arange(len(keys), dtype=torch.int32, device=keys.device)
+    halves = list(zip(mine.split(counts), theirs.split(counts), strict=True))
+    sources = torch.cat([rows for here, there in halves for rows in (there, here)] + [own])
+    targets = torch.cat([rows for here, there in halves for rows in (here, there)] + [own])
+    twice = tuple(count for count in counts for _ in range(2))
+    mirrored = tuple(number for element in range(half) for number in (element, len(offsets) - 1 - element))
+    runs = ((*twice, len(keys)), (*mirrored, half))
+    return Rulebook(keys, shape, keys, shape, sources, targets, *runs, symmetric=True)
 
 
 def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Rulebook:
@@ -131,48 +149,81 @@ def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple
         ValueError: If the kernel does not fit the padded grid.
     """
     out_shape = conv_shape(shape, kernel, stride, padding)
-    frame, *place = decode_keys(keys, shape).unbind(1)
-    frames = int(frame[-1]) + 1 if len(keys) else 1
-    narrow = torch.int32 if frames * out_shape[0] * out_shape[1] * out_shape[2] < 2**31 else torch.int64
-    steps = (out_shape[1] * out_shape[2], out_shape[2], 1)
-    along_z, along_x, along_y = (
-        [(cell.to(narrow), reached) for cell, reached in _reached_along(*axis)]
-        for axis in zip(place, out_shape, kernel, stride, padding, steps, strict=True)
-    )
-    first = (frame * (out_shape[0] * steps[0])).to(narrow)
-    sources, cells = [], []
-    for (z, z_reached), (x, x_reached) in product(along_z, along_x):
-        column, column_reached = first + z + x, z_reached & x_reached
-        for y, y_reached in along_y:
-            source = (column_reached & y_reached).nonzero().squeeze(1)
-            sources.append(source.int())
-            cells.append((column + y).index_select(0, source))
-    ordered, order = torch.sort(torch.cat(cells), stable=True)
+    sources, cells, counts, numbers = _reached(keys, shape, out_shape, kernel, stride, padding)
+    ordered, order = torch.sort(cells, stable=True)
     new = torch.ones_like(ordered, dtype=torch.bool)
     torch.ne(ordered[1:], ordered[:-1], out=new[1:])
+    starts = new.nonzero().squeeze(1)
     targets = torch.empty_like(order, dtype=torch.int32)
-    targets[order] = new.cumsum(0, dtype=torch.int32) - 1
-    counts = tuple(len(rows) for rows in sources)
-    book = Rulebook(keys, shape, ordered[new].long(), out_shape, torch.cat(sources), targets, counts)
-    book.__dict__["by_target"] = (order, new.nonzero().squeeze(1))  # at hand already
+    targets[order] = new.cumsum(0, dtype=torch.int32).sub_(1)
+    reached = ordered.index_select(0, starts).long()
+    book = Rulebook(keys, shape, reached, out_shape, sources, targets, counts, numbers)
+    book.__dict__["by_target"] = (order, starts)  # at hand already
     return book
 
 
-def _reached_along(
-    index: Tensor, out_size: int, size: int, stride: int, padding: int, step: int
-) -> list[tuple[Tensor, Tensor]]:
-    """Along one axis, the output that each input reaches by each kernel element.
+def _reached(
+    keys: Tensor, shape: Triple, out_shape: Triple, kernel: Triple, stride: Triple, padding: Triple
+) -> tuple[Tensor, Tensor, tuple[int, ...], tuple[int, ...]]:
+    """Which output each input reaches by which element.
+
+    An input reaches outputs by those elements only that leave the remainder, along each axis, which its place plus the
+    padding leaves after division by the stride. So inputs are put together by their remainders first.
 
     Returns:
-        For each kernel element: the output's index times ``step``, and whether there is one, shape (n,) each.
+        Row of the input and key of the output of each pair, shape (p,), the number of pairs of each run, and its
+        kernel element. Elements that meet the same inputs come one after the other.
     """
-    reached = []
-    for element in range(size):
-        start = index + (padding - element)
-        cell = start if stride == 1 else torch.div(start, stride, rounding_mode="floor")
-        exact = (cell >= 0) & (cell < out_size)
-        reached.append((cell * step, exact if stride == 1 else exact & (cell * stride == start)))
-    return reached
+    frames = int(keys[-1]) // math.prod(shape) + 1 if len(keys) else 1
+    narrow = torch.int32 if 2 * frames * max(math.prod(shape), math.prod(out_shape)) < 2**31 else torch.int64
+    cells, *place = decode_keys(keys.to(narrow), shape).unbind(1)
+    phase, astray = torch.zeros_like(cells), {}
+    for axis, (index, size, k, s, p) in enumerate(zip(place, out_shape, kernel, stride, padding, strict=True)):
+        index = index + p
+        quotient = index if s == 1 else torch.div(index, s, rounding_mode="floor")
+        cells = cells * size + quotient
+        phase = phase * s + (index - quotient * s)
+        if not bool(((index >= k - s) & (quotient < size)).all()):
+            astray[axis] = quotient  # by some element an input would reach a cell outside the grid
+    order = torch.sort(phase, stable=True).indices
+    ends = [0, *phase.bincount(minlength=math.prod(stride)).cumsum(0).tolist()]
+    runs = _runs(kernel, stride)
+    parts = [slice(*ends[run.phase : run.phase + 2]) for run in runs]
+    rows, cells = order.int(), cells.index_select(0, order)
+    shifts = [(z * out_shape[1] + x) * out_shape[2] + y for z, x, y in (run.step for run in runs)]
+    source = torch.cat([rows[part] for part in parts])
+    cell = torch.cat([cells[part] - shift for part, shift in zip(parts, shifts, strict=True)])
+    counts = [part.stop - part.start for part in parts]
+    numbers = tuple(run.number for run in runs)
+    if not astray:
+        return source, cell, tuple(counts), numbers
+    fits = torch.ones_like(source, dtype=torch.bool)
+    lengths = torch.tensor(counts, device=keys.device)
+    for axis, quotient in astray.items():
+        step = quotient.new_tensor([run.step[axis] for run in runs]).repeat_interleave(lengths)
+        index = quotient.index_select(0, source) - step
+        fits &= (index >= 0) & (index < out_shape[axis])
+    kept = fits.nonzero().squeeze(1)
+    edges = [0, *torch.searchsorted(kept, lengths.cumsum(0)).tolist()]
+    counts = [end - start for start, end in pairwise(edges)]
+    return source.index_select(0, kept), cell.index_select(0, kept), tuple(counts), numbers
+
+
+class _Run(NamedTuple):
+    """One element of a strided kernel: its inputs' remainder, its number, and how far back its outputs lie."""
+
+    phase: int
+    number: int
+    step: Triple
+
+
+def _runs(kernel: Triple, stride: Triple) -> list[_Run]:
+    """The elements of a kernel, those with the same remainder by the stride together."""
+    runs = []
+    for number, (z, x, y) in enumerate(product(*map(range, kernel))):
+        phase = (z % stride[0] * stride[1] + x % stride[1]) * stride[2] + y % stride[2]
+        runs.append(_Run(phase, number, (z // stride[0], x // stride[1], y // stride[2])))
+    return sorted(runs)
 
 
 def conv_shape(shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Triple:
