@@ -3,8 +3,9 @@
     python benchmarks/fuzz_readers.py [--files 20000] [--only pcd] [--output benchmarks/results/fuzz_readers.txt]
 
 Good files are truncated, bit-flipped, spliced with others, filled with bytes that parsers dislike, and the digits in
-their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit status 1
-where anything but a FarfieldError came out, a file took more than 2 s of processor time, or memory ran out.
+their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit status
+1 where anything but a FarfieldError came out, a file took more than 2 s of processor time, memory ran out, or a pickle
+was loaded.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _fuzz_radar import radar_targets
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
@@ -38,13 +40,14 @@ MUTATIONS = ("truncated", "bit-flipped", "spliced", "inflated digits", "nasty by
 
 @dataclass(frozen=True)
 class Target:
-    """A reader, good files for it, and what a valid result is."""
+    """A reader, good files for it, what a valid result is, and files that it must refuse as they are."""
 
     suffix: str
     read: Callable[[Path], Any]
     seeds: tuple[bytes, ...]
     valid: Callable[[Any], bool] = lambda found: len(found) >= 0
     large: tuple[bytes, ...] = ()
+    hostile: tuple[bytes, ...] = ()
 
 
 @dataclass
@@ -88,11 +91,12 @@ def mutate(rng: np.random.Generator, seeds: Sequence[bytes], kind: str) -> bytes
 
 def damaged_files(rng: np.random.Generator, target: Target, count: int) -> Iterator[tuple[str, bytes]]:
     """``count`` files: the seeds as they are, then every mutation in turn, one in four of them damaged twice."""
-    whole = (target.seeds + target.large)[:count]
-    yield from (("none", seed) for seed in whole)
+    whole = [("none", seed) for seed in target.seeds + target.large] + [("hostile", seed) for seed in target.hostile]
+    yield from whole[:count]
     for index in range(count - len(whole)):
         kind = MUTATIONS[index % len(MUTATIONS)]
-        data = mutate(rng, target.large if target.large and rng.random() < LARGE_SHARE else target.seeds, kind)
+        seeds = target.seeds + target.hostile
+        data = mutate(rng, target.large if target.large and rng.random() < LARGE_SHARE else seeds, kind)
         if data and rng.random() < 0.25:
             data = mutate(rng, [data], MUTATIONS[rng.integers(len(MUTATIONS))])
         yield kind, data
@@ -101,6 +105,7 @@ def damaged_files(rng: np.random.Generator, target: Target, count: int) -> Itera
 def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
     """Read ``count`` damaged files in this process."""
     tally, path, faults = Tally(), folder / f"damaged{target.suffix}", Counter[str]()
+    pickles = watch_pickles()
     for index, (kind, data) in enumerate(damaged_files(np.random.default_rng(seed), target, count)):
         path.write_bytes(data)
         start = time.process_time()  # not the clock on the wall: others may be using the processor
@@ -108,6 +113,7 @@ def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
             good = target.valid(target.read(path))
             tally.results += 1
             fault = None if good else "a result that is not valid"
+            fault = "a hostile file was read" if kind == "hostile" else fault
         except FarfieldError:
             tally.errors += 1
             fault = "a good file was refused" if kind == "none" else None
@@ -121,8 +127,17 @@ def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
             if faults[fault] == 1:
                 (folder / f"fault_{index}{target.suffix}").write_bytes(data)
     tally.peak_bytes = peak_bytes()
+    if pickles:
+        faults[f"a pickle was loaded: {pickles[0]}"] += len(pickles)
     tally.faults = tuple(f"{number} x {fault}" for fault, number in faults.most_common(5))
     return tally
+
+
+def watch_pickles() -> list[str]:
+    """A list that grows whenever anything in this process unpickles an object, whichever module does it."""
+    seen: list[str] = []
+    sys.addaudithook(lambda event, arguments: seen.append(str(arguments)) if event == "pickle.find_class" else None)
+    return seen
 
 
 def peak_bytes() -> int:
@@ -143,7 +158,7 @@ def rgb(image: np.ndarray) -> bool:
 
 
 def targets(folder: Path) -> dict[str, Target]:
-    """Every reader of the files room and the Cirrus annotations, with seeds made by our own writers."""
+    """Every reader of files and annotations, with seeds made by our own writers."""
     rng = np.random.default_rng(5)
     rows = np.round(rng.normal(size=(60, 8)) * [80, 20, 2, 0.3, 1, 9, 9, 9], 4)
     many = np.tile(rows, (300, 1)) + np.arange(18_000)[:, None] / 100
@@ -164,6 +179,10 @@ def targets(folder: Path) -> dict[str, Target]:
         "kitti detections": Target(".txt", kitti.read_detections, ((f"{detection}\n" * 6).encode(),)),
         "boxes csv": Target(".csv", boxes_csv.read_boxes_csv, (table.encode(),)),
         "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
+        **{
+            name: Target(suffix, read, seeds, valid, hostile=hostile)
+            for name, (suffix, read, seeds, valid, hostile) in radar_targets(folder).items()
+        },
     }
 
 
@@ -259,12 +278,12 @@ def main() -> int:
 
     with tempfile.TemporaryDirectory() as folder:
         names = [name for name in targets(Path(folder)) if arguments.only in (None, name)]
-    lines = [header(), "", f"{'reader':18}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults"]
+    lines = [header(), "", f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults"]
     failed = False
     for name in names:
         tally = fuzz_in_process(name, arguments.files, arguments.keep)
         failed |= bool(tally.faults)
-        counts = f"{name:18}{arguments.files:8}{tally.errors:8}{tally.results:8}"
+        counts = f"{name:20}{arguments.files:8}{tally.errors:8}{tally.results:8}"
         figures = f"{tally.slowest_s * 1e3:9.1f} ms{tally.peak_bytes / 2**20:7.0f} MB"
         lines.append(f"{counts}{figures}  {'; '.join(tally.faults) or 'none'}")
         print(lines[-1], flush=True)

@@ -22,13 +22,19 @@ from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
 
 _NUMBER = r"(-?\d{1,5}(?:\.\d{1,20})?(?:e-\d{1,2})?)"
+_SIZE = r"(?!0+(?:\.0*)?(?![\d.]))(\d{1,5}(?:\.\d{1,20})?(?:e-\d{1,2})?)"  # above 0
 _HEADER = (
     r"\* idx\(tesseract_os2-64_cam-front_os1-128_cam-lrr\)=(\d{5})_(\d{5})_(\d{5})_(\d{5})_(\d{5}), "
-    r"timestamp=(\d{10})\.(\d{9})([ ]?)\r?"
+    r"timestamp=([0-8]\d{9})\.(\d{9})([ ]?)\r?"
 )
-_LINE = r"\n\*, (?:(R|L1?), )?(-?\d{1,9}), (?:(-?\d{1,9}), )?([A-Z][A-Za-z ]*[a-z])" + f", {_NUMBER}" * 7 + r"\r?"
-_FILE_RE = re.compile(f"{_HEADER}((?:{re.sub(r'[(](?![?])', '(?:', _LINE)})*+)\n?")
-_LINE_RE = re.compile(_LINE)
+_LINE = (
+    r"\n\*, (?:(R|L1?), )?(-?\d{1,9}), (?:(-?\d{1,9}), )?([A-Z][A-Za-z ]*[a-z])"
+    + f", {_NUMBER}" * 4
+    + f", {_SIZE}" * 3
+    + r"\r?"
+)
+_FILE_RE = re.compile(f"{_HEADER}((?:{re.sub(r'[(](?![?])', '(?:', _LINE)})*+)\n?", re.ASCII)
+_LINE_RE = re.compile(_LINE, re.ASCII)
 _SHORTEST_M = {"vehicle": 1.5, "large_vehicle": 2.5}
 _SMALLEST_M, _TALLEST_M, _LONGEST_M = 0.2, 6.0, 30.0
 

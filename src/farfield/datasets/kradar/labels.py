@@ -30,7 +30,7 @@ _LARGEST = 1e6
 _OBJECT = re.compile(r"([*#])\s*,")  # an object may stand on the header's line
 _HEADER = re.compile(
     r"\*\s*idx\s*\([^)]*\)\s*=\s*(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})\s*,"
-    r"\s*timestamp\s*=\s*(\d{1,10})(?:\.(\d{1,9})\d*)?\s*"
+    r"\s*timestamp\s*=\s*(\d{1,9}|[0-8]\d{9})(?:\.(\d{1,9})\d*)?\s*"
 )
 _OLD_HEADER = re.compile(r"\*\s*radar\s+idx\s*:[^\n*#]*")
 _AVAILABILITY = {"R": "R", "L": "L", "L1": "L1", "LL": "L", "LR": "L1"}  # LL, LR and l are slips of the pen

@@ -98,7 +98,7 @@ def read_times(path: Path) -> dict[str, int]:
     """
     times: dict[str, int] = {}
     for number, line in enumerate(read_lines(path), start=1):
-        found = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,10})(?:\.([0-9]{1,9})[0-9]*)?", line)
+        found = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,9}|[0-8][0-9]{9})(?:\.([0-9]{1,9})[0-9]*)?", line)
         if not found:
             raise FileFormatError(path, where=f"line {number}", expected="file, unix seconds", found=repr(line[:100]))
         times[found[1]] = int(found[2]) * 1_000_000_000 + int((found[3] or "").ljust(9, "0"))

@@ -1,0 +1,231 @@
+"""Readers of K-Radar's, View-of-Delft's and RADIATE's files for fuzz_readers.py: good files and hidden pickles."""
+
+import hashlib
+import io
+import json
+import pickle
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.datasets.kradar import motion, texts
+from farfield.datasets.kradar.index import Entry
+from farfield.datasets.kradar.label_table import read_label_table
+from farfield.datasets.kradar.labels import format_labels, read_labels
+from farfield.datasets.kradar.layout import INDEX_NAMES
+from farfield.datasets.kradar.products import read_radar
+from farfield.datasets.kradar.record import read_record
+from farfield.datasets.kradar.splits import read_split_list
+from farfield.errors import FileFormatError
+from farfield.files import mat, npy, radar_cells, radiate, view_of_delft
+from farfield.files.mat_stream import open_mat
+from farfield.frame import Boxes
+
+Recipe = tuple[str, Callable[[Path], Any], tuple[bytes, ...], Callable[[Any], bool], tuple[bytes, ...]]
+_HEADER = (
+    "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)=00033_00001_00002_00001_00004, timestamp=1643292946.710046076"
+)
+_LINE = "24.073344860569517, -3.859259747420597, -0.39446028568879465, 0.6625, 1.7289561090229424, 0.85, 0.69"
+
+
+def anything(found: Any) -> bool:
+    return found is not None
+
+
+def radar_targets(folder: Path) -> dict[str, Recipe]:
+    """By reader: suffix, reader, good files, whether a result is valid, and files that must be refused as they are."""
+    rng = np.random.default_rng(6)
+    gps = "1643292946.25, 36.37, 127.36, 80.5, " + ", ".join(["0.01"] * 9)
+    imu = "1643292946.25, " + ", ".join(["0.25"] * 24)
+    local = (
+        "timestamp,local_x,local_y,local_z\n1643292946686577,0.000,0.000,0.000\n1643292946788769,0.384,1.339,-0.119\n"
+    )
+    relative = (
+        "1.0 0.0 0.0 0.0 0.0 0.0 0.0\n9.999978e-01 1.243496e-03 -1.696353e-03 3.130206e-05 1.4728 -0.0065 0.0039\n"
+    )
+    pose = " ".join(f"{value:.6e}" for value in np.eye(4)[:3].ravel())
+    times = "os2-64_00001.pcd, 1643292946.710046076\nos2-64_00002.pcd, 1643292946.810046076\n"
+    plain: dict[str, tuple[Callable[[Path], Any], str]] = {
+        "kradar times": (texts.read_times, times),
+        "kradar description": (texts.read_description, "urban,night,normal\n"),
+        "kradar calib": (texts.read_radar_calibration, "frame difference,x,y\n32,-2.54,0.3\n"),
+        "kradar camera": (texts.read_camera, camera_yaml()),
+        "kradar odometry": (texts.read_odometry, f"{pose}\n{pose}"),
+        "kradar gt_rel": (motion.read_relative_odometry, relative),
+        "kradar gps": (motion.read_gps, f"{gps}\n" * 5),
+        "kradar imu": (motion.read_imu, f"{imu}\n" * 5),
+        "kradar local": (motion.read_local, local),
+        "kradar split": (read_split_list, "1,00033_00001.txt\n1,00034_00002.txt"),
+        "kradar record": (read_record, record()),
+    }
+    labels = label_seeds(rng)
+    arrays = npy_seeds(folder, rng)
+    pickles = pickle_seeds()
+    return {
+        "mat": (".mat", read_mat, mat_seeds(folder, rng), finite_shape, pickles),
+        "mat in blocks": (".mat", read_in_blocks, mat_seeds(folder, rng), anything, pickles),
+        "npy": (".npy", npy.read_npy, arrays, finite_shape, pickles),
+        "kradar sparse npy": (".npy", lambda path: read_radar(path, "sparse"), arrays[:1], anything, pickles),
+        "kradar labels": (".txt", read_both_ways, labels, anything, ()),
+        **{name: (".txt", read, (text.encode(),), anything, ()) for name, (read, text) in plain.items()},
+        "radar cells": (".h5", radar_cells.read_radar_cells, cell_seeds(folder, rng), anything, pickles),
+        "radar cells sealed": (".h5", read_sealed, cell_seeds(folder, rng), anything, ()),
+        "delft poses": (".json", view_of_delft.read_camera_poses, (delft_poses(),), anything, ()),
+        "delft labels": (".json", view_of_delft.read_objects, (delft_labels(),), anything, ()),
+        "radiate times": (
+            ".txt",
+            radiate.read_times,
+            (b"Frame: 000001 Time: 1574859771.744660272\n" * 3,),
+            anything,
+            (),
+        ),
+        "radiate tracks": (".json", radiate.read_tracks, (radiate_tracks(),), anything, ()),
+    }
+
+
+def finite_shape(found: Any) -> bool:
+    return bool(isinstance(found, np.ndarray) and found.dtype.kind in "fiub")
+
+
+def read_mat(path: Path) -> np.ndarray:
+    return mat.read_mat(path, "arrDREA", max_bytes=1 << 24)
+
+
+def read_in_blocks(path: Path) -> int:
+    with open_mat(path, "arrDREA", max_bytes=1 << 24) as stream:
+        return sum(len(block) for block in stream.blocks(7))
+
+
+def read_both_ways(path: Path) -> object:
+    """The tolerant reader and the fast one; they must agree."""
+    table = read_label_table([Entry(sequence="1", radar=33, lidar=1, label=path, version="v2.1")])
+    try:
+        slow = read_labels(path)
+    except FileFormatError:
+        if not table.damaged:
+            raise AssertionError("the fast reader took what the tolerant one refuses") from None
+        raise
+    fast = table.boxes()
+    same = not table.damaged and len(fast) == len(slow.boxes) and table.name.tolist() == list(slow.raw_label)
+    close = same and all(
+        np.allclose(getattr(fast, name), getattr(slow.boxes, name), rtol=1e-12, atol=1e-12)
+        for name in ("centre_m", "size_m", "yaw_rad", "track_id")
+    )
+    if not close:
+        raise AssertionError("the fast reader and the tolerant one disagree")
+    return slow
+
+
+def read_sealed(path: Path) -> Any:
+    """Cells whose checksum fits whatever damage there is, so that the HDF5 library sees it."""
+    data = path.read_bytes()
+    mark = b"Farfield radar cells 1\n"
+    body = data[512:]
+    path.write_bytes((mark + hashlib.sha256(body).hexdigest().encode() + b"\n").ljust(512, b"\0") + body)
+    return radar_cells.read_radar_cells(path)
+
+
+def label_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
+    boxes = Boxes(
+        centre_m=rng.normal(0, 40, (4, 3)),
+        size_m=rng.uniform(0.5, 8, (4, 3)),
+        yaw_rad=rng.uniform(-3, 3, 4),
+        label=["vehicle", "large_vehicle", "pedestrian", "vehicle"],
+        track_id=np.arange(4),
+    )
+    indices = dict(zip(INDEX_NAMES, (33, 1, 2, 1, 4), strict=True))
+    written = [format_labels(boxes, indices, 1_643_292_946_710_046_076, version=v) for v in ("v1.0", "v2.1")]
+    merged = f"{_HEADER}*, 0, Sedan, {_LINE}\n*, 1, Bus or Truck, {_LINE}"
+    slips = (
+        f"{_HEADER} \n*, LL, 0, Sedan, {_LINE}\n*,R , 7,7, Pedestrian Group, {_LINE},\n#, 1, 1, Sedan, 1, 2, 3, 4, 5"
+    )
+    return tuple(text.encode() for text in (*written, merged, slips, _HEADER))
+
+
+def camera_yaml() -> str:
+    keys = ("fx", "fy", "k1", "k2", "k3", "k4", "k5", "px", "py", "pitch_ldr2cam", "roll_ldr2cam", "yaw_ldr2cam")
+    rows = [f"{key}: {0.25 + number}" for number, key in enumerate((*keys, "x_ldr2cam", "y_ldr2cam", "z_ldr2cam"))]
+    return "\n".join(["cam_number: 1", *rows, ""])
+
+
+def record() -> str:
+    tree = {
+        "sequence": "1",
+        "indices": {"radar": 33, "os2-64": 1, "cam-front": 2},
+        "time_ns": 1_643_292_946_710_046_076,
+        "conditions": {"road": "urban", "time": "day", "weather": "fog"},
+        "world_T_lidar": np.eye(4).tolist(),
+    }
+    return json.dumps(tree, indent=1)
+
+
+def mat_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
+    values = rng.exponential(1e12, (4, 6, 5, 3))
+    seeds = []
+    for number, (array, compress) in enumerate(((values, False), (values, True), (values.astype("f4"), False))):
+        path = folder / f"{number}.mat"
+        mat.write_mat(path, "arrDREA", array, compress=compress)
+        seeds.append(path.read_bytes())
+    return tuple(seeds)
+
+
+def npy_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
+    values = rng.normal(size=(20, 4))
+    seeds = []
+    for number, array in enumerate((values, np.asfortranarray(values.astype("f4")), values > 0)):
+        np.save(folder / f"{number}.npy", array)
+        seeds.append((folder / f"{number}.npy").read_bytes())
+    return tuple(seeds)
+
+
+class Trap:
+    """What a hostile pickle does when it is loaded."""
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str]]:
+        return print, ("A PICKLE WAS LOADED",)
+
+
+def pickle_seeds() -> tuple[bytes, ...]:
+    """A bare pickle, an object array in .npy, and a .npz of it: none may be read."""
+    array = np.empty(2, dtype=object)
+    array[:] = [Trap(), 1]
+    plain, packed = io.BytesIO(), io.BytesIO()
+    np.save(plain, array, allow_pickle=True)
+    np.savez(packed, a=array)
+    return pickle.dumps(Trap()), plain.getvalue(), packed.getvalue(), zlib.compress(pickle.dumps(Trap()))
+
+
+def cell_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
+    index = np.sort(rng.choice(15_000_000, 400, replace=False)).astype(np.int32)
+    columns: dict[str, Any] = {
+        "index": index,
+        "code": rng.integers(0, 65_536, 400).astype(np.uint16),
+        "quantiles": rng.integers(0, 60_000, (2, 8)).astype(np.int32),
+    }
+    doppler = rng.integers(-20_000, 20_000, 400).astype(np.int16)
+    radar_cells.write_radar_cells(folder / "a.h5", **columns, attributes={"region": "wide"})
+    radar_cells.write_radar_cells(folder / "b.h5", **columns, doppler=doppler)
+    return (folder / "a.h5").read_bytes(), (folder / "b.h5").read_bytes()
+
+
+def delft_poses() -> bytes:
+    names = ("odomToCamera", "mapToCamera", "UTMToCamera")
+    return "\n".join(json.dumps({name: np.eye(4).ravel().tolist()}) for name in names).encode()
+
+
+def delft_labels() -> bytes:
+    geometry = {
+        "center": {"x": 10.0, "y": -2.0, "z": 0.5},
+        "size": {"length": 4.0, "width": 1.8, "height": 1.5},
+        "quaternion": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8},
+    }
+    objects = [{"className": "car", "objectId": str(k), "geometry": geometry, "attributes": {}} for k in range(3)]
+    return json.dumps(objects).encode()
+
+
+def radiate_tracks() -> bytes:
+    box = {"position": [500.0, 400.0, 12.5, 24.0], "rotation": 12.0}
+    return json.dumps([{"id": k, "class_name": "car", "bboxes": [[], box, box]} for k in range(3)]).encode()
