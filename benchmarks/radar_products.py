@@ -129,8 +129,8 @@ def differences(path: Path) -> dict[str, float]:
             quantile = np.quantile(counted, 1 - rate)
             found[f"{rate:.0%} of {over} cells: quantile"] = abs(level / quantile - 1)
             wanted, chosen = np.flatnonzero(cube > quantile), cells_of(clouds[rate])
-            other = len(np.setxor1d(wanted, chosen, assume_unique=True))
-            found[f"{rate:.0%} of {over} cells: share of cells chosen otherwise"] = other / len(wanted)
+            other = cube.ravel()[np.setxor1d(wanted, chosen, assume_unique=True)]
+            found[f"{rate:.0%} of {over} cells: cells chosen otherwise, from the quantile"] = far(other, quantile)
             power = (cube.ravel()[chosen] / POWER_UNIT).astype(np.float32)
             found[f"{rate:.0%} of {over} cells: power"] = far(clouds[rate][:, 3], power)
     level = np.quantile(polar[0], 0.9)
@@ -146,8 +146,8 @@ def cells_of(cloud: np.ndarray) -> np.ndarray:
     return (z * 400 + y) * 250 + x
 
 
-def far(got: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.max(np.abs(got - wanted) / np.maximum(np.abs(wanted), 1e-300)))
+def far(got: np.ndarray, wanted: Any) -> float:
+    return float(np.max(np.abs(got - wanted) / np.maximum(np.abs(wanted), 1e-300), initial=0.0))
 
 
 def plain_cube(mean: np.ndarray, grid: tuple[np.ndarray, ...], axes: Any) -> np.ndarray:

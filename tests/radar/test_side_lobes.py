@@ -102,4 +102,8 @@ def test_the_simulated_radars_strong_echo_marks_its_row_and_no_noise_elsewhere()
     beside = np.abs(np.arange(107) - peak[0]) > 3
     assert marked[row][beside].mean() > 0.95
     assert not marked[row, peak[0], peak[1]]
-    assert marked[100:105].mean() < 0.02  # ranges where only noise is
+    assert marked[150:200].mean() == 0.0  # ranges where only noise is
+    same = side_lobes(polar, Antenna(azimuth_db=8.0, elevation_db=8.0), doppler_tolerance_m_s=0.3)
+    strong = polar[0, row] > 3 * np.median(polar[0, 100:105])
+    assert strong[beside].sum() > 300
+    assert same[row][beside][strong[beside]].mean() > 0.9

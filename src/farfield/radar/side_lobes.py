@@ -1,10 +1,11 @@
 """Which cells may be nothing but side lobes of a stronger echo at the same range.
 
-A method of this project, standing where RTNH+ has its unpublished second filter: in every range bin the local maxima
-are visited from the strongest down. A cell is marked if its power does not exceed an unmarked maximum's by more than
-the antenna's side-lobe level lets through, outside that maximum's main lobe. A cell beside in azimuth gets the level of
-azimuth, one above or below that of elevation, one that is both gets both. A marked maximum explains no other cell.
-A mark means "not to be told from a side lobe": what an object leaves behind a much stronger one is marked too.
+A method of this project, standing where RTNH+ has its unpublished second filter. Powers count from the noise floor of
+their range, which is taken from the bins around. In every range bin the local maxima that stand out of the floor are
+visited from the strongest down; one that is not itself marked marks the cells outside its main lobe whose power does
+not exceed what the antenna's side lobes let through: cells beside it in azimuth by the level of azimuth, those above
+and below by that of elevation, those that are both by both. A mark means "not to be told from a side lobe": what an
+object leaves behind a much stronger one is marked too.
 """
 
 from dataclasses import dataclass
@@ -15,13 +16,15 @@ from jaxtyping import Bool, Float32, Num
 from farfield.radar.axes import KRADAR_AXES, RadarAxes
 from farfield.radar.selection import check_shape
 
+_FLOOR_BINS = 10
+
 
 @dataclass(frozen=True)
 class Antenna:
     """What an antenna lets through beside its main lobe.
 
-    The defaults are those of K-Radar's radar: one published map has azimuth side lobes 10 to 13 dB down over all
-    angles and a main lobe of three to four cells; elevation beams ten degrees apart are alike.
+    The defaults fit K-Radar's radar as far as one published map tells: azimuth side lobes 10 to 13 dB down in the mean
+    over all angles, the highest some 8 dB, a main lobe of three to four cells, and elevation beams ten degrees wide.
 
     Args:
         azimuth_db: Side lobes lie at least so far below the main lobe along azimuth.
@@ -30,8 +33,8 @@ class Antenna:
         elevation_lobe_deg: The same along elevation.
     """
 
-    azimuth_db: float | int = 10.0
-    elevation_db: float | int = 10.0
+    azimuth_db: float | int = 8.0
+    elevation_db: float | int = 8.0
     azimuth_lobe_deg: float | int = 3.0
     elevation_lobe_deg: float | int = 12.0
 
@@ -42,6 +45,7 @@ def side_lobes(
     axes: RadarAxes = KRADAR_AXES,
     *,
     doppler_tolerance_m_s: float | int | None = None,
+    source_db: float | int = 3.0,
     sources: int = 64,
 ) -> Bool[np.ndarray, "r a e"]:
     """Mark the cells of a polar map that a stronger echo's side lobes explain.
@@ -51,35 +55,50 @@ def side_lobes(
         antenna: Side-lobe levels and main lobe.
         axes: The map's axes.
         doppler_tolerance_m_s: Mark only cells whose velocity, modulo the span, is within this of the echo's: a side
-            lobe has the velocity of what causes it. None takes no notice of velocities.
+            lobe has the velocity of what causes it. The noise's share in the mean velocity is taken out first. None
+            takes no notice of velocities; 0.3 is a sensible tolerance.
+        source_db: A maximum is an echo if it exceeds the noise floor by so much; enough for a mean over 63 bins.
         sources: At most so many maxima of a range bin are visited.
     """
     check_shape(polar.shape[1:], (len(axes.range_m), len(axes.azimuth_deg), len(axes.elevation_deg)), "r, a, e")
     antenna = antenna or Antenna()
     through = 10 ** (-np.array([antenna.azimuth_db, antenna.elevation_db]) / 10)
     marked = np.zeros(polar.shape[1:], dtype=np.bool_)
-    peaks = _local_maxima(polar[0])
+    peaks, floor = _local_maxima(polar[0]), _noise_floor(polar[0])
     for place in range(len(marked)):
-        power, velocity = polar[0, place], polar[1, place]
-        found = np.flatnonzero(peaks[place])
+        power = polar[0, place] - floor[place]
+        velocity = _echo_velocity(polar[:, place], power, float(floor[place]), axes)
+        found = np.flatnonzero(peaks[place] & (power > floor[place] * (10 ** (source_db / 10) - 1)))
         strongest = found[np.argsort(-power.ravel()[found], kind="stable")[:sources]]
-        weakest = power.min()
         for azimuth, elevation in zip(*np.unravel_index(strongest, power.shape), strict=True):
-            peak = float(power[azimuth, elevation])
-            if peak * through.max() < weakest:
-                break
             if marked[place, azimuth, elevation]:
                 continue
             beside = np.abs(axes.azimuth_deg - axes.azimuth_deg[azimuth]) > antenna.azimuth_lobe_deg
             above = np.abs(axes.elevation_deg - axes.elevation_deg[elevation]) > antenna.elevation_lobe_deg
             share = np.where(beside, through[0], 1.0)[:, None] * np.where(above, through[1], 1.0)[None, :]
-            explained = (power <= peak * share) & (beside[:, None] | above[None, :])
+            explained = (power <= power[azimuth, elevation] * share) & (beside[:, None] | above[None, :])
             if doppler_tolerance_m_s is not None:
                 apart = velocity - velocity[azimuth, elevation]
                 apart -= np.rint(apart / axes.velocity_span_m_s) * np.float32(axes.velocity_span_m_s)
                 explained &= np.abs(apart) <= doppler_tolerance_m_s
             marked[place] |= explained
     return marked
+
+
+def _echo_velocity(
+    polar: Float32[np.ndarray, "2 a e"], power: Float32[np.ndarray, "a e"], floor: float, axes: RadarAxes
+) -> Float32[np.ndarray, "a e"]:
+    """Mean velocity of what stands above the noise, which has power in all bins alike; 0 where nothing does."""
+    moment = polar[0] * polar[1] - np.float32(floor * axes.doppler_m_s[1:].mean())
+    return np.divide(moment, power, out=np.zeros_like(moment), where=power > 0)
+
+
+def _noise_floor(power: Float32[np.ndarray, "r a e"]) -> Float32[np.ndarray, " r"]:
+    """Noise of each range bin: the lower quartile of the medians of the bins around, few of which hold echoes."""
+    medians = np.median(power.reshape(len(power), -1), axis=1)
+    padded = np.pad(medians, _FLOOR_BINS, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _FLOOR_BINS + 1)
+    return np.minimum(np.quantile(windows, 0.25, axis=1), medians).astype(np.float32)
 
 
 def _local_maxima(power: Float32[np.ndarray, "r a e"]) -> Bool[np.ndarray, "r a e"]:
