@@ -10,6 +10,7 @@ from farfield.errors import FarfieldError
 VERBS = {
     "demo": "simulate, detect, score and report: no data, no GPU",
     "doctor": "say what a data set holds, what is missing and how to mend it",
+    "stats": "a data set's figures: frames, conditions, classes, ranges, visibility",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",
@@ -18,6 +19,7 @@ VERBS = {
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
     "score": "score the files of any detector, without a model",
+    "compare-results": "set results side by side, never two conventions in one column",
     "compare": "set the statistics of two data sets side by side: figures and a table",
     "report": "turn an evaluation into one self-contained HTML page",
 }
