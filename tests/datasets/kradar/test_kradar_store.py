@@ -211,3 +211,22 @@ def test_a_damaged_source_is_named(tree: Path, tmp_path: Path) -> None:
     cube.write_bytes(cube.read_bytes()[:1000])
     with pytest.raises(FileFormatError, match="cube_00034"):
         convert_to_store(KRadar(copy), tmp_path / "store", NARROW)
+
+
+def test_verify_is_for_stores_alone(tree: Path, tmp_path: Path, capsys) -> None:
+    assert main(["convert", str(tree), str(tmp_path), "--to", "kitti", "--verify"]) == 1
+    assert "--verify is for --to radar-store" in capsys.readouterr().err
+    assert main(["convert", str(tree), "--to", "radar-store", "--verify"]) == 1
+    assert "expected the store's folder" in capsys.readouterr().err
+
+
+def test_a_set_on_several_disks_is_converted_whole(tree: Path, tmp_path: Path, capsys) -> None:
+    """Labels under one root, cubes under another."""
+    labels, radar = tmp_path / "labels", tmp_path / "radar"
+    shutil.copytree(tree, labels, ignore=shutil.ignore_patterns("radar_*", "rdr_polar_3d", "os*", "cam-*"))
+    (radar / "1").mkdir(parents=True)
+    (radar / "1" / "radar_zyx_cube").symlink_to(tree / "1" / "radar_zyx_cube")
+    command = ["convert", str(labels), str(tmp_path / "store"), "--to", "radar-store", "--roots", str(radar)]
+    assert main([*command, "--region", "narrow", "--rate", "0.1"]) == 0
+    assert "1 written" in capsys.readouterr().out
+    assert len(KRadar(labels, roots=[tmp_path / "store"], radar_rate=0.01, reference="radar")[1].cloud("radar")) > 100
