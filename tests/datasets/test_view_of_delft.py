@@ -99,6 +99,15 @@ def test_everything_is_in_the_reference_sensors_frame(root, reference):
     np.testing.assert_allclose(frame.metadata["radar_velocity_m_s"], [2.0, 0.5, 0.0], atol=1e-6)
 
 
+def test_the_frames_may_be_seen_from_the_other_sensor(root):
+    """As a detector that learnt in the radar's frame needs them."""
+    data = ViewOfDelft(root)
+    seen, opened = data.viewed({"reference": "radar", "sweeps": 3})[0], ViewOfDelft(root, reference="radar")[0]
+    np.testing.assert_array_equal(seen.boxes.centre_m, opened.boxes.centre_m)
+    np.testing.assert_array_equal(seen.clouds["lidar"].points_m, opened.clouds["lidar"].points_m)
+    assert data.viewed({"reference": "os2-64"}) is data
+
+
 def test_no_column_of_the_radar_is_lost(root):
     cloud = read_radar(root / "radar" / "training" / "velodyne" / "00001.bin")
     names = ("rcs_dbsm", "v_r_m_s", "v_r_compensated_m_s", "scan")

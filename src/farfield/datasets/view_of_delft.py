@@ -4,6 +4,7 @@ Palffy et al.: "Multi-class Road User Detection with 3+1D Radar in the View-of-D
 has a tree in KITTI's layout.
 """
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -108,6 +109,15 @@ class ViewOfDelft(Dataset):
         self._clouds = {name: {p.stem: p for p in tree.glob("velodyne/*.bin")} for name, tree in self.trees.items()}
         self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
         self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
+
+    def viewed(self, options: Mapping[str, Any]) -> "ViewOfDelft":
+        """The same frames in the coordinates that the option ``reference`` names; others are passed over."""
+        reference = options.get("reference")
+        if reference not in ("lidar", "radar") or reference == self.reference:
+            return self
+        other = copy.copy(self)
+        other.reference = reference
+        return other
 
     def split_units(self) -> tuple[str, ...]:
         """Name what the official lists name, single frames; the lists keep clips whole."""
