@@ -19,8 +19,10 @@ from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTens
 from farfield.detectors.blocks.sparse.tensor import Triple
 
 Execution = Literal["auto", "sparse", "dense"]
-DENSE_FROM = 0.3
-"""Share of cells in the first stage from which ``auto`` convolves densely: measured, see radar_detector_speed.py."""
+DENSE_SHARE = {"training": 0.2, "inference": 0.35}
+"""Share of cells that the first layer reaches from which ``auto`` convolves densely (radar_detector_speed.py)."""
+DENSE_CELLS = 80_000
+"""In inference also from so many cells on: their products no longer fit what sparse convolution allows itself."""
 
 
 class RadarNeck(nn.Module):
@@ -82,9 +84,16 @@ class RadarBackbone(nn.Module):
         if self.execution == "sparse" or (self.execution == "auto" and not _convolves_fast(cells.features)):
             return self._sparse(cells)
         occupied = _occupied(cells)
-        if self.execution == "dense" or float(_reached(occupied, self.stages[0][0].conv).mean()) >= DENSE_FROM:
+        if self.execution == "dense" or self._fills(_reached(occupied, self.stages[0][0].conv)):
             return self._dense(cells, occupied)
         return self._sparse(cells)
+
+    def _fills(self, reached: Tensor) -> bool:
+        """Whether the cells that the first layer reaches are so many that dense convolution is faster."""
+        count = float(reached.sum())
+        if self.training:
+            return count >= DENSE_SHARE["training"] * reached.numel()
+        return count >= min(DENSE_SHARE["inference"] * reached.numel(), DENSE_CELLS)
 
     def _sparse(self, sparse: SparseTensor) -> Tensor:
         maps = []
@@ -159,5 +168,5 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
         if isinstance(block.norm, nn.BatchNorm1d):
             scale, shift = affine(block.norm)
             rows = torch.addcmul(shift, rows.float(), scale).to(dtype)
-        rows = rows.relu_() * occupied.view(-1, 1).to(rows.dtype)
+        rows = rows.relu_().mul_(occupied.view(-1, 1).to(rows.dtype))
     return rows.view(len(out), *out.shape[2:], conv.c_out).permute(0, 4, 1, 2, 3), occupied

@@ -132,7 +132,8 @@ class SoftmaxHead(nn.Module):
         self.config, self.anchors, self.proposals = config, grid, proposals
         self.classes = nn.Conv2d(c_in, 1 + grid.per_cell, 1)
         self.boxes_of_anchors = nn.Conv2d(c_in, _NUMBERS * grid.per_cell, 1)
-        if not self.boxes_of_anchors.weight.is_meta:
+        if not self.classes.weight.is_meta:
+            nn.init.zeros_(self.classes.bias)
             nn.init.normal_(self.boxes_of_anchors.weight, std=0.01)
             nn.init.zeros_(self.boxes_of_anchors.bias)
 
