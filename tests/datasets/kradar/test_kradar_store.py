@@ -14,11 +14,11 @@ from farfield.datasets.convert import convert
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.manifest import PUBLISHED_BYTES, TASKS, modalities, needs
 from farfield.datasets.kradar.store import StoreSettings, convert_to_store, verify_store
-from farfield.datasets.kradar.tesseract import read_moments, read_polar3d
+from farfield.datasets.kradar.tesseract import read_moments, read_polar3d, read_products
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.mat import write_mat
 from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.products import doppler_cube, moments, polar3d, zyx_cube
+from farfield.radar.products import doppler_cube, moments, polar3d, sparse_cloud, zyx_cube
 
 NARROW = StoreSettings(region="narrow")
 
@@ -68,6 +68,15 @@ def test_a_tesseract_read_in_blocks_gives_the_plain_sums(tree: Path) -> None:
         found.velocity_moment, np.tensordot(velocity / 63, whole[1:].astype(np.float64), 1), rtol=1e-5
     )
     np.testing.assert_allclose(read_polar3d(path)[0], whole[1:].mean(0).transpose(0, 2, 1) / 1e13, rtol=1e-5)
+
+
+def test_all_products_at_once_are_the_single_ones(tree: Path) -> None:
+    path = tree / "1" / "radar_tesseract" / "tesseract_00033.mat"
+    found, reduced = read_products(path, (0.01, 0.1), over="valid"), read_moments(path)
+    np.testing.assert_array_equal(found.polar3d, read_polar3d(path))
+    np.testing.assert_array_equal(found.cube, zyx_cube(reduced.mean_power))
+    for rate, cloud in found.clouds.items():
+        np.testing.assert_array_equal(cloud, sparse_cloud(found.cube, rate, over="valid"))
 
 
 def test_another_array_is_no_tesseract(tmp_path: Path) -> None:
