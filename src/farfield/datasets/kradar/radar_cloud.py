@@ -6,17 +6,19 @@ published files hold what their rate and region left. The polar map gives its ow
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from farfield.datasets.kradar.tesseract import read_moments
 from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy
 from farfield.geometry.poses import invert
 from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_region
-from farfield.radar.products import moments, polar_cloud, zyx_cube
+from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
 _SOURCES = ("cells", "sparse", "cube", "tesseract", "polar3d")  # the cheapest to read first
@@ -47,14 +49,26 @@ class RadarView:
         find_region(self.region)
 
 
-def with_radar_cloud(frame: Frame, view: RadarView, frame_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
-    """The frame with its cloud ``radar``, if it has a product that gives one; it is read when it is asked for."""
+def with_radar_cloud(
+    frame: Frame, view: RadarView, frame_T_radar: Float[np.ndarray, "4 4"], tesseract: Path | None = None
+) -> Frame:
+    """The frame with its cloud ``radar``, if it has a product that gives one; it is read when it is asked for.
+
+    Args:
+        frame: The frame, with its radar products.
+        view: Which cells.
+        frame_T_radar: Pose of the radar in the frame's coordinates.
+        tesseract: The tesseract's file, which is reduced while it is read if there is nothing smaller.
+    """
     source = next((name for name in _SOURCES if name in frame.radar), None)
     if source is None:
         return frame
 
     def load() -> Cloud:
-        cloud = radar_cloud(source, frame.radar[source], view)
+        if source == "tesseract" and tesseract is not None:
+            cloud = radar_cloud(source, read_moments(tesseract), view)
+        else:
+            cloud = radar_cloud(source, frame.radar[source], view)
         return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
 
     return replace(frame, clouds=_with(frame, {RADAR_CLOUD: load}))
@@ -72,19 +86,23 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
 
     Args:
         product: ``"cells"``, ``"sparse"``, ``"cube"``, ``"tesseract"`` or ``"polar3d"``.
-        values: The product.
+        values: The product; of a tesseract also its moments.
         view: Which cells.
     """
     if product == "sparse":
         return _of_columns(np.asarray(values, dtype=np.float32), view)
     if product == "polar3d":
         return _of_columns(polar_cloud(np.ascontiguousarray(values, dtype=np.float32), min(view.rate, 0.999)), view)
+    doppler = None
     if product == "tesseract":
-        values = zyx_cube(moments(np.asarray(values, dtype=np.float32)).mean_power)
-    cells = values if isinstance(values, RadarCells) else cells_of_cube(np.asarray(values, np.float32), view.region)
+        reduced = values if isinstance(values, Moments) else moments(np.asarray(values, dtype=np.float32))
+        values, doppler = zyx_cube(reduced.mean_power), doppler_cube(reduced.mean_power_63, reduced.velocity_moment)
+    cells = values
+    if not isinstance(values, RadarCells):
+        cells = cells_of_cube(np.asarray(values, np.float32), view.region, doppler_m_s=doppler)
     chosen = cells.select(view.region, view.rate, over=cast(Over, view.over))
-    doppler = chosen.doppler_m_s
-    return Cloud(chosen.points_m(), chosen.power, {} if doppler is None else {"doppler_m_s": doppler})
+    extra = {} if chosen.doppler_m_s is None else {"doppler_m_s": chosen.doppler_m_s}
+    return Cloud(chosen.points_m(), chosen.power, extra)
 
 
 def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:

@@ -191,7 +191,8 @@ class KRadar(Dataset):
         os2_T_radar = self._os2_T_radar(index)
         if self.reference == "radar":
             frame = in_radar_frame(frame, os2_T_radar)
-        return with_radar_cloud(frame, self.radar_view, np.eye(4) if self.reference == "radar" else os2_T_radar)
+        frame_T_radar = np.eye(4) if self.reference == "radar" else os2_T_radar
+        return with_radar_cloud(frame, self.radar_view, frame_T_radar, paths.get("tesseract"))
 
     def benchmark_split(self, name: str) -> Dataset:
         """K-Radar's own ``train`` or ``test``: quarters of every sequence in turn.

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, Int, Shaped, UInt8
 from farfield.frame import Boxes, Camera, Cloud
 from farfield.geometry.poses import invert, pose
 from farfield.radar.cells import RadarCells, cells_of_cube
-from farfield.radar.products import polar3d_from_moments, zyx_cube
+from farfield.radar.products import doppler_cube, polar3d_from_moments, zyx_cube
 from farfield.simulation import labels
 from farfield.simulation.bodies.sizes import inflated
 from farfield.simulation.camera.render import render
@@ -169,8 +169,7 @@ class KRadarMoment(Moment):
         """The cells of the wide region, with their mean velocity."""
         found = self.moments.moments
         assert found is not None
-        power, moment = zyx_cube(found.mean_power_63), zyx_cube(found.velocity_moment)
-        doppler = np.divide(moment, power, out=np.zeros_like(power), where=power > 0)
+        doppler = doppler_cube(found.mean_power_63, found.velocity_moment)
         return cells_of_cube(self.cube, "wide", doppler_m_s=doppler)
 
     @cached_property
