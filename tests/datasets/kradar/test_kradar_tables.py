@@ -123,6 +123,9 @@ def test_damaged_files_are_named_and_left_out(tmp_path: Path) -> None:
     table = table_of(tmp_path, "nonsense", f"{HEADER}\n*, R, 0, Sedan, {VALUES}", f"{HEADER}\n*, R, 0, Sedan, 1")
     assert len(table.stem) == len(table.name) == 1
     assert ["0.txt" in table.damaged[0], "2.txt" in table.damaged[1]] == [True, True]
+    zero, late = VALUES.replace("1.75", "0.000"), HEADER.replace("=1643", "=9643")
+    refused = table_of(tmp_path, f"{HEADER}\n*, R, 0, Sedan, {zero}", f"{late}\n*, R, 0, Sedan, {VALUES}")
+    assert ["positive sizes" in refused.damaged[0], "the header" in refused.damaged[1]] == [True, True]
     nothing = read_label_table([])
     assert (len(nothing.stem), len(nothing.boxes()), nothing.tracks()) == (0, 0, {})
 
