@@ -10,7 +10,7 @@ from farfield.errors import FarfieldError
 VERBS = {
     "demo": "simulate, detect, score and report: no data, no GPU",
     "doctor": "say what a data set holds, what is missing and how to mend it",
-    "stats": "a data set's figures: frames, conditions, classes, ranges, visibility",
+    "stats": "count a data set: frames by condition, boxes by class, range, visibility",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",
