@@ -45,7 +45,8 @@ def evaluated(run: str, data: Any, fingerprint: str) -> dict[str, Any]:
     results: dict[str, Any] = {"key": key, "cloud": cloud, "precision": detector.precision, "frame_ms": frame_ms}
     for protocol in PROTOCOLS:
         ours: dict[str, Any] = {"region": "narrow", "classes": ("vehicle",)} if protocol == "kradar" else {}
-        result = found.score(protocol, **ours).to_json()
+        scored = found.score(protocol, **ours)
+        result = {**scored.to_json(), "convention": scored.convention}
         results[protocol] = {name: result[name] for name in ("ap", "conditions", "ranges", "convention", "counts")}
     results["parameters"] = sum(parameter.numel() for parameter in detector.network.parameters())
     write_text(kept, json.dumps(results))
