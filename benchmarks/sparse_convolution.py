@@ -2,8 +2,9 @@
 
 Weights and voxels are the same for all; rulebooks are found anew at every pass and timed. Each implementation runs in a
 process of its own with its own number of threads; the processes take turns, pass by pass, each timed pass right after
-an untimed one, as in a stream of frames: the other processes have emptied the caches and its threads sleep. spconv joins where it can be
-imported (``pip install --target somewhere spconv==2.3.8``, then ``PYTHONPATH=somewhere python benchmarks/...``).
+an untimed one, as in a stream of frames: the other processes have emptied the caches, and its threads sleep. spconv
+joins where it can be imported (``pip install --target somewhere spconv==2.3.8``, then ``PYTHONPATH=somewhere python
+benchmarks/...``).
 
 What spconv 2.3.8 needs on a CPU: one thread to be right (its scatter races with more), its stream call patched for the
 backward pass, contiguous int32 indices; it knows neither a bias nor bfloat16 there, so bias and ReLU follow in place.
