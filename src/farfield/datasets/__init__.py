@@ -75,7 +75,7 @@ _LOOKED_FOR = {
     "view_of_delft": "[lidar|radar|radar_3frames|radar_5frames]/training/velodyne/*.bin, with training/pose/*.json",
     "kitti_tracking": "training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     "argoverse2": "<log>/sensors/lidar/*.feather",
-    "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt or another part",
+    "kradar": "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, labels <radar>_<os2-64>.txt or another part",
     "radiate": "[<sequence>/]Navtech_Polar/*.png or [<sequence>/]Navtech_Cartesian/*.png",
     "folder": "*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
 }
