@@ -70,3 +70,28 @@ def test_wrong_settings_of_the_radar_are_told(root: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=told):
             KRadar(root, **options)
+
+
+@pytest.mark.parametrize(
+    ("product", "columns"), [("sparse_1p", 4), ("corridor", 5), ("polar_cloud", 11), ("polar_cloud_1p", 5)]
+)
+def test_every_published_cloud_is_read(tmp_path: Path, product: str, columns: int) -> None:
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(0, 72, 40), rng.uniform(-30, 30, (40, 2)), rng.random((40, columns - 3))])
+    writer = KRadarWriter(tmp_path)
+    writer.write(frame(1, radar={product: points}))
+    writer.finish()
+    back = KRadar(tmp_path, reference="radar", radar_region="cube")[0]
+    np.testing.assert_array_equal(back.radar[product], points)
+    np.testing.assert_allclose(back.clouds["radar"].points_m, points[:, :3], rtol=1e-6)
+    np.testing.assert_allclose(back.clouds["radar"].intensity, points[:, 3], rtol=1e-6)
+    assert ("doppler_m_s" in back.clouds["radar"].extra) == (columns > 4)
+
+
+def test_of_two_clouds_that_of_the_rate_is_taken(tmp_path: Path) -> None:
+    thick, thin = np.full((3, 4), 5.0), np.full((1, 4), 5.0)
+    writer = KRadarWriter(tmp_path)
+    writer.write(frame(1, radar={"sparse": thick, "sparse_1p": thin}))
+    writer.finish()
+    assert len(KRadar(tmp_path, radar_rate=0.1)[0].clouds["radar"]) == 3
+    assert len(KRadar(tmp_path, radar_rate=0.01)[0].clouds["radar"]) == 1

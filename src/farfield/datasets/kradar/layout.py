@@ -36,9 +36,21 @@ _PRODUCTS = {
     "cube": "{seq}/radar_zyx_cube/cube_{index:05d}.mat",
     "polar3d": "rdr_polar_3d/{seq}/polar3d_{index:05d}.npy",
     "sparse": "rtnh_wider_10p_1/{seq}/sprdr_{index:05d}.npy",
+    "sparse_1p": "rtnh_wider_1p_1/{seq}/sprdr_{index:05d}.npy",
+    "corridor": "sp_rdr_cube/{seq}/spcube_{index:05d}.npy",
+    "polar_cloud": "pc10p/{seq}/rpc_{index:05d}.npy",
+    "polar_cloud_1p": "pc1p/{seq}/rpc_{index:05d}.npy",
     "cells": "radar_cells/{seq}/cells_{index:05d}.h5",
 }
 RADAR_PRODUCTS = tuple(_PRODUCTS)
+SPARSE_COLUMNS = {
+    "sparse": (4, 5),
+    "sparse_1p": (4, 5),
+    "corridor": (4, 5),
+    "polar_cloud": (5, 11),
+    "polar_cloud_1p": (5, 11),
+}
+"""Columns of the published clouds: x, y, z, power / 1e13, Doppler; and range, azimuth, elevation with their indices."""
 RESOURCES = Path("resources")
 SPLIT_FOLDER = RESOURCES / "split"
 SEQUENCE_SPLIT = Path("splits") / "kradar_v1.json"

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from PIL import Image
 
-from farfield.datasets.kradar.layout import LIDARS
+from farfield.datasets.kradar.layout import LIDARS, SPARSE_COLUMNS
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import write_bytes
 from farfield.files.images import read_image
@@ -45,9 +45,10 @@ def write_radar(
         path: The file.
         product: ``"tesseract"``: linear power, Doppler x range x elevation x azimuth (64, 256, 37, 107);
             ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
-            in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``: x, y, z, power / 1e13 in the
-            radar's frame, shape (n, 4); ``"cells"``: the cells of a region, Farfield's own store. Angles, z and y
-            rise in our sense: to the left and up.
+            in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``, ``"sparse_1p"``,
+            ``"corridor"``: x, y, z, power / 1e13 (and Doppler) in the radar's frame, shape (n, 4 or 5);
+            ``"polar_cloud"``, ``"polar_cloud_1p"``: the same with Doppler, or 11 columns; ``"cells"``: the cells of a
+            region, Farfield's own store. Angles, z and y rise in our sense: to the left and up.
         values: The product.
         dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
         compress: Pack the ``.mat`` files.
@@ -68,7 +69,7 @@ def write_radar(
     elif product == "polar3d":
         write_npy(path, _shaped(product, values, POLAR_SHAPE, "float64")[:, :, ::-1, ::-1])
     else:
-        write_npy(path, _shaped(product, values, (len(values), 4), "float64"))
+        write_npy(path, _shaped(product, values, (len(values), _columns(product, values)), "float64"))
 
 
 def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCells:
@@ -86,7 +87,13 @@ def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCel
     if product == "polar3d":
         return _checked(path, read_npy(path), POLAR_SHAPE)[:, :, ::-1, ::-1]
     points = read_npy(path)
-    return _checked(path, points, (len(points) if points.ndim else 0, 4))
+    return _checked(path, points, (len(points) if points.ndim else 0, _columns(product, points)))
+
+
+def _columns(product: str, values: Shaped[np.ndarray, "..."]) -> int:
+    """How many columns a cloud should have: as many as it has, if that is possible."""
+    possible = SPARSE_COLUMNS[product]
+    return values.shape[1] if values.ndim == 2 and values.shape[1] in possible else possible[0]
 
 
 def read_cells(path: Path) -> RadarCells:

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float, Float32
 
+from farfield.datasets.kradar.layout import SPARSE_COLUMNS
 from farfield.datasets.kradar.tesseract import read_moments
 from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
@@ -21,7 +22,8 @@ from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_re
 from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
-_SOURCES = ("cells", "sparse", "cube", "tesseract", "polar3d")  # the cheapest to read first
+_SOURCES = ("cells", "sparse", "corridor", "sparse_1p", "cube", "tesseract", "polar_cloud", "polar_cloud_1p", "polar3d")
+_SPARSE_RATE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +62,7 @@ def with_radar_cloud(
         frame_T_radar: Pose of the radar in the frame's coordinates.
         tesseract: The tesseract's file, which is reduced while it is read if there is nothing smaller.
     """
-    source = next((name for name in _SOURCES if name in frame.radar), None)
+    source = _source(frame, view)
     if source is None:
         return frame
 
@@ -74,6 +76,12 @@ def with_radar_cloud(
     return replace(frame, clouds=_with(frame, {RADAR_CLOUD: load}))
 
 
+def _source(frame: Frame, view: RadarView) -> str | None:
+    """The product to take: one without loss or the cheapest to read; of clouds of 1 and 10 % that of the rate."""
+    thin = [name for name in _SOURCES if name.endswith("_1p")] if view.rate <= _SPARSE_RATE else []
+    return next((name for name in ("cells", *thin, *_SOURCES) if name in frame.radar), None)
+
+
 def _with(frame: Frame, loaders: Mapping[str, Callable[[], Any]]) -> Lazy:
     def kept(name: str) -> Callable[[], Any]:
         return lambda: frame.clouds[name]
@@ -85,11 +93,11 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
     """A cloud in the radar's frame: intensity is power over 1e13, extra column ``doppler_m_s`` where it is known.
 
     Args:
-        product: ``"cells"``, ``"sparse"``, ``"cube"``, ``"tesseract"`` or ``"polar3d"``.
+        product: Name of a radar product.
         values: The product; of a tesseract also its moments.
         view: Which cells.
     """
-    if product == "sparse":
+    if product in SPARSE_COLUMNS:
         return _of_columns(np.asarray(values, dtype=np.float32), view)
     if product == "polar3d":
         return _of_columns(polar_cloud(np.ascontiguousarray(values, dtype=np.float32), min(view.rate, 0.999)), view)
