@@ -25,7 +25,7 @@ data:
   path: data
   clouds: [radar]
   options: {reference: radar, radar_rate: 0.01, radar_region: narrow}
-detector: {name: rtnh, form: wide, widths: [4, 4], cell_channels: 4, neck_width: 4, score_threshold: 0.0}
+detector: {name: rtnh, form: wide, widths: [4, 4], cell_channels: 4, neck_width: 4, score_threshold: 0.0, candidates: 100}
 augmentation: {rotation_rad: 0.0, scale: 0.0}
 training: {steps: 2, batch_size: 1, precision: fp32, threads: 1, workers: 0, min_points: 0}
 """
@@ -67,8 +67,8 @@ def test_evaluate_scores_by_weather(home: Path, monkeypatch: pytest.MonkeyPatch,
     assert result["protocol"] == "kradar"
     assert {name for name, part in result["conditions"]["weather"].items() if part} == {"fog", "light_snow"}
     assert {name for name, part in result["visibility"].items() if part} == {"R"}
-    assert result["counts"]["overall"]["vehicle"]["annotated"] == 4
-    assert "region=narrow" in result["convention"]
+    assert result["counts"]["classes"]["vehicle"]["annotated"] == 4
+    assert result["settings"]["region"] == "narrow"
     assert "radar:" in capsys.readouterr().out
     assert (home / "eval" / "report.html").stat().st_size > 20_000
 

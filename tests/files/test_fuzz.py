@@ -3,6 +3,7 @@
 import importlib.util
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,18 +14,23 @@ import pytest
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_readers.py"
 READERS = (
     *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "kitti calib", "kitti label", "kitti tracking"),
-    *("kitti detections", "boxes csv", "cirrus json"),
+    *("kitti detections", "boxes csv", "cirrus json", "mat", "mat in blocks", "npy", "kradar sparse npy"),
+    *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
+    *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
+    *("radar cells sealed", "delft poses", "delft labels", "radiate times", "radiate tracks"),
 )
 
 
 @pytest.fixture(scope="module")
-def fuzzer() -> ModuleType:
+def fuzzer() -> Iterator[ModuleType]:
     spec = importlib.util.spec_from_file_location("fuzz_readers", SCRIPT)
     assert spec is not None
     assert spec.loader is not None
     module = sys.modules["fuzz_readers"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPT.parent))
+        spec.loader.exec_module(module)
+        yield module
 
 
 @pytest.fixture(scope="module")

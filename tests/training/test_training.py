@@ -281,7 +281,7 @@ def test_shipped_experiments_are_valid(path):
     from farfield.detectors import build_detector
 
     network = build_detector(load_experiment(path).detector, seed=0)
-    assert network.config.reach_m >= (69 if "kitti" in path.stem else 250)
+    assert network.config.reach_m >= (69 if "kitti" in path.stem else 72 if "kradar" in path.stem else 250)
 
 
 def test_tensorboard_log_is_written_when_asked_for(experiment, tmp_path):
