@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from farfield.detectors.blocks.sparse.rulebook import Rulebook
+from farfield.detectors.blocks.sparse.rulebook import BLOCK_PAIRS, Rulebook
 
 _MAX_PRODUCT_BYTES = 2**28
+_GATHERED_BYTES = 2**22  # stays in the cache
 _LARGE_KERNEL = 1024
 _ROWS_AT_ONCE = 64
 _BATCHED = (torch.bfloat16, torch.float16)
@@ -85,7 +86,7 @@ def gather_product(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
         return _add_up(features, weight, book)
     products = features.new_empty(len(book.sources), c_out)
     if features.dtype in _BATCHED:
-        _multiply_batches(features, weight, book, products)
+        _multiply_blocks(features, weight, book, products)
     else:
         for element, pairs in book.elements():
             gathered = features.index_select(0, book.sources[pairs])
@@ -96,15 +97,21 @@ def gather_product(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
     return functional.embedding_bag(order, products, starts, mode="sum")
 
 
-def _multiply_batches(features: Tensor, weight: Tensor, book: Rulebook, products: Tensor) -> None:
-    """Products in half precision, several runs at once: a call costs oneDNN as much as a small product."""
-    ordered = weight.index_select(0, book.run_elements)
-    for runs, pairs in book.batches():
-        size = runs.stop - runs.start
-        own = book.symmetric and runs.stop == len(book.counts) and size == 1
-        gathered = features if own else features.index_select(0, book.sources[pairs])
-        rows, out = gathered.view(size, -1, features.shape[1]), products[pairs].view(size, -1, products.shape[1])
-        torch.bmm(rows, ordered[runs], out=out)
+def _multiply_blocks(features: Tensor, weight: Tensor, book: Rulebook, products: Tensor) -> None:
+    """Products in half precision, many blocks at once: a call costs oneDNN as much as a small product."""
+    c_in, c_out = weight.shape[1:]
+    elements = book.block_elements
+    in_blocks = len(elements) * BLOCK_PAIRS
+    at_once = max(1, _GATHERED_BYTES // (BLOCK_PAIRS * c_in * features.element_size()))
+    sources, out = (
+        book.sources[:in_blocks].split(at_once * BLOCK_PAIRS),
+        products[:in_blocks].view(-1, BLOCK_PAIRS, c_out),
+    )
+    for rows, numbers, made in zip(sources, elements.split(at_once), out.split(at_once), strict=True):
+        gathered = features.index_select(0, rows).view(-1, BLOCK_PAIRS, c_in)
+        torch.bmm(gathered, weight.index_select(0, numbers), out=made)
+    if book.symmetric:
+        torch.mm(features, weight[len(weight) // 2], out=products[in_blocks:])
 
 
 def _add_up(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:

@@ -135,7 +135,7 @@ def _look_up(words: int, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tenso
     torch.ne(word[1:], word[:-1], out=new[1:])
     first = new.nonzero().squeeze(1)
     start = torch.empty_like(bits)
-    start[word.index_select(0, first).long()] = first.int()
+    start.scatter_(0, word.index_select(0, first).long(), first.int())
     there = bits.index_select(0, wanted >> _WORD_BITS)
     there.bitwise_right_shift_(wanted & mask).bitwise_and_(1)
     hits = there.nonzero().squeeze(1)
