@@ -3,6 +3,7 @@
 import io
 import math
 import tokenize
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,9 @@ def read_npy(path: Path | str, *, max_bytes: int = MAX_BYTES) -> Shaped[np.ndarr
         if version not in ((1, 0), (2, 0)):
             raise ValueError(f"version {version}")
         reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = reader(handle, max_header_size=_MAX_HEADER_BYTES)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of headers that Python 2 wrote, which are read all the same
+            shape, fortran, dtype = reader(handle, max_header_size=_MAX_HEADER_BYTES)
         good = dtype.kind in "fiub" and not dtype.hasobject and all(0 <= side < 1 << 62 for side in shape)
     except (ValueError, TypeError, SyntaxError, KeyError, RecursionError, MemoryError, tokenize.TokenError) as error:
         expected = "a header of NumPy's format 1.0 or 2.0"
