@@ -25,7 +25,8 @@ data:
   path: data
   clouds: [radar]
   options: {reference: radar, radar_rate: 0.01, radar_region: narrow}
-detector: {name: rtnh, form: wide, widths: [4, 4], cell_channels: 4, neck_width: 4, score_threshold: 0.0, candidates: 100}
+detector:
+  {name: rtnh, form: wide, widths: [4, 4], cell_channels: 4, neck_width: 4, score_threshold: 0.0, candidates: 100}
 augmentation: {rotation_rad: 0.0, scale: 0.0}
 training: {steps: 2, batch_size: 1, precision: fp32, threads: 1, workers: 0, min_points: 0}
 """
