@@ -90,7 +90,8 @@ def evaluate(
     Args:
         detector: A detector, or its boxes by (sequence, frame).
         data: Annotated frames.
-        metric: ``"dds"``, ``"nuscenes"`` or ``"kitti"``.
+        metric: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"`` or ``"kradar-compat:VARIANT"``; K-Radar's also
+            score by the frames' conditions, and take boxes in the frame that the data are in.
         range_bins_m: Edges of the range bins, metres.
         progress: Wraps the frame numbers, to show progress.
         **settings: Further settings of the protocol.
@@ -104,7 +105,13 @@ def evaluate(
     from farfield.metrics import score
 
     predictions = detector if isinstance(detector, Mapping) else predict(detector, data, progress=progress)
-    annotations = {frame.key: frame.boxes for frame in (data[i] for i in range(len(data))) if frame.boxes is not None}
+    if not isinstance(detector, Mapping):
+        data = as_trained(data, detector)
+    frames = [frame for frame in (data[i] for i in range(len(data))) if frame.boxes is not None]
+    annotations = {frame.key: frame.boxes for frame in frames if frame.boxes is not None}
+    if metric.startswith("kradar") and frames:
+        settings.setdefault("boxes_in", "radar" if frames[0].reference == "radar" else "os2-64")
+        settings.setdefault("conditions", {frame.key: frame.conditions for frame in frames})
     if not annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     kept = {key: boxes for key, boxes in predictions.items() if key in annotations}

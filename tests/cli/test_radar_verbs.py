@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from farfield.api import as_trained, load_detector
+from farfield.api import as_trained, evaluate, load_detector
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
@@ -80,6 +80,19 @@ def test_predict_reads_the_cloud_that_it_learnt_from(home: Path, monkeypatch: py
     rows = read_boxes_csv(home / "boxes.csv")
     assert len(rows) > 0
     assert np.abs(rows.centre_m[:, 1]).max() < 20  # in the radar's corridor: the drive's LiDAR points are all over
+
+
+def test_the_one_line_evaluation_knows_where_the_boxes_are(home: Path) -> None:
+    """The car stands in the corridor whichever frame the data are opened in."""
+    data = open_dataset(home / "data")
+    for given in (data, data.viewed({"reference": "radar"})):
+        found = {frame.key: frame.boxes.replace(score=np.ones(1)) for frame in (given[i] for i in range(4))}
+        result = evaluate(found, given, metric="kradar", region=(19.0, 21.0, 0.5, 1.5, -1.0, 1.0)).to_json()
+        assert result["ap"]["vehicle"]["3d"]["0.7"] == 1
+        assert result["counts"]["classes"]["vehicle"]["annotated"] == 4
+        assert result["conditions"]["weather"]["fog"]["ap"]["vehicle"]["3d"]["0.7"] == 1
+    detected = evaluate(load_detector(home / "runs" / "tiny"), data, metric="kradar").to_json()
+    assert detected["settings"]["boxes_in"] == "radar"  # as the detector learnt
 
 
 def test_data_are_seen_as_in_training(home: Path) -> None:
