@@ -124,7 +124,13 @@ def ours(training: bool, dtype: str) -> Any:
     import torch
     from torch import nn
 
-    from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
+    from farfield.detectors.blocks.sparse import (
+        SparseBlock,
+        SparseConv,
+        SparseSequential,
+        SparseTensor,
+        SubmanifoldConv,
+    )
 
     layers = []
     for layer, (kernel, bias) in zip(BACKBONE, weights(), strict=True):
@@ -141,7 +147,7 @@ def ours(training: bool, dtype: str) -> Any:
                 conv.bias.copy_(torch.from_numpy(bias))
         norm = nn.BatchNorm1d(layer.c_out, eps=1e-3, momentum=0.01) if training else nn.Identity()
         layers.append(SparseBlock(conv, norm))
-    network = nn.Sequential(*layers).train(training).to(getattr(torch, dtype))
+    network = SparseSequential(*layers).train(training).to(getattr(torch, dtype))
 
     def run(features: Any, keys: Any, shape: tuple[int, int, int] = SHAPE) -> tuple[Any, Any]:
         out = network(SparseTensor(features.to(getattr(torch, dtype)), keys, shape, 1))
@@ -375,7 +381,7 @@ def compare(count: int, runners: list[Runner], rounds: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=25)
     parser.add_argument("--serve", nargs=4, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.serve:

@@ -14,6 +14,7 @@ from farfield.detectors.blocks.sparse import (
     InverseConv,
     SparseBlock,
     SparseConv,
+    SparseSequential,
     SparseTensor,
     SubmanifoldConv,
     dilate,
@@ -21,6 +22,7 @@ from farfield.detectors.blocks.sparse import (
     kernel_offsets,
     neighbour_table,
     neighbours,
+    rulebook,
     submanifold_rulebook,
 )
 
@@ -130,12 +132,14 @@ def test_every_way_to_multiply_agrees(ways, monkeypatch):
     for name, value in ways.items():
         monkeypatch.setattr(functional, name, value)
     sparse = random_sparse(channels=16, dtype=torch.float32)
-    for layer in (SubmanifoldConv(16, 24), SparseConv(16, 24)):
+    for layer in (SubmanifoldConv(16, 24, bias=True), SparseConv(16, 24, bias=True)):
         results = []
         for dtype in (torch.float32, torch.float64):
             features = sparse.features.to(dtype).requires_grad_()
             out = layer.to(dtype)(sparse.replace(features)).features
-            results.append([out, *gradients_of(out, 4, features, layer.weight)])
+            with torch.no_grad():
+                again = layer(sparse.replace(features)).features
+            results.append([out, again, *gradients_of(out, 4, features, *layer.parameters())])
         for got, exact in zip(*results, strict=True):
             assert (got - exact).abs().max() < 3e-6 * exact.abs().max()
 
@@ -153,6 +157,29 @@ def test_table_holds_the_pairs_and_similar_rows_come_together():
         return sum(int((block < len(expected)).any(0).sum()) for block in rows.split(16))
 
     assert needless(table) < needless(expected)
+
+
+@pytest.mark.parametrize("short", [0, 2**15])
+def test_pairs_of_each_output_come_together(short, monkeypatch):
+    monkeypatch.setattr(rulebook, "_SHORT", short)
+    book = submanifold_rulebook(random_sparse(share=0.7).keys, SHAPE, (3, 3, 3))
+    order, starts = book.by_target
+    held = book.targets[order].tensor_split(starts[1:])
+    assert [set(bag.tolist()) for bag in held] == [{row} for row in range(len(book.keys))]
+    assert sorted(order.tolist()) == (book.targets < len(book.keys)).nonzero().squeeze(1).tolist()
+
+
+def test_rulebooks_can_be_found_first():
+    sparse, one_by_one = random_sparse(dtype=torch.float32), backbone()
+    planned = SparseSequential(*one_by_one)
+    cells = planned.plan(sparse)
+    found = dict(sparse.rulebooks)
+    out = planned(sparse)
+    assert sparse.rulebooks == found
+    assert cells.shape == out.shape
+    assert torch.equal(cells.keys, out.keys)
+    expected = one_by_one(SparseTensor(sparse.features, sparse.keys.clone(), SHAPE, 2))
+    torch.testing.assert_close(out.features, expected.features)
 
 
 def test_autocast_computes_in_bfloat16_and_keeps_gradients_in_float32():

@@ -20,7 +20,7 @@ from farfield.detectors.blocks.anchors import AnchorGrid
 from farfield.detectors.blocks.bev import BevBackbone
 from farfield.detectors.blocks.config import Channels
 from farfield.detectors.blocks.published import first_points_of_voxels, use_published_momentum
-from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
+from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
 from farfield.detectors.blocks.voxels import VoxelGridConfig, mean_voxels
 
 _MIDDLE_STRIDE = 8
@@ -71,7 +71,7 @@ def folded_layers(layers: int) -> int:
     return layers
 
 
-class SparseMiddle(nn.Sequential):
+class SparseMiddle(SparseSequential):
     """The sparse middle layers (section 3.1.2): three strides of 2, then a last one along z only.
 
     Args:

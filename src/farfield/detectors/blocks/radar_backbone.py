@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.blocks.norm import affine, normalise_rows
-from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
+from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
 from farfield.detectors.blocks.sparse.tensor import Triple
 
 Execution = Literal["auto", "sparse", "dense"]
@@ -73,7 +73,7 @@ class RadarBackbone(nn.Module):
             depth = (depth - 1) // step + 1
             first = _block(SparseConv(c_in, width, (3, 3, 3), (step, step, step), (1, 1, 1)))
             rest = [_block(SubmanifoldConv(width, width)) for _ in range(2)]
-            self.stages.append(nn.Sequential(first, *rest))
+            self.stages.append(SparseSequential(first, *rest))
             self.to_bev.append(_block(SparseConv(width, width, (depth, 1, 1), (1, 1, 1), (0, 0, 0))))
             c_in = width
         self.neck = RadarNeck(widths, [2**n for n in range(len(widths))], neck_width, overlap=True)
@@ -96,7 +96,10 @@ class RadarBackbone(nn.Module):
         return count >= min(DENSE_SHARE["inference"] * reached.numel(), DENSE_CELLS)
 
     def _sparse(self, sparse: SparseTensor) -> Tensor:
-        maps = []
+        maps, cells = [], sparse
+        for stage, collapse in zip(self.stages, self.to_bev, strict=True):  # as in SparseSequential: searches first
+            cells = stage.plan(cells)
+            collapse.plan(cells)
         for stage, collapse in zip(self.stages, self.to_bev, strict=True):
             sparse = stage(sparse)
             maps.append(collapse(sparse).dense().squeeze(2))

@@ -10,7 +10,14 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from farfield.detectors.blocks.sparse import InverseConv, SparseBlock, SparseConv, SparseTensor, SubmanifoldConv
+from farfield.detectors.blocks.sparse import (
+    InverseConv,
+    SparseBlock,
+    SparseConv,
+    SparseSequential,
+    SparseTensor,
+    SubmanifoldConv,
+)
 
 Triple = tuple[int, int, int]
 FLAT: Triple = (1, 3, 3)
@@ -34,13 +41,17 @@ class ResidualBlock(nn.Module):
         self.first = normalised(SubmanifoldConv(channels, channels, kernel), channels)
         self.second = normalised(SubmanifoldConv(channels, channels, kernel), channels, relu=False)
 
+    def plan(self, sparse: SparseTensor) -> SparseTensor:
+        """Find the rulebook that both convolutions share."""
+        return self.first.plan(sparse)
+
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Apply the block; the cells stay."""
         added = self.second(self.first(sparse)).features
         return sparse.replace(torch.relu(sparse.features.to(added.dtype) + added))
 
 
-class VoxelEncoder(nn.Sequential):
+class VoxelEncoder(SparseSequential):
     """Voxels to coarser voxels: a submanifold layer, then stages of residual blocks; each further stage halves.
 
     Args:

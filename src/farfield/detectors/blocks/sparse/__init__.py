@@ -1,7 +1,13 @@
 """Sparse convolution in plain PyTorch: features on a sorted list of occupied cells, nothing to compile."""
 
 from farfield.detectors.blocks.sparse.functional import sparse_conv
-from farfield.detectors.blocks.sparse.layers import InverseConv, SparseBlock, SparseConv, SubmanifoldConv
+from farfield.detectors.blocks.sparse.layers import (
+    InverseConv,
+    SparseBlock,
+    SparseConv,
+    SparseSequential,
+    SubmanifoldConv,
+)
 from farfield.detectors.blocks.sparse.neighbours import dilate, neighbour_table
 from farfield.detectors.blocks.sparse.rulebook import (
     Rulebook,
@@ -16,6 +22,7 @@ __all__ = [
     "Rulebook",
     "SparseBlock",
     "SparseConv",
+    "SparseSequential",
     "SparseTensor",
     "SubmanifoldConv",
     "decode_keys",

