@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from farfield.files.atomic import write_text
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_uri
+from farfield.reports.template import render_template
 
 PUBLISHED = {
     "gaussian": {"2": "0.31", "5": "0.68", "10": "0.955"},
@@ -233,14 +233,9 @@ def pictures(sides: Sequence[Side]) -> list[Picture]:
 
 def render(sides: Sequence[Side], *, title: str) -> str:
     """Return the page as HTML."""
-    from jinja2 import Environment, StrictUndefined
-
-    home = files("farfield.reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((home / "comparison.html").read_text(encoding="utf-8"))
-    return template.render(
+    return render_template(
+        "comparison.html",
         title=title,
-        style=(home / "page.css").read_text(encoding="utf-8"),
         sides=sides,
         lines=table_lines(sides),
         pictures=pictures(sides),

@@ -1,8 +1,7 @@
 """One self-contained HTML page: scores by range, curves, pictures and what made them. It needs no network."""
 
 import json
-from collections.abc import Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from farfield.reports.plots import points_against_range, precision_recall
 from farfield.reports.results import ap_names, epsilons, scored_labels
 from farfield.reports.style import PATTERNS, figure_uri
 from farfield.reports.tables import range_name, rows, score_names, score_title
+from farfield.reports.template import render_template
 
 _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
 CURVE_EPSILONS = (0.0, 0.006)
@@ -64,25 +64,16 @@ def write_report(
 
 def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
     """Return the page as HTML; arguments as in :func:`write_report`."""
-    from jinja2 import Environment, StrictUndefined
-
-    home = files("farfield.reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["range_name"] = range_name
-    environment.filters["score_title"] = score_title
-    environment.filters["shown"] = _shown
-    environment.filters["fact_name"] = _fact_name
-    environment.filters["pattern_title"] = words.pattern_title
-    template = environment.from_string((home / "page.html").read_text(encoding="utf-8"))
     results = evaluation.results
     labels = scored_labels(results)
     dds, aps = score_names(results), ap_names(results)
     names = dds or aps
     parts = ["dds/0/map", "dds/0/aiou", *aps] if dds else []
     all_epsilons = sorted({name for result in results.values() for name in epsilons(result)}, key=float)
-    return template.render(
+    return render_template(
+        "page.html",
+        _FILTERS,
         title=evaluation.title,
-        style=(home / "page.css").read_text(encoding="utf-8"),
         headline=words.headline(results),
         scope=words.scope(results),
         origin=words.origin(evaluation.provenance),
@@ -153,3 +144,12 @@ def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key}: {_shown(each)}" for key, each in value.items()) or "none"
     return json.dumps(value, default=str)
+
+
+_FILTERS: dict[str, Callable[..., Any]] = {
+    "range_name": range_name,
+    "score_title": score_title,
+    "shown": _shown,
+    "fact_name": _fact_name,
+    "pattern_title": words.pattern_title,
+}

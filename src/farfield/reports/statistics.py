@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from farfield.reports.comparison import Line, Side, table_lines
 from farfield.reports.comparison import pictures as sensor_pictures
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_bytes, figure_uri
+from farfield.reports.template import render_template
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,17 +131,12 @@ def _text(value: str | int) -> str:
 
 def render(found: DatasetFigures, drawn: list[Picture]) -> str:
     """Return the page as HTML."""
-    from jinja2 import Environment, StrictUndefined
-
-    home = files("farfield.reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((home / "statistics.html").read_text(encoding="utf-8"))
     side = found.sensors
     lines: list[Line] = [] if side is None else [line for line in table_lines([side]) if line.topic != "data"]
-    return template.render(
+    return render_template(
+        "statistics.html",
         found=found,
         census=found.census,
-        style=(home / "page.css").read_text(encoding="utf-8"),
         pictures=drawn,
         tables=tables(found.census),
         sensor_pictures=[] if side is None else sensor_pictures([side]),
