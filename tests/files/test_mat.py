@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from mat_elements import file, matrix
 
 from farfield.errors import FileFormatError
 from farfield.files.mat import read_mat, write_mat
@@ -70,18 +71,6 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, name: str, array
     with pytest.raises(ValueError, match="write_mat: expected"):
         write_mat(tmp_path / "a.mat", name, array)
     assert not list(tmp_path.iterdir())
-
-
-def matrix(dims: tuple[int, ...], data: bytes, *, kind: int = 9, claimed: int | None = None) -> bytes:
-    sides = struct.pack(f"<II{len(dims)}i", 5, 4 * len(dims), *dims) + bytes(-4 * len(dims) % 8)
-    body = struct.pack("<IIII", 6, 8, 6, 0) + sides + struct.pack("<HHc3x", 1, 1, b"x")
-    body += struct.pack("<II", kind, len(data) if claimed is None else claimed) + data
-    return struct.pack("<II", 14, len(body)) + body
-
-
-def file(path: Path, *elements: bytes) -> Path:
-    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + b"".join(elements))
-    return path
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
 """MATLAB arrays read in blocks: the same numbers as SciPy reads whole, and damaged files in many ways."""
 
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
+from mat_elements import file, matrix, packed
 
 from farfield.errors import FileFormatError
 from farfield.files.mat import read_mat, write_mat
@@ -51,23 +51,6 @@ def test_matlabs_own_file_with_shrunk_doubles(shared_real: Path):
     path = shared_real / "kradar" / "info_arr.mat"
     for name in ("arrAzimuth", "arrElevation", "arrRange"):
         assert np.array_equal(read_in_blocks(path, name, 10), read_mat(path, name))
-
-
-def matrix(dims: tuple[int, ...], data: bytes, *, kind: int = 9, claimed: int | None = None, flags: int = 6) -> bytes:
-    sides = struct.pack(f"<II{len(dims)}i", 5, 4 * len(dims), *dims) + bytes(-4 * len(dims) % 8)
-    body = struct.pack("<IIII", 6, 8, flags, 0) + sides + struct.pack("<HHc3x", 1, 1, b"x")
-    body += struct.pack("<II", kind, len(data) if claimed is None else claimed) + data
-    return struct.pack("<II", 14, len(body)) + body
-
-
-def packed(data: bytes) -> bytes:
-    squeezed = zlib.compress(data)
-    return struct.pack("<II", 15, len(squeezed)) + squeezed
-
-
-def file(path: Path, *elements: bytes) -> Path:
-    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + b"".join(elements))
-    return path
 
 
 @pytest.mark.parametrize(
