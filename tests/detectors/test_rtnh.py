@@ -11,7 +11,7 @@ from torch.nn import functional
 from farfield.detectors import build_detector
 from farfield.detectors.blocks.folding import fold_batch_norm
 from farfield.detectors.blocks.radar_backbone import RadarBackbone, dense_block
-from farfield.detectors.blocks.radar_cells import CellEncoder, RadarGridConfig
+from farfield.detectors.blocks.radar_cells import CellEncoder, RadarGridConfig, in_unit_grid
 from farfield.detectors.blocks.sparse import SparseTensor
 from farfield.detectors.rtnh import RTNHConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
@@ -166,3 +166,19 @@ def test_log_power_tames_strong_cells():
 
     np.testing.assert_allclose(scaled_power(points, log=True)[:, 3], [0, 0, np.log(2), np.log(1001)], rtol=1e-6)
     assert torch.equal(scaled_power(points, log=False), points)
+
+
+def test_unit_positions_are_another_scale_of_the_same_layer():
+    grid = RadarGridConfig()
+    corners = torch.tensor([[0.0, -6.4, -2.0, 0.3], [72.0, 6.4, 6.0, 0.3], [36.0, 0.0, 2.0, 0.3]])
+    expected = torch.tensor([[-1.0, -1.0, -1.0, 0.3], [1.0, 1.0, 1.0, 0.3], [0.0, 0.0, 0.0, 0.3]])
+    torch.testing.assert_close(in_unit_grid(corners, grid), expected)
+    metres, unit = (CellEncoder(grid, multiple=4, channels=6, unit_positions=u).double() for u in (False, True))
+    half, middle = torch.tensor([36.0, 6.4, 4.0]).double(), torch.tensor([36.0, 0.0, 2.0]).double()
+    with torch.no_grad():
+        unit.linear.weight[:, 3] = metres.linear.weight[:, 3]
+        unit.linear.weight[:, :3] = metres.linear.weight[:, :3] * half
+        unit.linear.bias.copy_(metres.linear.bias + metres.linear.weight[:, :3] @ middle)
+    share = torch.rand(200, 6, generator=torch.Generator().manual_seed(0)).double()
+    cloud = torch.cat([share[:, :3] * 2 * half + middle - half, share[:, 3:]], 1)
+    torch.testing.assert_close(unit([cloud]).features, metres([cloud]).features)

@@ -27,6 +27,7 @@ class RTNHConfig(RadarDetectorConfig):
     max_points: Annotated[int, Field(ge=0, le=1000)] = Field(
         0, description="0: a linear layer on each cell's mean; else the maximum over so many points (PointNet)"
     )
+    positions: Literal["metres", "unit"] = Field("metres", description="unit: as shares of the grid, -1 to 1")
     cell_channels: Channels = 64
     widths: tuple[Channels, ...] = Field((64, 128, 256), min_length=1, max_length=6)
     execution: Literal["auto", "sparse", "dense"] = Field("auto", description="one function, two ways to compute it")
@@ -48,6 +49,7 @@ class RTNH(RadarDetector):
             max_points=config.max_points,
             use_doppler=config.use_doppler,
             log_power=config.power == "log",
+            unit_positions=config.positions == "unit",
         )
         self.backbone = RadarBackbone(
             config.cell_channels,

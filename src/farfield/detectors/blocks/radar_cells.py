@@ -39,6 +39,17 @@ def scaled_power(points: Tensor, *, log: bool) -> Tensor:
     return torch.cat([points[:, :3], power, points[:, 4:]], 1)
 
 
+def in_unit_grid(points: Tensor, grid: VoxelGridConfig) -> Tensor:
+    """The points, shape (n, c), with x, y, z (columns 0 to 2) as shares of the grid, from -1 to 1.
+
+    Metres would drown the power: x reaches 72, the logarithm of the power about 8, and what follows is normalised as a
+    whole.
+    """
+    low = points.new_tensor([0.0, -grid.half_width_m, grid.z_min_m])
+    high = points.new_tensor([grid.range_m, grid.half_width_m, grid.z_max_m])
+    return torch.cat([(points[:, :3] - low) / (high - low) * 2 - 1, points[:, 3:]], 1)
+
+
 def located(clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
     """The points of a batch that lie on the raster, shape (n, c), and the cell of each, shape (n,), int64."""
     points = torch.cat(list(clouds))
@@ -76,6 +87,7 @@ class CellEncoder(nn.Module):
             cell, where missing points count as zeros.
         use_doppler: Also read the points' Doppler.
         log_power: Read the logarithm of the power.
+        unit_positions: Read positions as shares of the grid, -1 to 1, instead of metres.
     """
 
     def __init__(
@@ -87,9 +99,11 @@ class CellEncoder(nn.Module):
         max_points: int = 0,
         use_doppler: bool = False,
         log_power: bool = False,
+        unit_positions: bool = False,
     ) -> None:
         super().__init__()
-        self.grid, self.multiple, self.max_points, self.log_power = grid, multiple, max_points, log_power
+        self.grid, self.multiple, self.max_points = grid, multiple, max_points
+        self.log_power, self.unit_positions = log_power, unit_positions
         self.columns = point_columns(use_doppler, positions=True)
         self.linear = nn.Linear(len(self.columns), channels, bias=max_points == 0)
 
@@ -97,6 +111,7 @@ class CellEncoder(nn.Module):
         """Encode the points x, y, z (metres), power, lag (s), Doppler (m/s) of each frame, in float32."""
         shape = self.grid.shape(self.multiple)
         points, key = located(clouds, self.grid, self.multiple)
+        points = in_unit_grid(points, self.grid) if self.unit_positions else points
         features = scaled_power(points, log=self.log_power)[:, self.columns]
         cells = len(clouds) * shape[0] * shape[1] * shape[2]
         with torch.autocast(points.device.type, enabled=False):
