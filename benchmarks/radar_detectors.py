@@ -32,7 +32,7 @@ from farfield.metrics.bootstrap import Bootstrap, replicate_weights
 WEATHERS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
 PROTOCOLS = ("kradar", "kradar-compat:rtnh_narrow")
 DEFAULT_RUNS = [f"runs/{name}-kradar-sim" for name in ("rtnh", "rtn50", "rtnx101", "pointpillars")]
-WIDTH = 33
+WIDTH = 38
 REPLICATES = 200
 SETTINGS = ("widths", "power", "positions", "height", "proposals")
 PUBLISHED = {
