@@ -1,6 +1,6 @@
 """The K-Radar paper's Table 4 in shape: radar and LiDAR detectors by weather, on simulated K-Radar drives.
 
-usage: python benchmarks/radar_detectors.py [--runs RUN ...] [--data DATA] [--frames N]
+usage: python benchmarks/radar_detectors.py [--runs RUN ...] [--against A B] [--data DATA] [--frames N]
 
 A RUN is the folder of a finished training: ``farfield train experiments/NAME_kradar_sim.yaml`` makes the default ones,
 others have one setting more (``-o training.seed=1``, ``-o detector.positions=metres``), as their lines say. The drives

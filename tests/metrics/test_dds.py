@@ -41,7 +41,7 @@ OPTIONS = [
 ]
 
 
-def near(found: dict, expected: dict | None, epsilon: str, tolerance: float = 1e-12) -> None:
+def assert_near(found: dict, expected: dict | None, epsilon: str, tolerance: float = 1e-12) -> None:
     assert (found[f"dds/{epsilon}/dds"] is None) == (expected is None)
     if expected is not None:
         assert found[f"dds/{epsilon}/map"] == pytest.approx(expected["map"], abs=tolerance)
@@ -59,7 +59,7 @@ def test_equals_the_plain_evaluation_for_every_option(options: dict, rng: np.ran
         expected = reference.evaluate(predictions, annotations, settings, low, high)
         found = result.figures if name == "overall" else result.ranges[name]
         for epsilon in ("0", "0.009"):
-            near(found, expected[epsilon], epsilon)
+            assert_near(found, expected[epsilon], epsilon)
 
 
 def test_hand_worked_case() -> None:
