@@ -39,6 +39,23 @@ def test_a_rate_keeps_the_points_of_the_published_cloud(cube: np.ndarray, rate: 
     assert chosen.power.max() == pytest.approx(expected[:, 3].max(), rel=4e-4)
 
 
+def test_a_rate_over_the_region_keeps_the_points_of_the_published_corridor(cube: np.ndarray) -> None:
+    """Benchmark v1.0: the corridor is cut out first and counts its own quantile, cells without a view included.
+
+    Cells of one code (0.06 % of power) stay or go together.
+    """
+    part = cube[REGIONS["narrow"].slices()]
+    expected = np.sort(part[part > np.quantile(part, 0.9)])
+    assert REGIONS["narrow"].cells == part.size
+    for kept in ("wide", "narrow"):
+        chosen = cells_of_cube(cube, kept).select("narrow", 0.1, over="region")
+        assert len(expected) * 0.998 <= len(chosen) <= len(expected)
+        np.testing.assert_allclose(np.sort(chosen.power), expected[-len(chosen) :] / 1e13, rtol=4e-4)
+    assert len(cells_of_cube(cube, "narrow").select("narrow", 0.1)) > 1.5 * len(expected)
+    thinned = cells_of_cube(cube, "narrow").select("narrow", 0.3, over="region")
+    assert np.array_equal(thinned.select("narrow", 0.1, over="region").index, chosen.index)
+
+
 def test_all_cells_of_a_region_are_those_in_the_field_of_view(cube: np.ndarray) -> None:
     cells = cells_of_cube(cube, "cube").select("narrow")
     part = cube[REGIONS["narrow"].slices()]

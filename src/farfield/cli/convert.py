@@ -20,7 +20,7 @@ def run(
     products: str = "cells",
     region: Literal["narrow", "wide", "cube"] = "wide",
     rate: float = 1.0,
-    over: Literal["all", "valid"] = "all",
+    over: Literal["all", "valid", "region"] = "all",
     doppler: bool = True,
     workers: int = 1,
     verify: bool = False,
@@ -50,8 +50,9 @@ def run(
         cloud: Which cloud to write (gaussian, uniform, merged...); the first unless given.
         products: What a radar store keeps: cells, polar3d, or both with a comma between.
         region: Where a radar store keeps cells.
-        rate: Share of all cells that a radar store keeps before it is cropped; 1 keeps every cell of the region.
-        over: Whether that share is of all cells, as published, or of the valid ones in the field of view.
+        rate: Share of cells that a radar store keeps; 1 keeps every cell of the region.
+        over: Whether that share is of all cells before they are cropped (K-Radar's wide clouds), of the valid ones in
+            the field of view, or of the region's (its corridor's clouds).
         doppler: Keep each cell's velocity in a radar store.
         workers: Processes that write a radar store.
         verify: Only compare a radar store with its checksums and its source.

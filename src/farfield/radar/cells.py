@@ -1,14 +1,16 @@
 """The cells of a Cartesian cube that lie in a region: what a detector sees, a thousandth of a tensor's size.
 
 A cell keeps its power as a 16-bit logarithm and, if asked for, its Doppler. Beside the cells stand the quantiles of the
-whole cube's power, so that any of the usual densities can be chosen when the cells are read, as K-Radar's own sparse
-clouds choose theirs: by the quantile of the whole cube first, by the region afterwards.
+whole cube's power, so that any of the usual densities can be chosen when the cells are read as K-Radar's own sparse
+clouds choose theirs: by the quantile of the whole cube first and by the region afterwards (the wide clouds of benchmark
+v2.0), or by the region first and by its own quantile afterwards (the corridor's clouds of v1.0).
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int, Int16, Int32, UInt16
@@ -25,7 +27,8 @@ CODE_FLOOR_DB = -100.0
 DOPPLER_STEP_M_S = 1e-4
 _CUBE_SHAPE = (len(CUBE_Z_M), len(CUBE_Y_M), len(CUBE_X_M))
 _CODES = 1 << 16
-Over = Literal["all", "valid"]
+Over = Literal["all", "valid", "region"]
+OVERS: tuple[Over, ...] = get_args(Over)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,11 @@ class Region:
                 raise ConfigError(f"radar region: expected some of the cube's cells, found none within {low} to {high}")
             found.append(slice(int(rows[0]), int(rows[-1]) + 1))
         return found[0], found[1], found[2]
+
+    @property
+    def cells(self) -> int:
+        """How many of the cube's cells lie in it, those outside the field of view included."""
+        return math.prod(part.stop - part.start for part in self.slices())
 
 
 REGIONS = MappingProxyType(
@@ -128,23 +136,33 @@ class RadarCells:
         )
 
     def select(self, region: "str | Region" = "cube", rate: float | int = 1.0, *, over: Over = "all") -> "RadarCells":
-        """The cells in a region whose power is above a quantile of the whole cube.
+        """The cells in a region whose power is above a quantile.
 
         Args:
             region: A region or its name.
             rate: 1 for all cells, or one of ``RATES``.
-            over: Whether the quantile is taken over all cells of the cube or over those in the field of view.
+            over: Whether the quantile is taken over ``"all"`` cells of the cube, over the ``"valid"`` ones in its field
+                of view, or over all of the ``"region"``, each of which is here or weaker than all that are.
 
         Raises:
             ConfigError: If the rate or the region is none of those possible.
         """
-        keep = self._inside(find_region(region))
+        box = find_region(region)
+        keep = self._inside(box)
         if rate != 1:
             if rate not in RATES:
                 raise ConfigError(f"radar rate: expected 1 or one of {', '.join(map(str, RATES))}; got {rate}")
-            keep &= self.code > self.quantiles[0 if over == "all" else 1, RATES.index(rate)]
+            if over == "region":
+                keep &= self.code > self._level(keep, math.floor(rate * box.cells))
+            else:
+                keep &= self.code > self.quantiles[0 if over == "all" else 1, RATES.index(rate)]
         doppler = None if self.doppler is None else self.doppler[keep]
         return RadarCells(self.index[keep], self.code[keep], doppler, self.quantiles)
+
+    def _level(self, keep: Bool[np.ndarray, " n"], most: int) -> int:
+        """The least code that at most so many of the cells lie above."""
+        codes = self.code[keep]
+        return -1 if most >= len(codes) else int(np.partition(codes, len(codes) - 1 - most)[len(codes) - 1 - most])
 
     def _inside(self, region: Region) -> Bool[np.ndarray, " n"]:
         keep = np.ones(len(self), dtype=np.bool_)

@@ -46,6 +46,17 @@ def test_the_strongest_point_is_the_target(root: Path, index: int) -> None:
     assert ("doppler_m_s" in cloud.extra) == (index == 2)
 
 
+def test_a_share_of_the_region_is_the_same_from_every_product(root: Path) -> None:
+    """A tenth of the corridor's cells, and of the polar cells that lie in it."""
+    options = {"reference": "radar", "radar_region": "narrow", "radar_over": "region"}
+    cells, cube, polar = (frame.clouds["radar"] for frame in KRadar(root, radar_rate=0.1, **options))
+    assert len(cells) == pytest.approx(20 * 32 * 180 * 0.1, rel=1e-3)
+    np.testing.assert_array_equal(cells.points_m, cube.points_m)
+    every = KRadar(root, radar_rate=1, **options)[2].clouds["radar"]
+    assert len(polar) == pytest.approx(0.1 * len(every), abs=2)
+    assert polar.intensity.min() >= np.sort(every.intensity)[-len(polar)]
+
+
 def test_a_frame_is_moved_as_a_whole(root: Path) -> None:
     ours, theirs = KRadar(root)[0], KRadar(root, reference="radar")[0]
     origin = np.array(KRADAR_ORIGIN_M)
@@ -66,7 +77,7 @@ def test_wrong_settings_of_the_radar_are_told(root: Path) -> None:
         ({"reference": "camera"}, "os2-64 or radar"),
         ({"radar_rate": 0.4}, "radar_rate"),
         ({"radar_region": "corridor"}, "narrow, wide, cube"),
-        ({"radar_over": "some"}, "all or valid"),
+        ({"radar_over": "some"}, "all, valid, region"),
     ):
         with pytest.raises(ConfigError, match=told):
             KRadar(root, **options)
@@ -95,3 +106,11 @@ def test_of_two_clouds_that_of_the_rate_is_taken(tmp_path: Path) -> None:
     writer.finish()
     assert len(KRadar(tmp_path, radar_rate=0.1)[0].clouds["radar"]) == 3
     assert len(KRadar(tmp_path, radar_rate=0.01)[0].clouds["radar"]) == 1
+
+
+def test_the_corridor_is_the_cloud_of_the_region(tmp_path: Path) -> None:
+    writer = KRadarWriter(tmp_path)
+    writer.write(frame(1, radar={"sparse": np.full((3, 4), 5.0), "corridor": np.full((2, 4), 5.0)}))
+    writer.finish()
+    assert len(KRadar(tmp_path, radar_region="narrow")[0].clouds["radar"]) == 3
+    assert len(KRadar(tmp_path, radar_region="narrow", radar_over="region")[0].clouds["radar"]) == 2

@@ -18,12 +18,13 @@ from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy
 from farfield.geometry.poses import invert
-from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_region
+from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
 _SOURCES = ("cells", "sparse", "corridor", "sparse_1p", "cube", "tesseract", "polar_cloud", "polar_cloud_1p", "polar3d")
 _SPARSE_RATE = 0.01
+_NEARLY_ALL = 0.999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,8 @@ class RadarView:
     Args:
         rate: Share of the cube's cells, 1 or one of ``farfield.radar.cells.RATES``.
         region: Name of a region.
-        over: ``"all"`` or ``"valid"`` cells are counted.
+        over: ``"all"`` or ``"valid"`` cells of the cube are counted, or those of the ``"region"``. Published files hold
+            what was counted when they were made.
 
     Raises:
         ConfigError: If one is none of those possible.
@@ -46,8 +48,8 @@ class RadarView:
     def __post_init__(self) -> None:
         if self.rate != 1 and self.rate not in RATES:
             raise ConfigError(f"radar_rate: expected 1 or one of {', '.join(map(str, RATES))}; got {self.rate}")
-        if self.over not in ("all", "valid"):
-            raise ConfigError(f"radar_over: expected all or valid, got {self.over!r}")
+        if self.over not in OVERS:
+            raise ConfigError(f"radar_over: expected one of {', '.join(OVERS)}; got {self.over!r}")
         find_region(self.region)
 
 
@@ -77,9 +79,10 @@ def with_radar_cloud(
 
 
 def _source(frame: Frame, view: RadarView) -> str | None:
-    """The product to take: one without loss or the cheapest to read; of clouds of 1 and 10 % that of the rate."""
-    thin = [name for name in _SOURCES if name.endswith("_1p")] if view.rate <= _SPARSE_RATE else []
-    return next((name for name in ("cells", *thin, *_SOURCES) if name in frame.radar), None)
+    """The product to take: one without loss or the cheapest to read; of published clouds that of the view."""
+    fitting = [name for name in _SOURCES if name.endswith("_1p")] if view.rate <= _SPARSE_RATE else []
+    fitting += ["corridor"] if view.over == "region" else []
+    return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
 
 
 def _with(frame: Frame, loaders: Mapping[str, Callable[[], Any]]) -> Lazy:
@@ -100,7 +103,11 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
     if product in SPARSE_COLUMNS:
         return _of_columns(np.asarray(values, dtype=np.float32), view)
     if product == "polar3d":
-        return _of_columns(polar_cloud(np.ascontiguousarray(values, dtype=np.float32), min(view.rate, 0.999)), view)
+        polar = np.ascontiguousarray(values, dtype=np.float32)
+        if view.over != "region" or view.rate == 1:
+            return _of_columns(polar_cloud(polar, min(view.rate, _NEARLY_ALL)), view)
+        inside = _of_columns(polar_cloud(polar, _NEARLY_ALL), view)
+        return inside[inside.intensity > np.quantile(inside.intensity, 1 - view.rate)] if len(inside) else inside
     doppler = None
     if product == "tesseract":
         reduced = values if isinstance(values, Moments) else moments(np.asarray(values, dtype=np.float32))

@@ -71,10 +71,11 @@ class KRadar(Dataset):
         calibration: Release of the camera calibrations, ``"v2"`` or ``"v1"``; None takes the newest that there is.
         reference: ``"os2-64"``, or ``"radar"`` for frames in the radar's coordinates, as K-Radar's own tools train and
             score: boxes, clouds, cameras and poses are moved. The os1-128 keeps its own.
-        radar_rate: Share of all cells of a cube that the cloud ``radar`` holds before it is cropped; 1 for every cell.
+        radar_rate: Share of cells that the cloud ``radar`` holds; 1 for every cell.
         radar_region: Where it is cropped: ``"narrow"``, ``"wide"`` or ``"cube"``.
-        radar_over: Whether that share is of ``"all"`` cells, as published, or of the ``"valid"`` ones in the field of
-            view.
+        radar_over: Whether that share is of ``"all"`` cells of the cube before it is cropped, as published for the wide
+            region (benchmark v2.0), of the ``"valid"`` ones in the field of view, or of the cells of the ``"region"``,
+            as published for the corridor (benchmark v1.0).
 
     Raises:
         DatasetError: If there is nothing of K-Radar, or no annotation of the version asked for.

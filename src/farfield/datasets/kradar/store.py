@@ -21,7 +21,7 @@ from farfield.datasets.kradar.tesseract import read_moments
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.radar_cells import write_radar_cells
 from farfield.radar.axes import POWER_UNIT
-from farfield.radar.cells import RATES, Over, RadarCells, cells_of_cube, find_region
+from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import Moments, doppler_cube, polar3d_from_moments, zyx_cube
 
 STORED = ("cells", "polar3d")
@@ -37,8 +37,9 @@ class StoreSettings:
         products: ``"cells"`` and ``"polar3d"`` (16 MB a frame; only from tesseracts).
         region: Region of the cells, ``"narrow"``, ``"wide"`` or ``"cube"``.
         rate: 1 keeps every cell of the region, so that any density can be chosen when the cells are read; one of
-            ``farfield.radar.cells.RATES`` keeps those above that quantile of the whole cube, and any lower density.
-        over: Whether the quantile counts ``"all"`` cells, as published, or the ``"valid"`` ones in the field of view.
+            ``farfield.radar.cells.RATES`` keeps those above that quantile, and any lower density.
+        over: Whether the quantile counts ``"all"`` cells of the cube, its ``"valid"`` ones in the field of view, or
+            those of the ``"region"``.
         doppler: Keep each cell's mean velocity, where the source tells it.
 
     Raises:
@@ -57,8 +58,8 @@ class StoreSettings:
             raise ConfigError(f"radar store: expected products from {', '.join(STORED)}; got {self.products!r}")
         if self.rate != 1 and self.rate not in RATES:
             raise ConfigError(f"radar store: expected rate 1 or one of {', '.join(map(str, RATES))}; got {self.rate}")
-        if self.over not in ("all", "valid"):
-            raise ConfigError(f"radar store: expected over all or valid, got {self.over!r}")
+        if self.over not in OVERS:
+            raise ConfigError(f"radar store: expected over one of {', '.join(OVERS)}; got {self.over!r}")
 
     @property
     def text(self) -> str:
