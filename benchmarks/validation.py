@@ -110,8 +110,8 @@ def half_range_m(model: LidarModel, reflectance: float, extinction_per_m: float 
 
 
 def radar_peaks_db() -> tuple[np.ndarray, np.ndarray]:
-    """Ranges, and the best cell's signal over noise of 10 m2 there, through the whole synthesis."""
-    model = radar_test().QUIET
+    """Ranges, and the best cell's signal over noise of 10 m2 there ahead of the high-pass filter."""
+    model = radar_test().UNFILTERED
     bins = np.array([22, 43, 108, 216])
     peaks = []
     for index in bins:
@@ -124,7 +124,9 @@ def radar_peaks_db() -> tuple[np.ndarray, np.ndarray]:
 def range_equation() -> Rows:
     range_m, peaks = radar_peaks_db()
     slope = float(np.polyfit(np.log10(range_m), peaks, 1)[0])
-    yield near("radar peak power, 10-100 m, dB a decade", "radar equation, R^-4", -40.0, slope, 0.5, 2)
+    yield near(
+        "radar peak power ahead of the filter, 10-100 m, dB a decade", "radar equation, R^-4", -40.0, slope, 0.5, 2
+    )
     metres, trim = np.array([10.0, 31.6, 100.0, 200.0]), np.full(4, int(Material.TRIM))
     strength, _ = signal(LUMINAR_H2, metres, np.ones(4), np.full(4, 0.3), trim)
     slope = float(np.polyfit(np.log10(metres), 10 * np.log10(strength), 1)[0])

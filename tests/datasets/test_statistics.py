@@ -11,6 +11,7 @@ from farfield.datasets.statistics.objects import points_by_distance, radar_survi
 from farfield.datasets.statistics.radar import exponential_ratio
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
+from farfield.reports.comparison import PUBLISHED
 
 
 def cloud_at(elevation_deg, range_m=50.0):
@@ -180,6 +181,8 @@ def test_a_real_radar_map_has_its_published_figures(shared_real):
     assert found["rolloff_db"] == pytest.approx(-5.0, abs=0.5)
     assert found["dip_db"] == pytest.approx(-2.0, abs=1.0)
     assert found["leakage_db"] > 35.0
+    for within, published in PUBLISHED["raised_share"].items():
+        assert found["raised_share"][within] == pytest.approx(float(published), abs=0.0006)
 
 
 def test_map_statistics_of_a_made_map(rng):
@@ -196,6 +199,9 @@ def test_map_statistics_of_a_made_map(rng):
     assert found["leakage_db"] == pytest.approx(45.0, abs=0.2)
     assert found["rolloff_db"] == pytest.approx(-5.0, abs=0.1)
     assert found["row_quantiles_db"]["50"] == pytest.approx(1.0, abs=0.15)
+    rows = ((range_m >= 45) & (range_m < 75)).sum()
+    assert found["raised_share"]["45-75"] == pytest.approx(3 / (rows * 107))
+    assert found["raised_share"]["20-30"] == 0.0
 
 
 def test_radar_excess_stands_where_the_vehicle_does_in_the_radars_frame():

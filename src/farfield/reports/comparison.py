@@ -25,6 +25,14 @@ PUBLISHED = {
         "wrap_db": "2 to 6",
         "cell_median_to_mean": "0.693",
     },
+    "raised_share": {
+        "6-12": "0.006",
+        "12-20": "0.091",
+        "20-30": "0.002",
+        "30-45": "0.000",
+        "45-75": "0.006",
+        "75-107": "0.004",
+    },
     "row_quantiles_db": {"5": "0.5", "25": "0.8", "50": "1.2", "75": "2.0", "95": "4.2"},
 }
 """Figures measured on real data elsewhere: three Luminar sweeps, one plotted K-Radar frame; ln 2 for single looks."""
@@ -115,6 +123,9 @@ def table_lines(sides: Sequence[Side]) -> list[Line]:
     for quantile, published in PUBLISHED["row_quantiles_db"].items():
         words = f"strongest object's row, {quantile} % quantile (dB)"
         lines += _line(sides, "radar", words, "radar", "row_quantiles_db", quantile, published=published)
+    for within, published in PUBLISHED["raised_share"].items():
+        words = f"share of cells 2 dB above the floor, {within} m"
+        lines += _line(sides, "radar", words, "radar", "raised_share", within, digits=3, published=published)
     for weather in _names(sides, "radar_survival", "weather"):
         if weather != "normal":
             words = f"vehicles above the floor, {weather} minus normal (dB)"

@@ -163,7 +163,9 @@ def test_snr_follows_the_radar_equation_and_the_best_cell():
     one = Scatterers.of(np.array([[50.0, 0.0, 0.0]]), np.zeros(1), np.array([10.0]), actor=0)
     assert object_snr_db(one, MODEL, 2) == pytest.approx([30.0, -np.inf])
     far = replace(one, position_m=one.position_m * 2)
-    assert object_snr_db(far, MODEL, 1)[0] == pytest.approx(30.0 - 40 * np.log10(2.0))
+    assert object_snr_db(far, MODEL, 1)[0] == pytest.approx(
+        30.0 - 40 * np.log10(2.0) + MODEL.echo_gain_db(np.array(100.0))
+    )
     assert object_snr_db(Scatterers.join([one, one]), MODEL, 1)[0] == pytest.approx(33.01, abs=0.01)
     assert object_snr_db(Scatterers.join([one, far]), MODEL, 1)[0] == pytest.approx(30.0)
     lossy = replace(one, loss_db=np.array([4.0]))

@@ -26,6 +26,7 @@ EXACT = RadarModel(
     truncation_db=-np.inf, range_migration=False, leakage_db=(-40.0,) * 8, response_db=(0.0,) * 8,
 )  # fmt: skip
 QUIET = RadarModel(leakage_db=(-40.0,) * 8)
+UNFILTERED = replace(QUIET, high_pass_m=0.0)
 
 
 def at(range_m, azimuth_deg, elevation_deg, velocity_m_s, snr, model) -> Scatterers:
@@ -144,17 +145,30 @@ def test_doppler_folds():
 
 
 def test_peak_power_falls_with_the_fourth_power_of_range():
-    """-40 dB a decade from 10 to 100 m, and 30 dB over the noise for 10 m2 at 50 m (the model's definition)."""
+    """-40 dB a decade from 10 to 100 m ahead of the high-pass filter; 30 dB over the noise for 10 m2 at 50 m."""
     bins = np.array([22, 43, 108, 216])
     range_m = QUIET.axes.range_m[bins]
     peaks = []
     for index, distance in zip(bins, range_m, strict=True):
         one = Scatterers.of(np.array([[distance, 0.0, 0.0]]), np.zeros(1), np.array([10.0]))
-        power = form_moments(synthesise(one, QUIET, np.zeros(1)), QUIET).mean_power / QUIET.response()[:, None, None]
+        seen = synthesise(one, UNFILTERED, np.zeros(1))
+        power = form_moments(seen, UNFILTERED).mean_power / UNFILTERED.response()[:, None, None]
         peaks.append(10 * np.log10(power[index].max() * 64 / QUIET.noise_floor))
     slope = np.polyfit(np.log10(range_m), peaks, 1)[0]
     assert slope == pytest.approx(-40.0, abs=0.5)
     assert peaks[2] == pytest.approx(30.0, abs=0.7)
+
+
+def test_a_high_pass_filter_halves_the_slope():
+    """One pole far out: -20 dB a decade in the near, -3 dB where it says, nothing at the reference range."""
+    model = RadarModel(high_pass_m=100.0)
+    near = Scatterers.of(np.array([[1.0, 0.0, 0.0], [10.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), np.zeros(3), np.ones(3))
+    level = 10 * np.log10(cell_snr(near, model) / cell_snr(near, replace(model, high_pass_m=0.0)))
+    assert level[1] - level[0] == pytest.approx(20.0, abs=0.05)
+    assert level[2] == pytest.approx(0.0, abs=1e-9)
+    far = model.echo_gain_db(np.array([100.0, 1e9]))
+    assert far[1] - far[0] == pytest.approx(10 * np.log10(2), abs=1e-6)
+    assert np.all(replace(model, high_pass_m=0.0).echo_gain_db(np.array([0.5, 100.0])) == 0)
 
 
 STRONG_M = (25.0, 33.5, 42.1, 51.8, 60.2)

@@ -97,9 +97,11 @@ class Scatterers:
 def cell_snr(scatterers: Scatterers, model: RadarModel) -> Float[np.ndarray, " n"]:
     """Signal over noise that each scatterer alone gives a cell centred on it: the radar equation, linear.
 
-    SNR = SNR_0 (rcs / rcs_0) (R_0 / R)^4 G^2 / G_0^2 / loss; the receiver's response acts on signal and noise alike.
+    SNR = SNR_0 (rcs / rcs_0) (R_0 / R)^4 G^2 / G_0^2 / loss, times what the receiver's high-pass filter leaves; its
+    response acts on signal and noise alike.
     """
     range_m = np.maximum(scatterers.range_m, model.axes.range_step_m)
     antenna = 2.0 * model.antenna_db(scatterers.azimuth_rad, scatterers.elevation_rad)
     level_db = model.snr0_db + antenna - scatterers.loss_db + 40.0 * np.log10(model.range0_m / range_m)
+    level_db += model.echo_gain_db(range_m)
     return np.asarray(10 ** (level_db / 10) * scatterers.rcs_m2 / model.rcs0_m2)

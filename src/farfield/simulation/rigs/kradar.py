@@ -104,13 +104,17 @@ class KRadarMoment(Moment):
         glass = self.drive.window_seed(name)
         return render(self.window, self.cameras[name], self.world_T_lidar, self.drive.weather, rng, window_seed=glass)
 
-    def measured(self, outputs: tuple[str, ...]) -> RadarFrame:
-        """What the radar measures: "tensor", its moments over Doppler ("mean"), or only how strong each object is."""
+    def measured(self, outputs: tuple[str, ...], model: RadarModel | None = None) -> RadarFrame:
+        """What the radar measures: "tensor", its moments over Doppler ("mean"), or only how strong each object is.
+
+        Args:
+            outputs: Which of them.
+            model: Another radar in the same place.
+        """
         window, drive = self.radar_window, self.drive
         world_T_radar = window.world_T_ego_now @ radar_mount(drive.mounted.ego_T_lidar)
-        return measure(
-            window, RadarModel(), world_T_radar, drive.weather, drive.seeds("radar", self.index), outputs=outputs
-        )
+        seeds = drive.seeds("radar", self.index)
+        return measure(window, model or RadarModel(), world_T_radar, drive.weather, seeds, outputs=outputs)
 
     @cached_property
     def annotation(self) -> KRadarAnnotation:
