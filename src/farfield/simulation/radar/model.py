@@ -44,8 +44,8 @@ class RadarModel:
         antenna_floor_db: Least antenna gain, one pass (default).
         noise_floor: Mean noise power in a cell, file units: 109.1 dB (report).
         high_pass_m: Range whose echoes the receiver's high-pass filter halves, 0 for no filter. With 100 m echoes fall
-            by about 20 dB a decade instead of 40, which comes nearest to the real map: it has 2 % of its cells from 6
-            to 30 m 2 dB above the floor (benchmarks/radar_near_range.py).
+            by about 20 dB a decade instead of 40. The one real map asks for some filter; of corners from 60 to 200 m
+            it prefers none clearly (benchmarks/radar_near_range.py).
         response_range_m: Ranges at which the receiver's response is given.
         response_db: Response there: -2 dB at 6-11 m, roll-off of -5 dB at 110-114 m (report).
         leakage_range_m: Ranges at which added power is given.
