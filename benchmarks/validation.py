@@ -49,6 +49,7 @@ from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extin
 from farfield.simulation.weather.precipitation import rain_drops
 
 DETECTORS = ROOT / "benchmarks" / "results" / "simulated_detection_v1.txt"
+RADAR_DETECTORS = ROOT / "benchmarks" / "results" / "radar_detectors.txt"
 SEED = 20260101
 CAR_REAR = {"uniform": {50: 61.0, 100: 15.0, 200: 3.8}, "gaussian": {50: 145.0, 100: 35.0, 200: 8.6}}
 
@@ -466,6 +467,7 @@ def weather() -> Rows:
     yield between("snow on the ground, albedo at 1550 nm", grains, 0.10, 0.16, snow_albedo(LUMINAR_H2))
     yield between("snow on the ground, albedo at 865 nm", grains, 0.70, 0.95, snow_albedo(OS2_64))
     yield from detectors()
+    yield from radar_detectors()
 
 
 def overall_dds(text: str) -> dict[tuple[str, str], float]:
@@ -495,8 +497,24 @@ def detectors() -> Rows:
             yield Row(what, one, published, text, got > 0 if published.startswith(">") else None)
         else:
             yield Row(what, one, published, "no such run in the file", None)
-    later = "not shown: needs the radar detectors of a later issue"
-    yield Row("radar detector over LiDAR in sleet, heavy snow", "K-Radar", "> 0", later, None)
+
+
+def radar_detectors() -> Rows:
+    """How far RTNH lies above PointPillars on the os2-64, by weather: a verdict where the interval leaves 0 out."""
+    text = RADAR_DETECTORS.read_text() if RADAR_DETECTORS.exists() else ""
+    title = "rtnh-kradar-sim above pointpillars-kradar-sim"
+    found = re.search(rf"^{title}\n((?:  \w+ .*\n)+)", text, re.MULTILINE)
+    figures = dict(re.findall(r"^  (\w+) +(.+)$", found[1], re.MULTILINE)) if found else {}
+    for weather_name, sign in (("normal", -1), ("sleet", 1), ("heavy_snow", 1)):
+        what = f"AP_3d, trained radar over LiDAR, {weather_name}"
+        expected = "> 0; icing is an input" if sign > 0 else "< 0"
+        got = re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", figures.get(weather_name, ""))
+        if got is None:
+            yield Row(what, RADAR_DETECTORS.name, expected, "no such runs in the file", None)
+            continue
+        low, high = sorted(sign * float(end) for end in got.groups()[1:])
+        verdict = True if low > 0 else False if high < 0 else None
+        yield Row(what, f"{RADAR_DETECTORS.name}, one seed", expected, got[0], verdict)
 
 
 TESTS: dict[int, tuple[str, Callable[[], Rows]]] = {
