@@ -6,8 +6,8 @@ A RUN is the folder of a finished training: ``farfield train experiments/NAME_kr
 others have one setting more (``-o training.seed=1``, ``-o detector.positions=metres``), as their lines say. Drives of
 seed 11 are learnt from, those of seed 12 (58 drives, 348 frames) served to choose settings, and by default a run is
 scored on those of seed 13, which chose nothing. Scores are kept beside the weights, so that a cut run goes on where it
-stopped. The simulator's LiDAR window takes snow and ice ("icing"): the LiDAR's figures in sleet
-and heavy snow follow from that input as well.
+stopped. The simulator's LiDAR window takes snow and ice ("icing"): the LiDAR's figures in sleet and heavy snow follow
+from that input as well.
 
 ``--against A B`` tells how far the mean of the runs A lies above that of the runs B, with a 95 % interval: what the
 difference would have been, had other drives been drawn, the same ones for both.
