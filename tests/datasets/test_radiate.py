@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from farfield.datasets import open_dataset, recognise
+from farfield.datasets.doctor import examine
 from farfield.datasets.radiate import CELL_M, Radiate, find_sequences
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.radiate import read_times, read_tracks
@@ -65,6 +66,14 @@ def test_boxes_stand_where_the_picture_shows_them(sequence):
     np.testing.assert_allclose(heading, [np.cos(np.radians(86)), -np.sin(np.radians(86))], atol=1e-9)
     assert second.centre_m[0, 2] - second.size_m[0, 2] / 2 == pytest.approx(-1.8)
     assert Radiate(sequence, classes="radiate")[1].boxes.label.tolist() == ["van"]
+
+
+def test_the_doctor_finds_it_fit_and_asks_for_no_file_that_it_would_not_read(sequence):
+    report = examine(open_dataset(sequence.parent))
+    assert not report.failed
+    (calibration,) = (finding for finding in report.findings if finding.topic == "calibration")
+    assert calibration.severity == "warn"
+    assert "calibration.yaml" not in calibration.mend
 
 
 def test_the_radars_cells_go_clockwise_from_forward(sequence):

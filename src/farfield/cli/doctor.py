@@ -37,8 +37,8 @@ def run(
     Args:
         path: Folder of the data set; its format is recognised.
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
-        format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar
-            or folder.
+        format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar,
+            radiate or folder.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.

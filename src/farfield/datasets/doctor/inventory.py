@@ -9,6 +9,7 @@ import numpy as np
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.doctor.findings import Finding, counted
 from farfield.datasets.doctor.survey import Survey
+from farfield.datasets.folder import Folder
 
 
 def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -32,19 +33,21 @@ def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield _labels(found)
     images = ", ".join(f"{number} of {name}" for name, number in found.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
-    yield Finding(
-        severity="ok" if found.cameras or not found.images else "warn",
-        topic="calibration",
-        what=f"cameras {', '.join(sorted(found.cameras))}" if found.cameras else "no calibration",
-        mend=""
-        if found.cameras or not found.images
-        else "Boxes cannot be drawn into the images. Put calibration.yaml (matrix, distortion, camera_T_lidar, width, "
-        "height) into the root.",
-    )
+    yield _calibration(found)
     for error in found.damaged[:5]:
         yield Finding(severity="fail", topic="damaged", what=error, mend="Mend or remove the file.")
     if len(found.damaged) > 5:
         yield Finding(severity="fail", topic="damaged", what=f"and {len(found.damaged) - 5} more")
+
+
+def _calibration(found: Survey) -> Finding:
+    if found.cameras or not found.images:
+        what = f"cameras {', '.join(sorted(found.cameras))}" if found.cameras else "no calibration"
+        return Finding(severity="ok", topic="calibration", what=what)
+    mend = "Boxes cannot be drawn into the images."
+    if isinstance(found.dataset, Cirrus | Folder):
+        mend += " Put calibration.yaml (matrix, distortion, camera_T_lidar, width, height) into the root."
+    return Finding(severity="warn", topic="calibration", what="no calibration", mend=mend)
 
 
 def _cirrus_folders(found: Survey, dataset: Cirrus) -> Iterator[Finding]:
