@@ -111,16 +111,15 @@ def resampled(found: Detected) -> dict[str, list[float | None]]:
 
 
 def difference(ours: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[str]:
-    """How far the mean of some runs lies above that of others, in all and by weather: "3.1 [0.4, 5.6]"."""
+    """How far the mean of some runs lies above that of others, in all and in each weather that there is."""
     texts = []
     for place, name in enumerate(("total", *WEATHERS)):
-        means, draws = [], []
-        for runs in (ours, others):
-            figures = [row(run["kradar"], "3d")[place] for run in runs]
-            means.append(np.mean(np.array(figures, dtype=float)))
-            draws.append(np.mean(np.array([run["resampled"][name] for run in runs], dtype=float), axis=0))
-        low, high = np.nanquantile(draws[0] - draws[1], [0.025, 0.975])
-        texts.append(f"{means[0] - means[1]:+.1f} [{low:+.1f}, {high:+.1f}]")
+        figures = [[row(run["kradar"], "3d")[place] for run in runs] for runs in (ours, others)]
+        if None in figures[0] + figures[1]:
+            continue
+        draws = [np.array([run["resampled"][name] for run in runs], dtype=float) for runs in (ours, others)]
+        low, high = np.nanquantile(draws[0].mean(axis=0) - draws[1].mean(axis=0), [0.025, 0.975])
+        texts.append(f"{name:<11} {np.mean(figures[0]) - np.mean(figures[1]):+.1f} [{low:+.1f}, {high:+.1f}]")
     return texts
 
 
@@ -217,8 +216,7 @@ def main() -> None:
         for names in options.against:
             ours, others = ([results[name] for name in side.split(",")] for side in names)
             print(f"{' above '.join(names)}")
-            for name, text in zip(("total", *WEATHERS), difference(ours, others), strict=True):
-                print(f"  {name:<11} {text}")
+            print("\n".join(f"  {text}" for text in difference(ours, others)))
     print("\npublished on the real drives, AP_3d, whole schedules")
     print("\n".join(line(name, "AP_3d", figures) for name, figures in PUBLISHED.items()))
     print("\nparameters (times: radar_detector_speed.py)")

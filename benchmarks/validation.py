@@ -48,8 +48,8 @@ from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
 
-DETECTORS = ROOT / "benchmarks" / "results" / "simulated_detection_v1.txt"
-RADAR_DETECTORS = ROOT / "benchmarks" / "results" / "radar_detectors.txt"
+RESULTS = ROOT / "benchmarks" / "results"
+DETECTORS = RESULTS / "simulated_detection_v1.txt"
 SEED = 20260101
 CAR_REAR = {"uniform": {50: 61.0, 100: 15.0, 200: 3.8}, "gaussian": {50: 145.0, 100: 35.0, 200: 8.6}}
 
@@ -501,20 +501,19 @@ def detectors() -> Rows:
 
 def radar_detectors() -> Rows:
     """How far RTNH lies above PointPillars on the os2-64, by weather: a verdict where the interval leaves 0 out."""
-    text = RADAR_DETECTORS.read_text() if RADAR_DETECTORS.exists() else ""
     title = "rtnh-kradar-sim above pointpillars-kradar-sim"
-    found = re.search(rf"^{title}\n((?:  \w+ .*\n)+)", text, re.MULTILINE)
-    figures = dict(re.findall(r"^  (\w+) +(.+)$", found[1], re.MULTILINE)) if found else {}
     for weather_name, sign in (("normal", -1), ("sleet", 1), ("heavy_snow", 1)):
+        file = RESULTS / ("radar_detectors.txt" if sign < 0 else f"radar_detectors_{weather_name}.txt")
+        text = file.read_text() if file.exists() else ""
+        found = re.search(rf"^{title}\n(?:  .+\n)*?  {weather_name} +(\S+) \[(\S+), (\S+)\]$", text, re.MULTILINE)
         what = f"AP_3d, trained radar over LiDAR, {weather_name}"
         expected = "> 0; icing is an input" if sign > 0 else "< 0"
-        got = re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", figures.get(weather_name, ""))
-        if got is None:
-            yield Row(what, RADAR_DETECTORS.name, expected, "no such runs in the file", None)
+        if found is None:
+            yield Row(what, file.name, expected, "no such runs in the file", None)
             continue
-        low, high = sorted(sign * float(end) for end in got.groups()[1:])
+        low, high = sorted(sign * float(end) for end in found.groups()[1:])
         verdict = True if low > 0 else False if high < 0 else None
-        yield Row(what, f"{RADAR_DETECTORS.name}, one seed", expected, got[0], verdict)
+        yield Row(what, f"{file.name}, one seed", expected, "{} [{}, {}]".format(*found.groups()), verdict)
 
 
 TESTS: dict[int, tuple[str, Callable[[], Rows]]] = {
