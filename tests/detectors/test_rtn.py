@@ -54,7 +54,7 @@ def test_stages_come_out_at_their_strides_and_the_last_may_be_dilated():
 def test_every_cell_of_a_stage_reaches_the_output(overlap):
     neck = RadarNeck([3, 5, 7], [1, 2, 4], 2, overlap=overlap)
     for layer in neck.layers:
-        nn.init.ones_(layer[0].weight)
+        nn.init.ones_(layer[0].conv.weight)
     maps = [torch.ones(1, 3, 24, 16), torch.ones(1, 5, 12, 8), torch.ones(1, 7, 6, 4)]
     assert neck(maps).shape == (1, 6, 24, 16)
     assert all((layer[0](m) > 0).all() for layer, m in zip(neck.layers, maps, strict=True))

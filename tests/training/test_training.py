@@ -26,7 +26,7 @@ from farfield.training.augmentation import augment
 from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out, draw
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig, TrainingConfig
-from farfield.training.loop import one_cycle
+from farfield.training.loop import lay_out_gradients, one_cycle
 from farfield.training.samples import TrainingSamples, systematic
 
 
@@ -39,6 +39,18 @@ def train(experiment: Path, out: Path, *overrides: str) -> subprocess.Popen:
 
 def small_setting(name: str) -> str:
     return f"detector={json.dumps({'name': name, **SMALL[name].settings})}"
+
+
+def test_a_fused_step_is_a_plain_one_however_a_gradient_lies_in_memory():
+    weight = torch.randn(8, 6, 3, 3).to(memory_format=torch.channels_last)
+    plain, fused = (torch.nn.Parameter(weight.clone(memory_format=torch.preserve_format)) for _ in range(2))
+    gradient = torch.randn(8, 6, 3, 3)
+    for parameter, settings in ((plain, {"foreach": False}), (fused, {"fused": True})):
+        parameter.grad = gradient.clone()
+        lay_out_gradients([parameter])
+        assert torch.equal(parameter.grad, gradient)
+        torch.optim.AdamW([parameter], lr=0.1, **settings).step()
+    torch.testing.assert_close(fused, plain)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,13 @@ from farfield.training.distributed import (
 from farfield.training.samples import TrainingSamples, batches
 
 Report = Callable[[int, dict[str, float]], None]
+
+
+def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
+    """Give each gradient the memory layout of its parameter: PyTorch's fused optimizers trust that they have it."""
+    for parameter in parameters:
+        if parameter.grad is not None and parameter.grad.stride() != parameter.stride():
+            parameter.grad = torch.empty_like(parameter).copy_(parameter.grad)
 
 
 def one_cycle(step: int, config: TrainingConfig) -> float:
@@ -134,7 +141,7 @@ class Training:
         decayed = [p for p in self.network.parameters() if p.ndim > 1]
         plain = [p for p in self.network.parameters() if p.ndim <= 1]
         groups = [{"params": decayed, "weight_decay": self.config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
-        return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99))
+        return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True)
 
     def _update(self, fabric: Fabric, optimizer: Any, batch: list[Any]) -> dict[str, float]:
         for group in optimizer.param_groups:
@@ -148,6 +155,7 @@ class Training:
         optimizer.zero_grad(set_to_none=True)
         total.backward()
         average_gradients(self.network.parameters())
+        lay_out_gradients(self.network.parameters())
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_clip, error_if_nonfinite=True)
         optimizer.step()
         named = {name: float(value.detach()) for name, value in zip(losses._fields, losses, strict=True)}

@@ -7,6 +7,7 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from farfield.detectors.blocks.norm import affine
+from farfield.detectors.blocks.upsampling import Upsampling
 
 _CONVOLUTIONS = (nn.Conv1d, nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
@@ -15,7 +16,8 @@ _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
 def fold_batch_norm(model: nn.Module) -> nn.Module:
     """Return an evaluation-mode copy in which every (convolution or linear layer, batch norm) pair is one layer.
 
-    Adjacent pairs inside ``nn.Sequential`` count, and whatever a module with a method ``fold_norm`` folds by itself.
+    Adjacent pairs inside ``nn.Sequential`` count, and whatever a module with a method ``fold_norm`` folds by itself. A
+    transposed convolution in such a pair becomes an ordinary one where that can express it.
     """
     folded = copy.deepcopy(model).eval()
     for module in list(folded.modules()):
@@ -31,7 +33,10 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
         first, second = sequence[index], sequence[index + 1]
         if not isinstance(second, _NORMS):
             continue
-        if isinstance(first, _CONVOLUTIONS):
+        if isinstance(first, Upsampling) or Upsampling.fits(first):
+            sequence[index] = upsampling = first if isinstance(first, Upsampling) else Upsampling.of(first)
+            upsampling.fold(*affine(second))
+        elif isinstance(first, _CONVOLUTIONS):
             transpose = isinstance(first, nn.ConvTranspose2d)
             sequence[index] = fuse_conv_bn_eval(first, second, transpose=transpose)
         elif isinstance(first, nn.Linear) and isinstance(second, nn.BatchNorm1d):

@@ -17,6 +17,7 @@ from torch.nn import functional
 from farfield.detectors.blocks.norm import affine, normalise_rows
 from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
 from farfield.detectors.blocks.sparse.tensor import Triple
+from farfield.detectors.blocks.upsampling import Upsampling
 
 Execution = Literal["auto", "sparse", "dense"]
 DENSE_SHARE = {"training": 0.2, "inference": 0.35}
@@ -39,10 +40,7 @@ class RadarNeck(nn.Module):
         super().__init__()
         self.layers = nn.ModuleList()
         for width, stride in zip(widths, strides, strict=True):
-            wide = overlap or stride == 1
-            up = nn.ConvTranspose2d(
-                width, channels, 3 * stride if wide else stride, stride, stride if wide else 0, bias=False
-            )
+            up = Upsampling(width, channels, stride, overlap=overlap or stride == 1)
             self.layers.append(nn.Sequential(up, nn.BatchNorm2d(channels), nn.ReLU(inplace=True)))
         self.channels = channels * len(self.layers)
 
@@ -156,11 +154,14 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
     submanifold = isinstance(conv, SubmanifoldConv)
     stride: Triple = (1, 1, 1) if submanifold else conv.stride
     padding = tuple(size // 2 for size in conv.kernel) if submanifold else conv.padding
-    weight = conv.weight.view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
     device = volume.device.type
-    dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else weight.dtype
-    bias = None if conv.bias is None else conv.bias.to(dtype)
-    out = functional.conv3d(volume.to(dtype), weight.to(dtype), bias, stride, padding)
+    dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else conv.weight.dtype
+    weight, bias = conv.weight.to(dtype), None if conv.bias is None else conv.bias.to(dtype)
+    if block.training and not submanifold and conv.kernel == (volume.shape[2], 1, 1):
+        out = _collapsed(volume.to(dtype), weight, bias)
+    else:
+        kernel = weight.view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
+        out = functional.conv3d(volume.to(dtype), kernel, bias, stride, padding)
     occupied = _reached(occupied, conv)
     rows = out.permute(0, 2, 3, 4, 1).reshape(-1, conv.c_out)
     if block.training:
@@ -173,3 +174,13 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
             rows = torch.addcmul(shift, rows.float(), scale).to(dtype)
         rows = rows.relu_().mul_(occupied.view(-1, 1).to(rows.dtype))
     return rows.view(len(out), *out.shape[2:], conv.c_out).permute(0, 4, 1, 2, 3), occupied
+
+
+def _collapsed(volume: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+    """A convolution as tall as its map, weights (D, c_in, c_out), as one matrix product.
+
+    oneDNN's own leaves much of the weights' gradient unset in bfloat16 on CPUs with matrix tiles (AMX), torch 2.13.
+    """
+    columns = volume.permute(0, 3, 4, 2, 1).flatten(3)
+    out = functional.linear(columns, weight.flatten(0, 1).T, bias)
+    return out.permute(0, 3, 1, 2).unsqueeze(2)
