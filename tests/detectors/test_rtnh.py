@@ -49,6 +49,17 @@ def test_dense_and_sparse_are_one_function(share, folded):
     torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.4])
+@pytest.mark.parametrize("execution", ["sparse", "dense"])
+def test_half_precision_is_the_same_function(share, execution):
+    exact, rounded = (fold_batch_norm(backbone(way).eval()) for way in ("sparse", execution))
+    rounded.bfloat16()
+    cells = some_cells(share, 5)
+    with torch.no_grad():
+        a, b = exact(cells), rounded(cells.replace(cells.features.bfloat16()))
+    assert (a - b).norm() <= 0.02 * a.norm()
+
+
 def test_dense_and_sparse_train_alike():
     gradients, statistics = [], []
     for execution in ("sparse", "dense"):
@@ -69,7 +80,7 @@ def test_a_collapsed_height_has_whole_gradients_in_bfloat16():
     slope = torch.randn(2, 32, 1, 180, 32, generator=torch.Generator().manual_seed(1))
     block.norm = torch.nn.Identity()
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        out, _ = dense_block(block, volume, torch.ones(2, 1, 20, 180, 32))
+        out, _ = dense_block(block, volume, torch.ones(2, 1, 20, 180, 32, dtype=torch.uint8))
     (out.float() * slope).sum().backward()
     slope = slope * (out > 0)
     exact = torch.einsum("bizxy,boxy->zio", volume.double(), slope.squeeze(2).double())
@@ -79,14 +90,14 @@ def test_a_collapsed_height_has_whole_gradients_in_bfloat16():
 def test_a_dense_block_is_pytorchs_convolution_where_something_is_reached():
     block = backbone("dense").eval().stages[1][0]
     volume = some_cells(0.05, 8).dense()
-    occupied = (volume.abs().sum(1, keepdim=True) > 0).float()
+    occupied = (volume.abs().sum(1, keepdim=True) > 0).to(torch.uint8)
     out, reached = dense_block(block, volume, occupied)
     weight = block.conv.weight.view(3, 3, 3, 8, 12).permute(4, 3, 0, 1, 2)
     exact = functional.conv3d(volume.double(), weight.double(), None, 2, 1)
     norm = block.norm
     level = (exact - norm.running_mean.view(-1, 1, 1, 1)) / (norm.running_var + norm.eps).sqrt().view(-1, 1, 1, 1)
     level = level * norm.weight.view(-1, 1, 1, 1) + norm.bias.view(-1, 1, 1, 1)
-    by_hand = functional.conv3d(occupied, torch.ones(1, 1, 3, 3, 3), None, 2, 1) > 0
+    by_hand = functional.conv3d(occupied.float(), torch.ones(1, 1, 3, 3, 3), None, 2, 1) > 0
     assert torch.equal(reached > 0, by_hand)
     torch.testing.assert_close(out.double(), level.relu() * by_hand, rtol=1e-4, atol=1e-5)
 

@@ -7,6 +7,7 @@ A radar cloud can fill most of its raster, and then dense convolution is faster.
 with the same weights: what no cell reaches stays zero.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -16,14 +17,16 @@ from torch.nn import functional
 
 from farfield.detectors.blocks.norm import affine, normalise_rows
 from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
+from farfield.detectors.blocks.sparse.tables import occupied_map, reached_map
 from farfield.detectors.blocks.sparse.tensor import Triple
 from farfield.detectors.blocks.upsampling import Upsampling
 
 Execution = Literal["auto", "sparse", "dense"]
-DENSE_SHARE = {"training": 0.2, "inference": 0.35}
-"""Share of cells that the first layer reaches from which ``auto`` convolves densely (radar_detector_speed.py)."""
+DENSE_SHARE = {"training": 0.2, "pairs": 0.35, "tables": 0.6, "tables, matrix tiles": 0.28}
+"""Share of cells that the first layer reaches from which ``auto`` convolves densely, by what sparse convolution would
+do (radar_detector_speed.py). Matrix tiles (AMX) make products cheap beside looking up neighbours."""
 DENSE_CELLS = 80_000
-"""In inference also from so many cells on: their products no longer fit what sparse convolution allows itself."""
+"""With pairs also from so many cells on: their products no longer fit what sparse convolution allows itself."""
 
 
 class RadarNeck(nn.Module):
@@ -79,19 +82,22 @@ class RadarBackbone(nn.Module):
 
     def forward(self, cells: SparseTensor) -> Tensor:
         """Occupied cells to a bird's-eye map (b, channels, nx, ny)."""
+        cells = dataclasses.replace(cells, close=True)
         if self.execution == "sparse" or (self.execution == "auto" and not _convolves_fast(cells.features)):
             return self._sparse(cells)
-        occupied = _occupied(cells)
-        if self.execution == "dense" or self._fills(_reached(occupied, self.stages[0][0].conv)):
+        occupied = occupied_map(cells)
+        if self.execution == "dense" or self._fills(cells, _reached(occupied, self.stages[0][0].conv)):
             return self._dense(cells, occupied)
         return self._sparse(cells)
 
-    def _fills(self, reached: Tensor) -> bool:
+    def _fills(self, cells: SparseTensor, reached: Tensor) -> bool:
         """Whether the cells that the first layer reaches are so many that dense convolution is faster."""
-        count = float(reached.sum())
+        count, size = int(reached.sum()), reached.numel()
         if self.training:
-            return count >= DENSE_SHARE["training"] * reached.numel()
-        return count >= min(DENSE_SHARE["inference"] * reached.numel(), DENSE_CELLS)
+            return count >= DENSE_SHARE["training"] * size
+        if self.stages[0][0].conv.by_table(cells):
+            return count >= DENSE_SHARE["tables, matrix tiles" if _has_matrix_tiles() else "tables"] * size
+        return count >= min(DENSE_SHARE["pairs"] * size, DENSE_CELLS)
 
     def _sparse(self, sparse: SparseTensor) -> Tensor:
         maps, cells = [], sparse
@@ -121,22 +127,35 @@ def _convolves_fast(features: Tensor) -> bool:
     return device != "cpu" or (torch.backends.mkldnn.is_available() and (coarse or torch.get_num_threads() > 1))
 
 
+def _has_matrix_tiles() -> bool:
+    return bool(getattr(torch.cpu, "_is_amx_tile_supported", bool)())
+
+
 def _block(conv: SparseConv | SubmanifoldConv) -> SparseBlock:
     return SparseBlock(conv, nn.BatchNorm1d(conv.c_out))
 
 
-def _occupied(cells: SparseTensor) -> Tensor:
-    """1 at the occupied cells, else 0, shape (b, 1, D, nx, ny), float32."""
-    flat = torch.zeros(cells.batch_size * cells.shape[0] * cells.shape[1] * cells.shape[2], device=cells.keys.device)
-    return flat.index_fill_(0, cells.keys, 1.0).view(cells.batch_size, 1, *cells.shape)
+def _reached(occupied: Tensor, conv: Any) -> Tensor:
+    """The cells that hold a value after a convolution, in the form of :func:`occupied_map`."""
+    return (
+        occupied if isinstance(conv, SubmanifoldConv) else reached_map(occupied, conv.kernel, conv.stride, conv.padding)
+    )
 
 
-def _reached(occupied: Tensor, conv: SparseConv | SubmanifoldConv) -> Tensor:
-    """The cells that hold a value after a convolution, in the form of :func:`_occupied`."""
-    if isinstance(conv, SubmanifoldConv):
-        return occupied
-    padded = functional.pad(occupied, [side for size in reversed(conv.padding) for side in (size, size)])
-    return functional.max_pool3d(padded, conv.kernel, conv.stride)
+def _kernel(conv: Any, dtype: torch.dtype) -> Tensor:
+    """Weights as dense convolution takes them, (c_out, c_in, D, h, w); laid out once where no gradient is asked for."""
+    weight = conv.weight.to(dtype).view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
+    if torch.is_grad_enabled():
+        return weight
+    known, version, kernel = getattr(
+        conv, "laid_out", (None, None, None)
+    )  # holds the weights: their place stays theirs
+    if known is None or (known.data_ptr(), version) != (conv.weight.data_ptr(), conv.weight._version):
+        kernel = None
+    if kernel is None or kernel.dtype != dtype:
+        kernel = weight.contiguous(memory_format=torch.channels_last_3d)
+        conv.laid_out = (conv.weight.detach(), conv.weight._version, kernel)
+    return kernel
 
 
 def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[Tensor, Tensor]:
@@ -145,7 +164,7 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
     Args:
         block: Sparse convolution, normalisation, ReLU.
         volume: Features, zero where no cell is occupied, shape (b, c, D, nx, ny), channels last in memory.
-        occupied: 1 at the occupied cells, else 0, shape (b, 1, D, nx, ny).
+        occupied: 1 at the occupied cells, else 0, shape (b, 1, D, nx, ny), uint8.
 
     Returns:
         The same two after the block.
@@ -156,12 +175,11 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
     padding = tuple(size // 2 for size in conv.kernel) if submanifold else conv.padding
     device = volume.device.type
     dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else conv.weight.dtype
-    weight, bias = conv.weight.to(dtype), None if conv.bias is None else conv.bias.to(dtype)
+    bias = None if conv.bias is None else conv.bias.to(dtype)
     if block.training and not submanifold and conv.kernel == (volume.shape[2], 1, 1):
-        out = _collapsed(volume.to(dtype), weight, bias)
+        out = _collapsed(volume.to(dtype), conv.weight.to(dtype), bias)
     else:
-        kernel = weight.view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
-        out = functional.conv3d(volume.to(dtype), kernel, bias, stride, padding)
+        out = functional.conv3d(volume.to(dtype), _kernel(conv, dtype), bias, stride, padding)
     occupied = _reached(occupied, conv)
     rows = out.permute(0, 2, 3, 4, 1).reshape(-1, conv.c_out)
     if block.training:

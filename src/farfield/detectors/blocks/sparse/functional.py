@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from farfield.detectors.blocks.sparse.rulebook import BLOCK_PAIRS, Rulebook
+from farfield.detectors.blocks.sparse.tables import NeighbourTable, table_product
 
 _MAX_PRODUCT_BYTES = 2**28
 _GATHERED_BYTES = 2**22  # stays in the cache
@@ -18,18 +19,22 @@ _ROWS_AT_ONCE = 64
 _BATCHED = (torch.bfloat16, torch.float16)
 
 
-def sparse_conv(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor | None = None) -> Tensor:
+def sparse_conv(
+    features: Tensor, weight: Tensor, book: Rulebook | NeighbourTable, bias: Tensor | None = None
+) -> Tensor:
     """Convolve the features of occupied cells.
 
     Args:
         features: Input rows, shape (n_in, c_in).
         weight: Kernel, shape (K, c_in, c_out), of the features' dtype.
-        book: Which input meets which output.
+        book: Which input meets which output; by a table there is no gradient.
         bias: Added to each output, shape (c_out,), of the features' dtype.
 
     Returns:
         Output rows, shape (n_out, c_out).
     """
+    if isinstance(book, NeighbourTable):
+        return table_product(features, weight, book.rows, bias)
     asked = (features, weight) if bias is None else (features, weight, bias)
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in asked):
         out: Tensor = _SparseConv.apply(features, weight, book)

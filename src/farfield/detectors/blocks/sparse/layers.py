@@ -14,6 +14,11 @@ from torch import nn
 from farfield.detectors.blocks.norm import affine, normalise_rows
 from farfield.detectors.blocks.sparse.functional import sparse_conv
 from farfield.detectors.blocks.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
+from farfield.detectors.blocks.sparse.tables import (
+    NeighbourTable,
+    strided_table,
+    submanifold_table,
+)
 from farfield.detectors.blocks.sparse.tensor import SparseTensor, Triple
 
 
@@ -33,23 +38,29 @@ class _Conv(nn.Module, ABC):
             nn.init.uniform_(self.bias, -bound, bound)
 
     @abstractmethod
-    def rulebook(self, sparse: SparseTensor) -> Rulebook:
-        """The rulebook of the layer on these cells."""
+    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+        """The rulebook of the layer on these cells, or its table where they lie close together."""
+
+    def dtype(self, device: str) -> torch.dtype:
+        """What the layer computes in."""
+        return torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else self.weight.dtype
+
+    def by_table(self, sparse: SparseTensor) -> bool:
+        """Whether to convolve these cells by a neighbour table."""
+        device = sparse.keys.device.type
+        return sparse.close and device == "cpu" and not torch.is_grad_enabled() and self.dtype(device).itemsize == 2
 
     def plan(self, sparse: SparseTensor) -> SparseTensor:
         """Find the rulebook; gives the cells after the layer, without features."""
         book = self.rulebook(sparse)
-        return SparseTensor(
-            sparse.features.new_empty(len(book.keys), 0), book.keys, book.shape, sparse.batch_size, sparse.rulebooks
-        )
+        return sparse.moved(sparse.features.new_empty(len(book.keys), 0), book.keys, book.shape)
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         book = self.rulebook(sparse)
-        device = sparse.features.device.type
-        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else self.weight.dtype
+        dtype = self.dtype(sparse.features.device.type)
         bias = None if self.bias is None else self.bias.to(dtype)
         features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias)
-        return SparseTensor(features, book.keys, book.shape, sparse.batch_size, sparse.rulebooks)
+        return sparse.moved(features, book.keys, book.shape)
 
     def extra_repr(self) -> str:
         return f"{self.c_in}, {self.c_out}, kernel={self.kernel}, book={self.book!r}"
@@ -71,13 +82,18 @@ class SubmanifoldConv(_Conv):
     ) -> None:
         super().__init__(c_in, c_out, kernel, bias, book)
 
-    def rulebook(self, sparse: SparseTensor) -> Rulebook:
-        """The shared rulebook, found on first use."""
+    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+        """The shared rulebook or table, found on first use."""
         # The stored rulebook keeps the keys alive, so that their id stays theirs.
-        name = ("submanifold", self.kernel, sparse.shape, id(sparse.keys))
+        tabled = self.by_table(sparse)
+        name = ("submanifold", tabled, self.kernel, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
-            sparse.rulebooks[name] = submanifold_rulebook(sparse.keys, sparse.shape, self.kernel)
-        return cast(Rulebook, sparse.rulebooks[name])
+            sparse.rulebooks[name] = (
+                submanifold_table(sparse, self.kernel)
+                if tabled
+                else submanifold_rulebook(sparse.keys, sparse.shape, self.kernel)
+            )
+        return cast(Rulebook | NeighbourTable, sparse.rulebooks[name])
 
 
 class SparseConv(_Conv):
@@ -106,12 +122,17 @@ class SparseConv(_Conv):
         super().__init__(c_in, c_out, kernel, bias, book)
         self.stride, self.padding = stride, padding
 
-    def rulebook(self, sparse: SparseTensor) -> Rulebook:
-        """The shared rulebook, found on first use."""
-        name = ("strided", self.kernel, self.stride, self.padding, sparse.shape, id(sparse.keys))
+    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+        """The shared rulebook or table, found on first use; an :class:`InverseConv` needs the rulebook."""
+        tabled = self.book is None and self.by_table(sparse)
+        name = ("strided", tabled, self.kernel, self.stride, self.padding, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
-            sparse.rulebooks[name] = strided_rulebook(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
-        book = cast(Rulebook, sparse.rulebooks[name])
+            sparse.rulebooks[name] = (
+                strided_table(sparse, self.kernel, self.stride, self.padding)
+                if tabled
+                else strided_rulebook(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
+            )
+        book = cast(Rulebook | NeighbourTable, sparse.rulebooks[name])
         if self.book is not None and sparse.rulebooks.setdefault(self.book, book) is not book:
             raise ValueError(f"Expected rulebook {self.book!r} at one set of cells; got a second: name it otherwise.")
         return book

@@ -40,6 +40,8 @@ class SparseTensor:
         shape: Cells along z, x and y.
         batch_size: Number of frames; some may have no cell.
         rulebooks: Rulebooks found so far, shared by all tensors derived from this one.
+        close: The cells lie close together on a small grid: in half precision on a CPU, where no gradient is asked for,
+            they are convolved by neighbour tables.
     """
 
     features: Tensor
@@ -47,6 +49,7 @@ class SparseTensor:
     shape: Triple
     batch_size: int
     rulebooks: dict[Any, Any] = field(default_factory=dict, repr=False)
+    close: bool = False
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or self.keys.shape != self.features.shape[:1] or self.keys.dtype != torch.int64:
@@ -92,3 +95,7 @@ class SparseTensor:
     def replace(self, features: Tensor) -> "SparseTensor":
         """Other features on the same cells."""
         return replace(self, features=features)
+
+    def moved(self, features: Tensor, keys: Tensor, shape: Triple) -> "SparseTensor":
+        """Features on other cells of the same frames, with the rulebooks found so far."""
+        return replace(self, features=features, keys=keys, shape=shape)
