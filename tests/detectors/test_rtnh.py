@@ -39,7 +39,10 @@ def backbone(execution: str) -> RadarBackbone:
 
 @pytest.mark.parametrize("share", [0.02, 0.4, 1.0])
 @pytest.mark.parametrize("folded", [False, True])
-def test_dense_and_sparse_are_one_function(share, folded):
+@pytest.mark.parametrize("slab_bytes", [1, 20_000, 2**22])  # a layer of height at a time, four, all
+def test_dense_and_sparse_are_one_function(share, folded, slab_bytes, monkeypatch):
+    monkeypatch.setattr("farfield.detectors.blocks.radar_backbone.SLAB_BYTES", slab_bytes)
+    monkeypatch.setattr("farfield.detectors.blocks.radar_backbone.WHOLE_BYTES", 0)
     sparse, dense = (backbone(execution).eval() for execution in ("sparse", "dense"))
     if folded:
         sparse, dense = fold_batch_norm(sparse), fold_batch_norm(dense)
@@ -145,6 +148,9 @@ def test_simplified_pointnet_counts_missing_points_as_zeros():
     torch.testing.assert_close(cells.features[0], learned[:2].amax(0))  # full: the first two, no zeros
     torch.testing.assert_close(cells.features[1], learned[3].clamp(min=0))  # one point and one missing
     assert cells.keys.tolist() == [0, 15]
+    alone = encoder([points[[3, 1]]])  # one point a cell, unsorted
+    torch.testing.assert_close(alone.features, learned[[1, 3]].clamp(min=0))
+    assert alone.keys.tolist() == [0, 15]
 
 
 def test_wide_form_learns_both_classes(scene):

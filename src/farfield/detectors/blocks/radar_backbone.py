@@ -27,6 +27,8 @@ DENSE_SHARE = {"training": 0.2, "pairs": 0.35, "tables": 0.6, "tables, matrix ti
 do (radar_detector_speed.py). Matrix tiles (AMX) make products cheap beside looking up neighbours."""
 DENSE_CELLS = 80_000
 """With pairs also from so many cells on: their products no longer fit what sparse convolution allows itself."""
+SLAB_BYTES, WHOLE_BYTES = 2**22, 2**24
+"""Of the result of a dense convolution: finished before the next part of it is begun, where the whole is larger."""
 
 
 class RadarNeck(nn.Module):
@@ -176,6 +178,11 @@ def dense_block(block: SparseBlock, volume: Tensor, occupied: Tensor) -> tuple[T
     device = volume.device.type
     dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else conv.weight.dtype
     bias = None if conv.bias is None else conv.bias.to(dtype)
+    folded = isinstance(block.norm, nn.Identity) and not torch.is_grad_enabled()
+    plain = (conv.kernel, stride, padding) == ((3, 3, 3), (1, 1, 1), (1, 1, 1))
+    if folded and plain and device == "cpu" and occupied.numel() * conv.c_out * dtype.itemsize > WHOLE_BYTES:
+        occupied = _reached(occupied, conv)
+        return _in_slabs(volume.to(dtype), _kernel(conv, dtype), bias, occupied), occupied
     if block.training and not submanifold and conv.kernel == (volume.shape[2], 1, 1):
         out = _collapsed(volume.to(dtype), conv.weight.to(dtype), bias)
     else:
@@ -202,3 +209,23 @@ def _collapsed(volume: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     columns = volume.permute(0, 3, 4, 2, 1).flatten(3)
     out = functional.linear(columns, weight.flatten(0, 1).T, bias)
     return out.permute(0, 3, 1, 2).unsqueeze(2)
+
+
+def _in_slabs(volume: Tensor, kernel: Tensor, bias: Tensor | None, occupied: Tensor) -> Tensor:
+    """A 3 x 3 x 3 convolution, ReLU and the occupied cells' mask, a few layers of height at a time.
+
+    So what follows the convolution finds its result in the caches.
+    """
+    batch, _, depth, nx, ny = volume.shape
+    mask = occupied.to(volume.dtype)
+    out = volume.new_empty(batch, depth, nx, ny, len(kernel)).permute(0, 4, 1, 2, 3)
+    layers = max(1, SLAB_BYTES // (out[:, :, 0].numel() * out.element_size()))
+    for start in range(0, depth, layers):
+        end = min(start + layers, depth)
+        below, above = min(start, 1), min(depth - end, 1)
+        part = volume[:, :, start - below : end + above]
+        if not (below and above):
+            part = functional.pad(part, (0, 0, 0, 0, 1 - below, 1 - above))
+        made = functional.conv3d(part, kernel, bias, 1, (0, 1, 1)).relu_()
+        torch.mul(made, mask[:, :, start:end], out=out[:, :, start:end])
+    return out

@@ -89,7 +89,7 @@ class SparseTensor:
         """The whole grid, zero where no cell is occupied, shape (batch_size, c, D, nx, ny); differentiable."""
         channels = self.features.shape[1]
         cells = self.features.new_zeros(self.batch_size * math.prod(self.shape), channels)
-        grid = cells.index_copy(0, self.keys, self.features).view(self.batch_size, *self.shape, channels)
+        grid = cells.index_copy_(0, self.keys, self.features).view(self.batch_size, *self.shape, channels)
         return grid.permute(0, 4, 1, 2, 3)
 
     def replace(self, features: Tensor) -> "SparseTensor":
