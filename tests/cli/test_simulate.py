@@ -142,6 +142,32 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
     assert contents(out) == {name: data for name, data in contents(written).items() if ".farfield_cache" not in name}
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
+def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
+    from farfield.cli._simulating import sweep_out
+
+    held, left = tmp_path / ".unfinished-1", tmp_path / ".unfinished-2"
+    for folder in (held, left):
+        folder.mkdir()
+    code = f"""
+import sys, pathlib
+from farfield.cli._simulating import _locked
+with _locked(pathlib.Path({str(held)!r})):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        sweep_out(tmp_path)
+        assert [folder.name for folder in tmp_path.iterdir()] == [held.name]
+        other.kill()
+    sweep_out(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_disk_that_fills_up_stops_the_work_and_loses_nothing(
     written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:

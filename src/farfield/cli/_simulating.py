@@ -1,5 +1,6 @@
 """Write simulated frames with several processes: frame by frame, each at once or not at all, resumable."""
 
+import contextlib
 import errno
 import os
 import shutil
@@ -12,6 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from farfield.frame import Frame
@@ -180,21 +186,41 @@ def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool) -> 
     """Write a frame beside the data set, then move its files to their places, the labels last."""
     staging = out / f"{_STAGING}{os.getpid()}"
     shutil.rmtree(staging, ignore_errors=True)
+    staging.mkdir(parents=True)
     try:
-        writer = writer_for(preset, staging)
-        paths = writer.write(frame)
-        if cache:
-            from farfield.datasets.cloud_files import write_rows_cache
+        with _locked(staging):
+            writer = writer_for(preset, staging)
+            paths = writer.write(frame)
+            if cache:
+                from farfield.datasets.cloud_files import write_rows_cache
 
-            for name in frame.clouds:
-                write_rows_cache(paths[name], writer.root)
-        files = [path for path in sorted(staging.rglob("*")) if path.is_file()]
-        for path in sorted(files, key=_rank):
-            target = out / path.relative_to(staging)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
+                for name in frame.clouds:
+                    write_rows_cache(paths[name], writer.root)
+            files = [path for path in sorted(staging.rglob("*")) if path.is_file()]
+            for path in sorted(files, key=_rank):
+                target = out / path.relative_to(staging)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, which a killed process lets go of.
+
+    Raises:
+        BlockingIOError: If another process holds it.
+    """
+    if fcntl is None:
+        yield
+        return
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(held)
 
 
 def _rank(path: Path) -> int:
@@ -203,9 +229,10 @@ def _rank(path: Path) -> int:
 
 
 def sweep_out(out: Path) -> None:
-    """Remove what killed workers left unfinished."""
+    """Remove what killed workers left unfinished; another command may be at work in the same folder."""
     for folder in out.glob(f"{_STAGING}*"):
-        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(BlockingIOError), _locked(folder):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _verdict(job: Job, frame: "Frame", index: int) -> str:
