@@ -39,7 +39,7 @@ PROTOCOLS = ("kradar", "kradar-compat:rtnh_narrow")
 DEFAULT_RUNS = [f"runs/{name}-kradar-sim" for name in ("rtnh", "rtn50", "rtnx101", "pointpillars")]
 WIDTH = 38
 REPLICATES = 200
-SETTINGS = ("widths", "planes", "power", "positions", "height", "proposals")
+SETTINGS = ("widths", "planes", "power", "positions", "height", "form", "proposals")
 PUBLISHED = {
     "RTNH": (47.4, 49.9, 56.7, 52.8, 42.0, 41.5, 50.6, 44.5),
     "RTN": (40.1, 45.6, 48.8, 46.9, 32.9, 22.6, 36.8, 36.8),
