@@ -144,15 +144,13 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.cli._simulating import sweep_out
+    from farfield.cli._simulating import _locked, sweep_out
 
-    held, left = tmp_path / ".unfinished-1", tmp_path / ".unfinished-2"
-    for folder in (held, left):
-        folder.mkdir()
+    (tmp_path / ".unfinished-1").mkdir()
     code = f"""
 import sys, pathlib
 from farfield.cli._simulating import _locked
-with _locked(pathlib.Path({str(held)!r})):
+with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -161,10 +159,24 @@ with _locked(pathlib.Path({str(held)!r})):
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        sweep_out(tmp_path)
-        assert [folder.name for folder in tmp_path.iterdir()] == [held.name]
+        with _locked(tmp_path, shared=True):  # two commands write frames side by side
+            sweep_out(tmp_path)
+        assert len(list(tmp_path.iterdir())) == 1
         other.kill()
     sweep_out(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
+def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from farfield.cli import _simulating
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")
+
+    monkeypatch.setattr(_simulating.fcntl, "flock", refuse)
+    (tmp_path / ".unfinished-1").mkdir()
+    _simulating.sweep_out(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

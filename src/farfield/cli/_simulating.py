@@ -184,11 +184,10 @@ def _frames(job: Job) -> Iterator[str]:
 
 def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool) -> None:
     """Write a frame beside the data set, then move its files to their places, the labels last."""
-    staging = out / f"{_STAGING}{os.getpid()}"
-    shutil.rmtree(staging, ignore_errors=True)
-    staging.mkdir(parents=True)
-    try:
-        with _locked(staging):
+    with _locked(out, shared=True):
+        staging = out / f"{_STAGING}{os.getpid()}"
+        shutil.rmtree(staging, ignore_errors=True)
+        try:
             writer = writer_for(preset, staging)
             paths = writer.write(frame)
             if cache:
@@ -201,23 +200,27 @@ def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool) -> 
                 target = out / path.relative_to(staging)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 path.replace(target)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
 
 
 @contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder, which a killed process lets go of.
+def _locked(folder: Path, *, shared: bool) -> Iterator[None]:
+    """Hold a folder together with others, or alone, until done or killed; without locks where there are none (NFS).
 
     Raises:
-        BlockingIOError: If another process holds it.
+        BlockingIOError: If it is to be held alone and others hold it.
     """
     if fcntl is None:
         yield
         return
     held = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(held, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if isinstance(error, BlockingIOError):
+                raise
         yield
     finally:
         os.close(held)
@@ -229,9 +232,9 @@ def _rank(path: Path) -> int:
 
 
 def sweep_out(out: Path) -> None:
-    """Remove what killed workers left unfinished; another command may be at work in the same folder."""
-    for folder in out.glob(f"{_STAGING}*"):
-        with contextlib.suppress(BlockingIOError), _locked(folder):
+    """Remove what killed workers left unfinished, unless another command writes a frame into the same folder."""
+    with contextlib.suppress(BlockingIOError), _locked(out, shared=False):
+        for folder in out.glob(f"{_STAGING}*"):
             shutil.rmtree(folder, ignore_errors=True)
 
 
