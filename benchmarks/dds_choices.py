@@ -9,7 +9,7 @@ from pathlib import Path
 from _report import SHARED_REAL, header
 
 from farfield.metrics import Bootstrap, DdsSettings, evaluate_dds
-from farfield.metrics.inputs import read_inputs
+from farfield.metrics.reading import read_inputs
 
 TRACKING = SHARED_REAL / "kitti_tracking"
 CHOICES = (

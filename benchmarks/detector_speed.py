@@ -17,7 +17,7 @@ from _report import ROOT, header
 
 from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector
-from farfield.experiment import load_experiment
+from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud
 from farfield.simulation import simulate_sequence
 

@@ -93,8 +93,8 @@ def random_scene(frames: int, *, seed: int = 2026) -> dict[str, np.ndarray]:
 
 def shared_scene(detections: Path, labels: Path) -> dict[str, np.ndarray]:
     """Cars of the shared files; scores through a sigmoid, as the devkit wants them in (0, 1)."""
-    from farfield.metrics.inputs import read_inputs
-    from farfield.metrics.scene import flatten, frame_order
+    from farfield.metrics.centre.scene import flatten, frame_order
+    from farfield.metrics.reading import read_inputs
 
     inputs = read_inputs(detections, labels, format="kitti-tracking")
     keys = sorted(inputs.annotations, key=frame_order)

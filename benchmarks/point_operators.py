@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 import torch
 from _report import header
-
 from farfield.detectors.blocks import points as ops
-from farfield.detectors.pointrcnn import PointRCNN, PointRCNNConfig
+
+from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.frame import Cloud
 from farfield.simulation import simulate_sequence

@@ -27,7 +27,7 @@ from _report import ROOT, header
 from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights
-from farfield.experiment import load_experiment
+from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud, Frame
 from farfield.radar.axes import KRADAR_ORIGIN_M
 from farfield.radar.cells import REGIONS, Over

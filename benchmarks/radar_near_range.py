@@ -14,7 +14,7 @@ import numpy as np
 from _report import header
 from rich.progress import track
 
-from farfield.datasets.statistics.radar import map_statistics
+from farfield.inspection.statistics.radar import map_statistics
 from farfield.reports.comparison import PUBLISHED
 from farfield.simulation.presets import find_preset
 from farfield.simulation.radar.model import RadarModel

@@ -15,7 +15,7 @@ from _report import SHARED_REAL, header
 from matplotlib.collections import LineCollection
 
 from farfield.api import open_dataset
-from farfield.datasets.view_of_delft import read_radar
+from farfield.datasets.view_of_delft.reader import read_radar
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.geometry.points import count_points_in_boxes

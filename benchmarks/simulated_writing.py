@@ -30,7 +30,7 @@ MEMORY_GB = 2.5
 
 def one_process(preset: str, frames: int) -> str:
     """Seconds a frame and peak memory of this process; run in a process of its own."""
-    from farfield.cli._simulating import write_whole
+    from farfield.recording.writing import write_whole
     from farfield.simulation import find_preset, simulate_frame
 
     chosen = find_preset(preset)

@@ -124,7 +124,7 @@ def ours(training: bool, dtype: str) -> Any:
     import torch
     from torch import nn
 
-    from farfield.detectors.blocks.sparse import (
+    from farfield.detectors.sparse import (
         SparseBlock,
         SparseConv,
         SparseSequential,
@@ -294,7 +294,7 @@ def dense_errors() -> None:
     keys = torch.from_numpy(np.ravel_multi_index(tuple(cell.T), shape))
     features = torch.randn(len(keys), 4, generator=torch.Generator().manual_seed(0))
     network = ours(False, "float32").network
-    from farfield.detectors.blocks.sparse import SparseTensor
+    from farfield.detectors.sparse import SparseTensor
 
     sparse = SparseTensor(features, keys, shape, 1)
     truth, mask = sparse.dense().double(), sparse.replace(torch.ones(len(keys), 1)).dense().double()

@@ -21,10 +21,10 @@ import numpy as np
 import torch
 from _report import header
 
-from farfield.detectors.blocks.middle import MiddleLayers
-from farfield.detectors.blocks.sparse import SparseTensor
 from farfield.detectors.runtime import cloud_tensor
-from farfield.detectors.voxelnet import VoxelNet, VoxelNetConfig
+from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.voxelnet.middle import MiddleLayers
+from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
 from farfield.files.atomic import write_text
 from farfield.simulation import simulate_sequence
 

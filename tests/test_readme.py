@@ -71,7 +71,7 @@ def test_metric_table_in_the_docs_is_right() -> None:
 def test_every_metric_option_in_the_docs_exists() -> None:
     from dataclasses import fields
 
-    from farfield.metrics.dds import DdsSettings
+    from farfield.metrics.centre.dds import DdsSettings
 
     text = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     table = "\n".join(line for line in text.splitlines() if re.match(r"\| +\d+ \|", line))

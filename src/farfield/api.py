@@ -9,7 +9,7 @@ from farfield.errors import DatasetError
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
     from farfield.detectors.runtime import Detector
-    from farfield.experiment import Experiment
+    from farfield.experiments.schema import Experiment
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
     from farfield.training.loop import Training
@@ -142,7 +142,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     """
     from farfield.datasets.sweeps import stack_sweeps
     from farfield.detectors import build_detector
-    from farfield.experiment import environment
+    from farfield.frame.provenance import environment
     from farfield.training.distributed import launch
     from farfield.training.loop import Training
     from farfield.training.samples import TrainingSamples

@@ -8,8 +8,8 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError
-from farfield.experiment import environment
 from farfield.frame import Boxes
+from farfield.frame.provenance import environment
 from farfield.geometry.points import count_points_in_boxes
 from farfield.metrics import Result, score
 from farfield.reports.evaluation import Evaluation, FrameView

@@ -144,12 +144,12 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.cli._simulating import _locked, sweep_out
+    from farfield.recording.writing import _locked, sweep_out
 
     (tmp_path / ".unfinished-1").mkdir()
     code = f"""
 import sys, pathlib
-from farfield.cli._simulating import _locked
+from farfield.recording.writing import _locked
 with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     print("held", flush=True)
     sys.stdin.read()
@@ -169,7 +169,7 @@ with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.cli import _simulating
+    from farfield.recording import writing as _simulating
 
     def refuse(*_: object) -> None:
         raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")

@@ -6,8 +6,8 @@ from street import write_street
 
 from farfield.cli import doctor, stats
 from farfield.datasets import open_dataset
-from farfield.datasets.doctor import examine
 from farfield.errors import ConfigError
+from farfield.inspection.doctor import examine
 
 HEADER = (
     "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={0:05d}_{1:05d}_00002_00001_00004, "

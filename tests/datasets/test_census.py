@@ -10,7 +10,7 @@ from street import write_street
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.statistics.census import Census, range_names, take_census
+from farfield.inspection.statistics.census import Census, range_names, take_census
 
 HEADER = (
     "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={0:05d}_{1:05d}_00002_00001_00004, "

@@ -5,9 +5,9 @@ from street import street_frame
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cloud_files import cache_path
-from farfield.datasets.convert import convert
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
+from farfield.recording.convert import convert
 
 
 def test_cirrus_to_kitti_and_back_keeps_everything_that_kitti_holds(street_root, tmp_path):

@@ -9,10 +9,10 @@ import pytest
 from street import GROUND_M, street
 
 from farfield.datasets import open_dataset
-from farfield.datasets.doctor import Report, examine
-from farfield.datasets.doctor.evidence import READINGS, ballots, count_points
-from farfield.datasets.doctor.ground import above_ground, ground_height_m
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
+from farfield.inspection.doctor import Report, examine
+from farfield.inspection.doctor.evidence import READINGS, ballots, count_points
+from farfield.inspection.doctor.ground import above_ground, ground_height_m
 
 Label = dict[str, Any]
 

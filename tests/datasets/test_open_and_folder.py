@@ -5,13 +5,13 @@ import pytest
 
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset, deal_out
-from farfield.datasets.classes import CIRRUS_CLASSES, KITTI_FROM_CIRRUS, normalised_class
 from farfield.datasets.folder import read_boxes, write_boxes
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.clouds import write_bin, write_cache
 from farfield.files.pcd import write_pcd
 from farfield.files.xyz import write_xyz
 from farfield.frame import Boxes
+from farfield.vocabulary.classes import CIRRUS_CLASSES, KITTI_FROM_CIRRUS, normalised_class
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from farfield.datasets import open_dataset, recognise
-from farfield.datasets.doctor import examine
 from farfield.datasets.radiate import CELL_M, Radiate, find_sequences
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.radiate import read_times, read_tracks
+from farfield.inspection.doctor import examine
 
 SECONDS = 1574859771
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from farfield.datasets.statistics import Statistics, gather, map_statistics, power_map_db
-from farfield.datasets.statistics.objects import points_by_distance, radar_survival, survival
-from farfield.datasets.statistics.radar import exponential_ratio
 from farfield.frame import Boxes, Cloud, Frame
+from farfield.inspection.statistics import Statistics, gather, map_statistics, power_map_db
+from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
+from farfield.inspection.statistics.radar import exponential_ratio
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.reports.comparison import PUBLISHED
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset, recognise
-from farfield.datasets.view_of_delft import ViewOfDelft, read_radar
-from farfield.datasets.view_of_delft_boxes import boxes_from_labels, boxes_from_objects
-from farfield.datasets.view_of_delft_layout import CLIPS, clip_of
+from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects
+from farfield.datasets.view_of_delft.layout import CLIPS, clip_of
+from farfield.datasets.view_of_delft.reader import ViewOfDelft, read_radar
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.clouds import write_bin
 from farfield.files.kitti import read_calib, read_labels

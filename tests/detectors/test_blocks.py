@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid, decode, encode
-from farfield.detectors.blocks.losses import box_loss, direction_loss, focal_loss
-from farfield.detectors.blocks.nms import rotated_nms
+from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, decode, encode
+from farfield.detectors.losses import box_loss, direction_loss, focal_loss
+from farfield.detectors.nms import rotated_nms
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import pairwise_iou
 

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 from small import SMALL, small_detector
 
 from farfield.detectors import DETECTORS
-from farfield.detectors.blocks.folding import fold_batch_norm
+from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.frame import Boxes, Cloud

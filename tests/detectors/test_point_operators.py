@@ -3,9 +3,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.blocks import points as ops
-from farfield.detectors.blocks.points import neighbours
-from farfield.detectors.blocks.points.sampling import _farthest_of_one, _farthest_side_by_side
+from farfield.detectors.pointrcnn import points as ops
+from farfield.detectors.pointrcnn.points import neighbours
+from farfield.detectors.pointrcnn.points.sampling import _farthest_of_one, _farthest_side_by_side
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import points_in_boxes
 

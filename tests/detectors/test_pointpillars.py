@@ -6,9 +6,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.blocks.anchors import cirrus_anchors
-from farfield.detectors.blocks.grid import GridConfig
-from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig
+from farfield.detectors.anchors.grid import cirrus_anchors
+from farfield.detectors.grid import GridConfig
+from farfield.detectors.pointpillars.network import PointPillars, PointPillarsConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FarfieldError, FileFormatError

@@ -5,17 +5,18 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.blocks.anchors import cirrus_anchors
-from farfield.detectors.blocks.bins import BinCoder, BinConfig
-from farfield.detectors.blocks.folding import fold_batch_norm
-from farfield.detectors.blocks.pointnet import (
+from farfield.detectors.anchors.grid import cirrus_anchors
+from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.pointrcnn.bins import BinCoder, BinConfig
+from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig, RefinementConfig
+from farfield.detectors.pointrcnn.pointnet import (
     BackboneConfig,
     FeaturePropagation,
     SetAbstraction,
     SetAbstractionConfig,
 )
-from farfield.detectors.blocks.points import BandConfig, WindowConfig, three_nearest
-from farfield.detectors.blocks.points.proposals import (
+from farfield.detectors.pointrcnn.points import BandConfig, WindowConfig, three_nearest
+from farfield.detectors.pointrcnn.points.proposals import (
     MatchConfig,
     ProposalConfig,
     draw_proposals,
@@ -23,7 +24,6 @@ from farfield.detectors.blocks.points.proposals import (
     keep_proposals,
     match_proposals,
 )
-from farfield.detectors.pointrcnn import PointRCNN, PointRCNNConfig, RefinementConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score

@@ -8,9 +8,9 @@ torch = pytest.importorskip("torch")
 from torch import nn
 
 from farfield.detectors import build_detector
-from farfield.detectors.blocks.radar_backbone import RadarNeck
-from farfield.detectors.blocks.resnet import Bottleneck, ResNet
-from farfield.detectors.rtn import RTNConfig
+from farfield.detectors.kradar.backbone import RadarNeck
+from farfield.detectors.kradar.resnet import Bottleneck, ResNet
+from farfield.detectors.kradar.rtn import RTNConfig
 
 CLASSIFIER = 2048 * 1000 + 1000
 

@@ -6,10 +6,10 @@ torch = pytest.importorskip("torch")
 
 from small import small_detector
 
-from farfield.detectors.blocks.sparse import SparseTensor
-from farfield.detectors.blocks.voxels import VoxelGridConfig
 from farfield.detectors.runtime import cloud_tensor
 from farfield.detectors.second import Second, SecondConfig, SparseMiddle, folded_layers, stack_z
+from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.voxels import VoxelGridConfig
 
 PUBLISHED = VoxelGridConfig(
     range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.05, 0.05, 0.1), extra_layers=1

@@ -5,9 +5,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.blocks.anchor_head import AnchorHeadConfig
-from farfield.detectors.blocks.anchors import AnchorConfig, AnchorGrid
-from farfield.detectors.blocks.softmax_head import BoxTargets, SoftmaxHead, SoftmaxMaps, match_proposals
+from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid
+from farfield.detectors.anchors.head import AnchorHeadConfig
+from farfield.detectors.kradar.softmax_head import BoxTargets, SoftmaxHead, SoftmaxMaps, match_proposals
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 

@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 from torch import nn
 from torch.nn.functional import conv3d, conv_transpose3d
 
-from farfield.detectors.blocks.sparse import (
+from farfield.detectors.sparse import (
     InverseConv,
     SparseBlock,
     SparseConv,
@@ -329,8 +329,8 @@ def test_what_cannot_work_is_refused():
 KERNEL_CHECK = """
 import sys
 import torch
-from farfield.detectors.blocks.sparse import strided_rulebook, submanifold_rulebook
-from farfield.detectors.blocks.sparse import functional, triton_kernels
+from farfield.detectors.sparse import strided_rulebook, submanifold_rulebook
+from farfield.detectors.sparse import functional, triton_kernels
 
 device, dtype, tolerance = sys.argv[1], getattr(torch, sys.argv[2]), float(sys.argv[3])
 generator = torch.Generator().manual_seed(0)

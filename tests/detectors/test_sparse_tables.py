@@ -6,9 +6,9 @@ torch = pytest.importorskip("torch")
 
 from torch.nn.functional import conv3d
 
-from farfield.detectors.blocks.sparse import SparseConv, SparseTensor, SubmanifoldConv
-from farfield.detectors.blocks.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
-from farfield.detectors.blocks.sparse.tables import NeighbourTable, strided_table, submanifold_table, table_product
+from farfield.detectors.sparse import SparseConv, SparseTensor, SubmanifoldConv
+from farfield.detectors.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
+from farfield.detectors.sparse.tables import NeighbourTable, strided_table, submanifold_table, table_product
 
 SHAPE = (6, 11, 8)
 STRIDED = [
@@ -59,7 +59,7 @@ def test_a_strided_table_is_that_of_the_pairs(kernel, stride, padding, share):
 @pytest.mark.parametrize(("kernel", "stride", "padding"), STRIDED)
 @pytest.mark.parametrize("bias", [False, True])
 def test_its_product_is_pytorchs_dense_convolution(kernel, stride, padding, bias, monkeypatch):
-    monkeypatch.setattr("farfield.detectors.blocks.sparse.tables._ROWS", 50)  # several blocks and a rest
+    monkeypatch.setattr("farfield.detectors.sparse.tables._ROWS", 50)  # several blocks and a rest
     sparse = cells()
     weight = torch.randn(kernel[0] * kernel[1] * kernel[2], 5, 7, dtype=torch.float64)
     shift = torch.randn(7, dtype=torch.float64) if bias else None

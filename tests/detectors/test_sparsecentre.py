@@ -5,14 +5,14 @@ torch = pytest.importorskip("torch")
 from pydantic import ValidationError
 
 from farfield.detectors import build_detector
-from farfield.detectors.blocks.centre_head import peaks
-from farfield.detectors.blocks.sparse import SparseTensor
-from farfield.detectors.blocks.sparse_backbone import SparsePyramid, merge_heights
-from farfield.detectors.blocks.sparse_diffusion import CentreDiffusion
-from farfield.detectors.blocks.sparse_targets import CentreTargets, Truth, assign, decode, encode, heat_loss, vote_loss
-from farfield.detectors.blocks.voxels import VoxelGridConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
-from farfield.detectors.sparsecentre import SparseCentre, SparseCentreConfig
+from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.sparsecentre.backbone import SparsePyramid, merge_heights
+from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
+from farfield.detectors.sparsecentre.head import peaks
+from farfield.detectors.sparsecentre.network import SparseCentre, SparseCentreConfig
+from farfield.detectors.sparsecentre.targets import CentreTargets, Truth, assign, decode, encode, heat_loss, vote_loss
+from farfield.detectors.voxels import VoxelGridConfig
 from farfield.frame import Boxes, Cloud
 from farfield.geometry.points import points_in_boxes
 

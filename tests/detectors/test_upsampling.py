@@ -6,8 +6,8 @@ torch = pytest.importorskip("torch")
 
 from torch import nn
 
-from farfield.detectors.blocks.folding import fold_batch_norm
-from farfield.detectors.blocks.upsampling import Upsampling
+from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.upsampling import Upsampling
 
 
 def transposed(stride: int, *, overlap: bool, **settings) -> nn.ConvTranspose2d:

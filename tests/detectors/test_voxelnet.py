@@ -5,13 +5,13 @@ from pydantic import ValidationError
 torch = pytest.importorskip("torch")
 
 from farfield.detectors import detector_classes
-from farfield.detectors.blocks.folding import fold_batch_norm
-from farfield.detectors.blocks.middle import MiddleLayers
-from farfield.detectors.blocks.sparse import SparseTensor
-from farfield.detectors.blocks.vfe import VoxelFeatureEncoder, grouped
-from farfield.detectors.blocks.voxels import VoxelGridConfig
+from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.runtime import cloud_tensor
-from farfield.detectors.voxelnet import VoxelNet, VoxelNetConfig
+from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.voxelnet.middle import MiddleLayers
+from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
+from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder, grouped
+from farfield.detectors.voxels import VoxelGridConfig
 
 GRID = VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.5, 0.5, 0.5))
 SMALL = VoxelNetConfig(

@@ -190,3 +190,18 @@ def test_transform_keeps_labels_scores_and_ids(rng: np.random.Generator) -> None
     moved = boxes.transform(pose_from_yaw(1.0))
     for name in ("label", "score", "track_id", "point_count"):
         np.testing.assert_array_equal(getattr(moved, name), getattr(boxes, name))
+
+
+def test_velocities_turn_with_the_boxes_and_are_cut_with_them(without_shape_checks: None) -> None:
+    boxes = Boxes(
+        centre_m=np.zeros((2, 3)), size_m=np.ones((2, 3)), yaw_rad=np.zeros(2), velocity_m_s=[[1.0, 0.0], [np.nan, 0.0]]
+    )
+    turned = boxes.transform(pose_from_yaw(np.pi / 2))
+    np.testing.assert_allclose(turned.velocity_m_s[0], [0.0, 1.0], atol=1e-12)
+    assert np.isnan(turned.velocity_m_s[1]).any()
+    assert boxes[[1]].velocity_m_s.shape == (1, 2)
+    in_space = boxes.replace(velocity_m_s=np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(in_space.transform(pose_from_yaw(np.pi)).velocity_m_s[0], [-1, -2, 3], atol=1e-12)
+    assert boxes.plain().velocity_m_s is None
+    with pytest.raises(ValueError, match="velocity_m_s: expected shape"):
+        boxes.replace(velocity_m_s=np.zeros((2, 4)))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from farfield.metrics.inputs import ScoreInputs, read_inputs
+from farfield.metrics.reading import ScoreInputs, read_inputs
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import aligned_iou
-from farfield.metrics.settings import CentreSettings
+from farfield.metrics.centre.settings import CentreSettings
 
 from .scenes import ByFrame
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from farfield.metrics.matching import DROPPED, NO_MATCH, Limits, greedy_match, rank_predictions
+from farfield.metrics.centre.matching import DROPPED, NO_MATCH, Limits, greedy_match, rank_predictions
 
 
 def match(predicted: list, annotated: list, thresholds: list[float], **options) -> list[list[int]]:

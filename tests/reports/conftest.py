@@ -9,7 +9,7 @@ from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.dds import DdsSettings, evaluate_dds
+from farfield.metrics.centre.dds import DdsSettings, evaluate_dds
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
 

@@ -13,7 +13,7 @@ from small import SMALL
 
 from farfield.api import prepare_training
 from farfield.detectors.weights import load_weights
-from farfield.experiment import load_experiment
+from farfield.experiments.schema import load_experiment
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 

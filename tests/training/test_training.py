@@ -19,7 +19,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.sweeps import stack_sweeps
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
-from farfield.experiment import dump_experiment, load_experiment
+from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.geometry.points import count_points_in_boxes
 from farfield.training.augmentation import augment
@@ -359,8 +359,8 @@ def test_min_points_counts_the_present_sweep_only(data):
 
 
 def test_far_boxes_weigh_more_in_the_loss():
-    from farfield.detectors.blocks.anchors import cirrus_anchors
-    from farfield.detectors.pointpillars import PointPillars, PointPillarsConfig
+    from farfield.detectors.anchors.grid import cirrus_anchors
+    from farfield.detectors.pointpillars.network import PointPillars, PointPillarsConfig
 
     grid = {"range_m": 200.0, "half_width_m": 16.0, "cell_m": 0.5}
     settings = {"grid": grid, "widths": [8, 8, 8], "neck_width": 8, "anchors": {"vehicle": cirrus_anchors()["vehicle"]}}

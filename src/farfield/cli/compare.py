@@ -91,8 +91,8 @@ def _open(path: Path, mapping: Path | None) -> "Dataset":
 
 def side_of(data: "Dataset", name: str, frames: int, **settings: Any) -> "Side":
     """Statistics of a data set's clouds, boxes and radar over so many frames, spread evenly; 0 takes all."""
-    from farfield.cli.evaluate import is_simulated
-    from farfield.datasets.statistics import Statistics
+    from farfield.frame.provenance import is_simulated
+    from farfield.inspection.statistics import Statistics
     from farfield.reports.comparison import Side
 
     count = len(data) if frames == 0 else min(frames, len(data))

@@ -62,9 +62,9 @@ def run(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from farfield.datasets import open_dataset
-    from farfield.datasets.convert import convert
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError
+    from farfield.recording.convert import convert
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
     options |= {"roots": roots} if roots else {}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 if TYPE_CHECKING:
-    from farfield.datasets.doctor import Report
+    from farfield.inspection.doctor import Report
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -48,7 +48,7 @@ def run(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from farfield.datasets import open_dataset
-    from farfield.datasets.doctor import examine
+    from farfield.inspection.doctor import examine
 
     given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
     dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})

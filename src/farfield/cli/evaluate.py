@@ -62,6 +62,7 @@ def run(
     """
     from farfield.api import as_trained, load_detector, open_dataset
     from farfield.evaluation import evaluate_clouds
+    from farfield.frame.provenance import is_simulated
     from farfield.reports.page import write_report
 
     options: dict[str, Any] = {"mapping": mapping} if mapping else {}
@@ -123,11 +124,6 @@ def _of_kradar(data: "Dataset", classes: tuple[str, ...]) -> dict[str, Any]:
     version = frame.metadata.get("label_version", "not stated")
     frame_of_boxes = "radar" if frame.reference == "radar" else "os2-64"
     return {"classes": classes, "boxes_in": frame_of_boxes, "label_version": version}
-
-
-def is_simulated(root: Path) -> bool:
-    """Whether ``farfield simulate`` wrote the data set: its settings file lies in the folder or above it."""
-    return any((folder / "simulation.json").is_file() for folder in (root, root.parent))
 
 
 def summary(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -45,8 +45,8 @@ def run(
         picture: Draw the first frame from above into this file.
     """
     from farfield.api import as_trained, load_detector, show
-    from farfield.datasets.convert import box_rows
     from farfield.files.boxes_csv import format_boxes_csv, write_boxes_csv
+    from farfield.recording.convert import box_rows
 
     frames = _frames(files, rotate_deg)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud)

@@ -8,7 +8,7 @@ import tyro
 
 if TYPE_CHECKING:
     from farfield.metrics import Result
-    from farfield.metrics.inputs import ScoreInputs
+    from farfield.metrics.reading import ScoreInputs
 
 _FLAGS = ("range_bins_m", "epsilons", "region", "label", "label_version", "bootstrap")
 _LISTS = ("thresholds_m", "window_m", "ious", "origin_m")
@@ -72,7 +72,7 @@ def run(
     from farfield.errors import ConfigError
     from farfield.files.atomic import write_text
     from farfield.metrics import Bootstrap
-    from farfield.metrics.inputs import read_inputs
+    from farfield.metrics.reading import read_inputs
 
     of_kradar = protocol.partition(":")[0] in ("kradar", "kradar-compat")
     chosen: dict[str, Any] = {"bootstrap": Bootstrap(replicates=replicates, seed=seed), **_parse_options(options)}
@@ -136,8 +136,8 @@ def _score_kradar(
     """All classes in one result."""
     from farfield.errors import ConfigError
     from farfield.metrics import kradar_settings, score
-    from farfield.metrics.kradar_settings import CLASS_NAMES
-    from farfield.metrics.scene import labels_of
+    from farfield.metrics.centre.scene import labels_of
+    from farfield.metrics.kradar.settings import CLASS_NAMES
 
     if label is not None:
         chosen = {**chosen, "classes": (chosen.get("relabel", CLASS_NAMES).get(label, label),)}
@@ -164,7 +164,7 @@ def _conditions(inputs: "ScoreInputs", conditions: str | None) -> dict[tuple[str
 
         told = {key: published_conditions(key[0]) for key in inputs.annotations}
         return {key: values for key, values in told.items() if values}
-    from farfield.metrics.kradar_conditions import read_conditions
+    from farfield.metrics.kradar.conditions import read_conditions
 
     return read_conditions(conditions, inputs.annotations)
 

@@ -68,7 +68,7 @@ def run(
         workers: Processes; 0 takes as many as there are cores.
         cache: Also write the binary cache that makes reading fast (Cirrus).
     """
-    from farfield.cli import _simulating
+    from farfield.recording import writing as _simulating
     from farfield.simulation import find_preset
     from farfield.simulation.frozen import FROZEN
     from farfield.simulation.presets import check_sensors
@@ -219,7 +219,7 @@ def _finish(preset: "Preset", out: Path) -> None:
     """Write what belongs to whole sequences: calibration, times, splits, odometry."""
     if preset.rig != "kradar":
         return
-    from farfield.cli._simulating import writer_for
+    from farfield.recording.writing import writer_for
 
     writer_for(preset, out).finish()
 

@@ -65,7 +65,7 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "Dataset
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from farfield.cli.compare import side_of
-    from farfield.datasets.statistics.census import take_census
+    from farfield.inspection.statistics.census import take_census
     from farfield.reports.statistics import DatasetFigures
 
     columns = (TextColumn("annotations"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -12,7 +12,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from farfield.experiment import DataConfig
+    from farfield.experiments.schema import DataConfig
     from farfield.training.loop import Training
 
 
@@ -44,7 +44,7 @@ def run(
     from rich.progress import track
 
     from farfield.api import prepare_training
-    from farfield.experiment import dump_experiment, load_experiment
+    from farfield.experiments.schema import dump_experiment, load_experiment
     from farfield.files.atomic import write_text
 
     first = _is_first_process()

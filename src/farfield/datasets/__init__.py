@@ -17,19 +17,19 @@ def _cirrus(root: Path, **options: Any) -> Dataset:
 
 
 def _kitti(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.kitti import Kitti
+    from farfield.datasets.kitti.object import Kitti
 
     return Kitti(root, **options)
 
 
 def _view_of_delft(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.view_of_delft import ViewOfDelft
+    from farfield.datasets.view_of_delft.reader import ViewOfDelft
 
     return ViewOfDelft(root, **options)
 
 
 def _kitti_tracking(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.kitti_tracking import KittiTracking
+    from farfield.datasets.kitti.tracking import KittiTracking
 
     return KittiTracking(root, **options)
 
@@ -96,7 +96,7 @@ def recognise(root: Path, *, mapping: Any = None) -> str | None:
 
     if find_parts(root, Mapping()):
         return "cirrus"
-    from farfield.datasets.view_of_delft_layout import is_view_of_delft
+    from farfield.datasets.view_of_delft.layout import is_view_of_delft
 
     if is_view_of_delft(root):
         return "view_of_delft"

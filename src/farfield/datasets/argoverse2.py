@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.classes import CIRRUS_FROM_ARGOVERSE2
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.frame import Boxes, Camera, Cloud, Frame, Lazy
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
+from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _TRANSLATION = ("tx_m", "ty_m", "tz_m")

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.classes import normalised_class
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
 from farfield.files.xyz import read_xyz
 from farfield.frame import Boxes, Cloud, Frame, Lazy
+from farfield.vocabulary.classes import normalised_class
 
 CELL_M = 100.0 / 576  # of the polar picture along range, and of the Cartesian one along both axes
 POLAR_SHAPE, CARTESIAN_SHAPE = (576, 400), (1152, 1152)

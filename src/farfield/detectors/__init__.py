@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from torch import nn
 
 DETECTORS = {
-    "pointpillars": ("farfield.detectors.pointpillars", "PointPillars", "PointPillarsConfig"),
-    "pointrcnn": ("farfield.detectors.pointrcnn", "PointRCNN", "PointRCNNConfig"),
-    "rtn": ("farfield.detectors.rtn", "RTN", "RTNConfig"),
-    "rtnh": ("farfield.detectors.rtnh", "RTNH", "RTNHConfig"),
+    "pointpillars": ("farfield.detectors.pointpillars.network", "PointPillars", "PointPillarsConfig"),
+    "pointrcnn": ("farfield.detectors.pointrcnn.network", "PointRCNN", "PointRCNNConfig"),
+    "rtn": ("farfield.detectors.kradar.rtn", "RTN", "RTNConfig"),
+    "rtnh": ("farfield.detectors.kradar.rtnh", "RTNH", "RTNHConfig"),
     "second": ("farfield.detectors.second", "Second", "SecondConfig"),
-    "sparsecentre": ("farfield.detectors.sparsecentre", "SparseCentre", "SparseCentreConfig"),
-    "voxelnet": ("farfield.detectors.voxelnet", "VoxelNet", "VoxelNetConfig"),
+    "sparsecentre": ("farfield.detectors.sparsecentre.network", "SparseCentre", "SparseCentreConfig"),
+    "voxelnet": ("farfield.detectors.voxelnet.network", "VoxelNet", "VoxelNetConfig"),
 }
 """Name: module, network, configuration."""
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from farfield.detectors.blocks.folding import fold_batch_norm
+from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame

@@ -15,13 +15,13 @@ import numpy as np
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.detectors.blocks.anchor_head import AnchorDetector, AnchorHead, AnchorHeadConfig
-from farfield.detectors.blocks.anchors import AnchorGrid
-from farfield.detectors.blocks.bev import BevBackbone
-from farfield.detectors.blocks.config import Channels
-from farfield.detectors.blocks.published import first_points_of_voxels, use_published_momentum
-from farfield.detectors.blocks.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
-from farfield.detectors.blocks.voxels import VoxelGridConfig, mean_voxels
+from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.bev import BevBackbone
+from farfield.detectors.contract import Channels
+from farfield.detectors.published import first_points_of_voxels, use_published_momentum
+from farfield.detectors.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
+from farfield.detectors.voxels import VoxelGridConfig, mean_voxels
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks

@@ -40,6 +40,8 @@ class Boxes:
         score: Detection scores, shape (n,), or None for annotations.
         track_id: Identity over time, shape (n,), or None; -1 marks a box without one.
         point_count: Number of LiDAR points inside, shape (n,), or None; -1 marks an unknown count.
+        velocity_m_s: Velocity over ground in the boxes' coordinates, x, y and perhaps z, shape (n, 2) or (n, 3), or
+            None; NaN marks a box whose velocity is not known.
 
     Raises:
         ValueError: If shapes disagree, values are not finite or a size is not positive.
@@ -52,33 +54,37 @@ class Boxes:
     score: Float[np.ndarray, " n"] | None = None
     track_id: Int[np.ndarray, " n"] | None = None
     point_count: Int[np.ndarray, " n"] | None = None
+    velocity_m_s: Float[np.ndarray, "n axes"] | None = None
 
     def __post_init__(self) -> None:
-        def store(name: str, value: Any, dtype: Any, shape: tuple[int, ...]) -> None:
-            given = np.asarray(value)
-            if given.shape != shape:
-                raise ValueError(f"Boxes.{name}: expected shape {shape}, got {given.shape}")
-            if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
-                raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
-            array = given.astype(dtype, copy=False)
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                row = int(np.argwhere(~np.isfinite(array))[0][0])
-                raise ValueError(f"Boxes.{name}: expected finite numbers, got {array[row]} in row {row}")
-            object.__setattr__(self, name, array)
-
         n = len(np.atleast_1d(self.yaw_rad))
-        store("centre_m", self.centre_m, np.float64, (n, 3))
-        store("size_m", self.size_m, np.float64, (n, 3))
-        store("yaw_rad", self.yaw_rad, np.float64, (n,))
+        self._store("centre_m", self.centre_m, np.float64, (n, 3))
+        self._store("size_m", self.size_m, np.float64, (n, 3))
+        self._store("yaw_rad", self.yaw_rad, np.float64, (n,))
         object.__setattr__(self, "yaw_rad", wrap_angle_rad(self.yaw_rad))
         label = [self.label] * n if isinstance(self.label, str) else self.label
-        store("label", np.asarray(label, dtype=np.str_) if n else np.empty(0, "<U1"), np.str_, (n,))
+        self._store("label", np.asarray(label, dtype=np.str_) if n else np.empty(0, "<U1"), np.str_, (n,))
         for name, dtype in (("score", np.float64), ("track_id", np.int64), ("point_count", np.int64)):
             if getattr(self, name) is not None:
-                store(name, getattr(self, name), dtype, (n,))
+                self._store(name, getattr(self, name), dtype, (n,))
+        if self.velocity_m_s is not None:
+            axes = np.shape(self.velocity_m_s)[-1] if np.ndim(self.velocity_m_s) == 2 else 2
+            self._store("velocity_m_s", self.velocity_m_s, np.float64, (n, 3 if axes == 3 else 2), finite=False)
         if n and not (self.size_m > 0).all():
             row = int(np.argwhere(~(self.size_m > 0))[0][0])
             raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
+
+    def _store(self, name: str, value: Any, dtype: Any, shape: tuple[int, ...], *, finite: bool = True) -> None:
+        given = np.asarray(value)
+        if given.shape != shape:
+            raise ValueError(f"Boxes.{name}: expected shape {shape}, got {given.shape}")
+        if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
+            raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
+        array = given.astype(dtype, copy=False)
+        if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise ValueError(f"Boxes.{name}: expected finite numbers, got {array[row]} in row {row}")
+        object.__setattr__(self, name, array)
 
     @classmethod
     def empty(cls, *, scored: bool = False) -> "Boxes":
@@ -132,6 +138,10 @@ class Boxes:
         """Return a copy with the named fields replaced."""
         return replace(self, **changes)
 
+    def plain(self) -> "Boxes":
+        """Return places, sizes, headings and labels alone, as boxes of different origin can be joined."""
+        return replace(self, score=None, track_id=None, point_count=None, velocity_m_s=None)
+
     def relabel(self, mapping: Mapping[str, str]) -> "Boxes":
         """Return a copy with class names replaced; names that the mapping lacks stay."""
         return self.replace(label=[mapping.get(str(name), str(name)) for name in self.label])
@@ -164,9 +174,12 @@ class Boxes:
         """Move the boxes rigidly: from the source frame into the target frame.
 
         The heading is the target's yaw of the moved x axis; roll and pitch of the pose move the centres only, because
-        a box has none.
+        a box has none. Velocities turn with the boxes; of a velocity without z what leaves the x-y plane is lost.
         """
         rotation = np.asarray(target_T_source, dtype=np.float64)[:3, :3]
         heading = np.stack([np.cos(self.yaw_rad), np.sin(self.yaw_rad), np.zeros(len(self))], 1) @ rotation.T
         centre = self.centre_m @ rotation.T + np.asarray(target_T_source)[:3, 3]
-        return self.replace(centre_m=centre, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]))
+        velocity = self.velocity_m_s
+        if velocity is not None:
+            velocity = velocity @ rotation[: velocity.shape[1], : velocity.shape[1]].T
+        return self.replace(centre_m=centre, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]), velocity_m_s=velocity)

@@ -8,14 +8,14 @@ import numpy as np
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.dds import DdsResult, DdsSettings, evaluate_dds
-from farfield.metrics.kitti import KittiResult, evaluate_kitti
-from farfield.metrics.kitti_settings import KittiSettings
-from farfield.metrics.kradar import KRadarResult, evaluate_kradar
-from farfield.metrics.kradar_settings import KRadarSettings, kradar_settings
-from farfield.metrics.nuscenes import NuScenesResult, NuScenesSettings, evaluate_nuscenes
+from farfield.metrics.centre.dds import DdsResult, DdsSettings, evaluate_dds
+from farfield.metrics.centre.nuscenes import NuScenesResult, NuScenesSettings, evaluate_nuscenes
+from farfield.metrics.centre.scene import BoxesByFrame, Key, labels_of
+from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti
+from farfield.metrics.kitti.settings import KittiSettings
+from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
+from farfield.metrics.kradar.settings import KRadarSettings, kradar_settings
 from farfield.metrics.result import Result
-from farfield.metrics.scene import BoxesByFrame, Key, labels_of
 
 __all__ = [
     "PROTOCOLS",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from farfield.metrics.settings import option_text
+from farfield.metrics.centre.settings import option_text
 
 Tree = Mapping[str, Any]
 _INERT = ("bootstrap", "label")

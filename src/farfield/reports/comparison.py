@@ -58,7 +58,7 @@ class Side:
 
     Args:
         name: What figures and table call it.
-        summary: Its figures: ``farfield.datasets.statistics.Statistics.summary()``.
+        summary: Its figures: ``farfield.inspection.statistics.Statistics.summary()``.
         arrays: Its arrays: ``Statistics.arrays()``.
         path: Where it was read from.
     """

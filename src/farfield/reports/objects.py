@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.matching import Limits, greedy_match, rank_predictions
+from farfield.metrics.centre.matching import Limits, greedy_match, rank_predictions
 
 VEHICLES = ("vehicle", "large_vehicle")
 Key = tuple[str, str]

@@ -36,7 +36,7 @@ class DatasetFigures:
         name: What the data set is called.
         format: Its format.
         path: Where it was read from.
-        census: ``Census.summary()`` of :mod:`farfield.datasets.statistics.census`.
+        census: ``Census.summary()`` of :mod:`farfield.inspection.statistics.census`.
         arrays: ``name``, ``range_m`` of every box and ``objects`` of every frame.
         sensors: Clouds, boxes and radar of some frames, as :mod:`farfield.reports.comparison` takes them; None where
             none was read.

@@ -16,7 +16,7 @@ from lightning_fabric.strategies import DDPStrategy
 from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from farfield.detectors.blocks.processes import process_count, sum_over_processes
+from farfield.detectors.processes import process_count, sum_over_processes
 from farfield.detectors.weights import default_precision
 from farfield.errors import ConfigError
 from farfield.training.config import TrainingConfig

@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.cirrus.mapping import Labels
-from farfield.datasets.classes import normalised_class
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
+from farfield.vocabulary.classes import normalised_class
 
 _MAX_BYTES = 64 << 20
 _LARGEST = 1e9  # no length is larger, and squares of such numbers do not overflow

@@ -16,8 +16,8 @@ from typing import Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from farfield.datasets.classes import CIRRUS_CLASSES
 from farfield.errors import ConfigError
+from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 
 class _Strict(BaseModel):

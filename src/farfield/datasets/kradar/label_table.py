@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from farfield.datasets.classes import CIRRUS_FROM_KRADAR, normalised_class
 from farfield.datasets.kradar.index import Entry
 from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FarfieldError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
+from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, normalised_class
 
 _NUMBER = r"(-?\d{1,5}(?:\.\d{1,20})?(?:e-\d{1,2})?)"
 _SIZE = r"(?!0+(?:\.0*)?(?![\d.]))(\d{1,5}(?:\.\d{1,20})?(?:e-\d{1,2})?)"  # above 0

@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.datasets.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS, normalised_class
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
+from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS, normalised_class
 
 MAX_BYTES = 4 << 20
 _LARGEST = 1e6

@@ -1,1 +1,0 @@
-"""Adapting a detector across range, device and scan pattern."""

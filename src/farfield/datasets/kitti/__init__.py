@@ -1,0 +1,1 @@
+"""KITTI: object and tracking benchmarks, their boxes, and a writer."""

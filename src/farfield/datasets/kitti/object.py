@@ -1,0 +1,213 @@
+"""KITTI's object detection layout (Geiger, Lenz, Urtasun: "Are we ready for Autonomous Driving?", CVPR 2012).
+
+``training/{velodyne,label_2,calib,image_2}/NNNNNN.*``. Boxes come into the lidar's frame through R0_rect and
+Tr_velo_to_cam, with their centre instead of the centre of their bottom.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.kitti.boxes import camera_from_calib, camera_from_lidar, camera_of, lidar_from_camera
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.images import read_image
+from farfield.files.kitti import KittiObjects, read_calib, read_labels
+from farfield.frame import Boxes, Camera, Frame, Lazy
+from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
+
+_IMAGE_SUFFIXES = (".png", ".jpg")
+
+
+class Kitti(Dataset):
+    """KITTI object frames: cloud ``"lidar"``, image ``"camera"`` (image_2), boxes of the full objects.
+
+    ``frame.metadata`` holds ``kitti`` (the file's objects as they are, ``DontCare`` included, for KITTI's AP),
+    ``kitti_index`` (row in it of each box), ``truncation``, ``occlusion``, ``boxes_px`` and ``raw_label`` of the boxes,
+    ``dont_care_px`` (2D boxes), ``camera_T_rect_lidar`` (lidar to rectified camera) and ``box_protocol`` ("full").
+
+    Args:
+        root: The folder with ``training`` or ``testing``, or one of those itself.
+        part: ``"training"`` or ``"testing"``.
+        classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
+
+    Raises:
+        DatasetError: If there is no cloud.
+    """
+
+    name = "kitti"
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        part: Literal["training", "testing"] = "training",
+        classes: Literal["cirrus", "kitti"] = "cirrus",
+    ) -> None:
+        if classes not in ("cirrus", "kitti"):
+            raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
+        self.root, self.classes = Path(root), classes
+        places = [self.root / part, self.root]
+        self.folder = next((place for place in places if any(place.glob("velodyne/*.bin"))), places[0])
+        self.clouds = sorted(self.folder.glob("velodyne/*.bin"))
+        if not self.clouds:
+            raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
+        self.frame_ids = tuple(path.stem for path in self.clouds)
+        self.sequences = (part,) * len(self.clouds)
+
+    def split_units(self) -> tuple[str, ...]:
+        """Name what a split may not tear apart: single frames, as the set shuffles its drives."""
+        return self.frame_ids
+
+    def _split_from_file(self) -> dict[str, list[str]]:
+        """Use the usual lists ``ImageSets/{train,val,test}.txt`` where they stand in the root."""
+        parts: dict[str, list[str]] = {}
+        for name in ("train", "val", "test"):
+            path = self.root / "ImageSets" / f"{name}.txt"
+            if path.is_file():
+                parts[name] = path.read_text("ascii").split()
+        return parts or super()._split_from_file()
+
+    def _file(self, index: int, kind: str, suffix: str) -> Path | None:
+        path = self.folder / kind / f"{self.frame_ids[index]}{suffix}"
+        return path if path.is_file() else None
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        beside = [self._file(index, "label_2", ".txt"), self._file(index, "calib", ".txt"), self._image(index)]
+        return [self.clouds[index], *(path for path in beside if path)]
+
+    def _image(self, index: int) -> Path | None:
+        return next((path for suffix in _IMAGE_SUFFIXES if (path := self._file(index, "image_2", suffix))), None)
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``.
+
+        Raises:
+            DatasetError: If there are labels but no calibration.
+        """
+        labels, image = self._file(index, "label_2", ".txt"), self._image(index)
+        calib_path = self._file(index, "calib", ".txt")
+        calib = None if calib_path is None else read_calib(calib_path)
+        if labels is not None and calib is None:
+            raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
+        annotation, metadata = None, {}
+        if labels is not None and calib is not None:
+            objects = Lazy({"all": partial(read_labels, labels)})
+            metadata = object_metadata(objects, camera_from_calib(calib))
+            annotation = partial(_boxes_of, objects, camera_from_calib(calib), self.classes)
+        files = [str(path) for path in self.files(index)]
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=self.frame_ids[index],
+            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], intensity_scale=1.0)}),
+            images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
+            cameras={} if calib is None else {"camera": sized_camera(calib, image)},
+            annotation=annotation,
+            metadata=Lazy({"files": lambda: files, "box_protocol": lambda: "full", **metadata}),
+        )
+
+
+def sized_camera(calib: Mapping[str, np.ndarray], image: Path | None) -> Camera:
+    """Camera P2 with the size of its image, from the image's header."""
+    if image is None:
+        return camera_of(calib)
+    try:
+        with Image.open(image, formats=("JPEG", "PNG")) as picture:
+            width, height = picture.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {error}") from error
+    return camera_of(calib, width_px=width, height_px=height)
+
+
+def object_metadata(objects: Lazy, camera_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
+    """Loaders of what KITTI knows beyond boxes; ``objects["all"]`` holds the file's rows."""
+
+    def kept() -> KittiObjects:
+        return objects["all"][objects["all"].has_box]
+
+    return {
+        "kitti": lambda: objects["all"],
+        "kitti_index": lambda: np.flatnonzero(objects["all"].has_box),
+        "truncation": lambda: kept().truncation,
+        "occlusion": lambda: kept().occlusion,
+        "boxes_px": lambda: kept().box_px,
+        "raw_label": lambda: tuple(kept().type.tolist()),
+        "dont_care_px": lambda: objects["all"][objects["all"].type == "DontCare"].box_px,
+        "camera_T_rect_lidar": lambda: camera_T_lidar,
+    }
+
+
+def _boxes_of(objects: Lazy, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str) -> Boxes:
+    return boxes_from_objects(objects["all"], camera_T_lidar, classes=classes)
+
+
+def boxes_from_objects(
+    objects: KittiObjects, camera_T_lidar: Float[np.ndarray, "4 4"], *, classes: str = "cirrus"
+) -> Boxes:
+    """Convert KITTI objects to lidar boxes; rows without a 3D box (``DontCare``) are left out.
+
+    Args:
+        objects: Rows of a label or detection file.
+        camera_T_lidar: Lidar to rectified camera coordinates.
+        classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
+    """
+    kept = objects[objects.has_box]
+    centre, size, yaw = lidar_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_lidar)
+    names = kept.type.tolist()
+    if classes == "cirrus":
+        names = [normalised_class(name, CIRRUS_FROM_KITTI) for name in names]
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=kept.score)
+
+
+def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, str]) -> KittiObjects:
+    """Convert lidar boxes to KITTI objects: the inverse of :func:`boxes_from_objects`, with 2D boxes.
+
+    A box behind the camera or outside its image gets the 2D box -1 -1 -1 -1. Occlusion is not known (3).
+
+    Args:
+        boxes: Boxes in lidar coordinates.
+        camera: The left colour camera (its pose is taken as that of the rectified frame).
+        classes: Class names by ours; others become ``Misc``.
+    """
+    bottom, size, rotation_y = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad, camera.camera_T_lidar)
+    box_px, truncation = image_boxes(boxes, camera)
+    alpha = rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2])
+    return KittiObjects(
+        type=np.array([classes.get(str(name), "Misc") for name in boxes.label], dtype=np.str_),
+        truncation=truncation,
+        occlusion=np.full(len(boxes), 3, dtype=np.int64),
+        alpha_rad=np.mod(alpha + np.pi, 2 * np.pi) - np.pi,
+        box_px=box_px,
+        size_m=size,
+        bottom_m=bottom,
+        rotation_y_rad=rotation_y,
+        score=boxes.score,
+        line=np.arange(1, len(boxes) + 1, dtype=np.int64),
+    )
+
+
+def image_boxes(boxes: Boxes, camera: Camera) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"]]:
+    """2D boxes round the projected corners, cut at the image, and the share that is cut off.
+
+    Returns:
+        left, top, right, bottom, shape (n, 4), -1 where nothing is seen; truncation in [0, 1], shape (n,).
+    """
+    pixels, _, _ = camera.project(boxes.corners_m().reshape(-1, 3))
+    pixels = pixels.reshape(-1, 8, 2)
+    ahead = np.isfinite(pixels).all(axis=(1, 2))
+    filled = np.where(ahead[:, None, None], pixels, 0.0)
+    low, high = filled.min(axis=1), filled.max(axis=1)
+    limit = np.array([camera.width_px or np.inf, camera.height_px or np.inf]) - 1
+    low_cut, high_cut = np.clip(low, 0, limit), np.clip(high, 0, limit)
+    area, cut = np.prod(high - low, axis=1), np.prod(high_cut - low_cut, axis=1)
+    seen = ahead & (cut > 0)
+    box_px = np.where(seen[:, None], np.column_stack([low_cut, high_cut]), -1.0)
+    truncation = np.where(seen, 1 - cut / np.maximum(area, 1e-9), 1.0)
+    return box_px, np.clip(truncation, 0.0, 1.0)

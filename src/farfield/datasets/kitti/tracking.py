@@ -1,0 +1,135 @@
+"""KITTI's tracking layout: clouds and images by sequence, one label and one calibration file a sequence.
+
+``training/{velodyne/SSSS/*.bin, image_02/SSSS/*.png, label_02/SSSS.txt, calib/SSSS.txt}``. A folder of label files
+alone (``label_02`` or ``label``) opens too: frames without clouds, boxes on plain camera axes.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.kitti.boxes import camera_from_calib
+from farfield.datasets.kitti.object import boxes_from_objects, object_metadata, sized_camera
+from farfield.errors import DatasetError
+from farfield.files.images import read_image
+from farfield.files.kitti import KittiObjects, KittiTracks, read_calib, read_tracking
+from farfield.frame import Boxes, Frame, Lazy
+from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
+
+_LABEL_FOLDERS = ("label_02", "label")
+
+
+class KittiTracking(Dataset):
+    """KITTI tracking frames; ``frame_id`` is the number with six digits, boxes carry ``track_id``.
+
+    ``frame.metadata`` is that of :class:`farfield.datasets.kitti.object.Kitti`, and ``calibrated`` tells whether there
+    was a calibration file; without one, boxes are turned to lidar axes but keep the camera's origin.
+
+    Args:
+        root: The folder with ``training`` or ``testing``, or one of those itself.
+        part: ``"training"`` or ``"testing"``.
+        classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
+
+    Raises:
+        DatasetError: If there are neither clouds nor labels.
+    """
+
+    name = "kitti_tracking"
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        part: Literal["training", "testing"] = "training",
+        classes: Literal["cirrus", "kitti"] = "cirrus",
+    ) -> None:
+        self.root, self.classes = Path(root), classes
+        self.folder = self.root / part if (self.root / part).is_dir() else self.root
+        self._tracks: dict[str, KittiTracks] = {}
+        names = {path.parent.name for path in self.folder.glob("velodyne/*/*.bin")}
+        self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/*.txt")}
+        names |= self.labels.keys()
+        keys = [(name, stem) for name in sorted(names) for stem in self._stems(name)]
+        if not keys:
+            looked = "velodyne/<sequence>/*.bin, label_02/*.txt, label/*.txt"
+            raise DatasetError(f"{self.root}: expected KITTI tracking data, found none. Looked for {looked}")
+        self.sequences = tuple(name for name, _ in keys)
+        self.frame_ids = tuple(stem for _, stem in keys)
+
+    def _stems(self, sequence: str) -> list[str]:
+        clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/*.bin"))]
+        if clouds or sequence not in self.labels:
+            return clouds
+        frames = self.tracks(sequence).frame
+        return [f"{number:06d}" for number in range(int(frames.max(initial=-1)) + 1)]
+
+    def tracks(self, sequence: str) -> KittiTracks:
+        """Read the label file of a sequence, once."""
+        if sequence not in self._tracks:
+            self._tracks[sequence] = read_tracking(self.labels[sequence])
+        return self._tracks[sequence]
+
+    def _file(self, index: int, kind: str, *suffixes: str) -> Path | None:
+        places = (
+            self.folder / kind / self.sequences[index] / f"{self.frame_ids[index]}{suffix}" for suffix in suffixes
+        )
+        return next((path for path in places if path.is_file()), None)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``; label and calibration files are shared by their sequence."""
+        beside = [
+            self._file(index, "velodyne", ".bin"),
+            self._file(index, "image_02", ".png", ".jpg"),
+            self.labels.get(self.sequences[index]),
+            self._calib(index),
+        ]
+        return [path for path in beside if path]
+
+    def _calib(self, index: int) -> Path | None:
+        path = self.folder / "calib" / f"{self.sequences[index]}.txt"
+        return path if path.is_file() else None
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        sequence, stem = self.sequences[index], self.frame_ids[index]
+        cloud, image = self._file(index, "velodyne", ".bin"), self._file(index, "image_02", ".png", ".jpg")
+        calib_path = self._calib(index)
+        calib = None if calib_path is None else read_calib(calib_path)
+        camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
+        files = [str(path) for path in self.files(index)]
+        metadata: dict[str, Any] = {}
+        if sequence in self.labels:
+            metadata = object_metadata(Lazy({"all": partial(self._objects, sequence, stem)}), camera_T_lidar)
+        return Frame(
+            sequence=sequence,
+            frame_id=stem,
+            clouds=Lazy({} if cloud is None else {"lidar": partial(read_cloud, cloud, intensity_scale=1.0)}),
+            images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
+            cameras={} if calib is None else {"camera": sized_camera(calib, image)},
+            annotation=partial(self._boxes, sequence, stem, camera_T_lidar) if sequence in self.labels else None,
+            metadata=Lazy(
+                {
+                    "files": lambda: files,
+                    "box_protocol": lambda: "full",
+                    "calibrated": lambda: calib is not None,
+                    **metadata,
+                }
+            ),
+        )
+
+    def _rows(self, sequence: str, stem: str) -> KittiTracks:
+        tracks = self.tracks(sequence)
+        return tracks[tracks.frame == int(stem)]
+
+    def _objects(self, sequence: str, stem: str) -> KittiObjects:
+        return self._rows(sequence, stem).objects
+
+    def _boxes(self, sequence: str, stem: str, camera_T_lidar: np.ndarray) -> Boxes:
+        rows = self._rows(sequence, stem)
+        boxes = boxes_from_objects(rows.objects, camera_T_lidar, classes=self.classes)
+        return boxes.replace(track_id=rows.track_id[rows.objects.has_box])

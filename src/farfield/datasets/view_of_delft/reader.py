@@ -1,0 +1,320 @@
+"""View-of-Delft: an HDL-64 lidar, a ZF FRGen21 3+1D radar and a camera that looks down by seven degrees.
+
+Palffy et al.: "Multi-class Road User Detection with 3+1D Radar in the View-of-Delft Dataset", RA-L 2022. Each sensor
+has a tree in KITTI's layout.
+"""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.datasets.base import SPLIT_SHARES, Dataset
+from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.kitti.boxes import camera_from_calib
+from farfield.datasets.kitti.object import object_metadata, sized_camera
+from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects, kitti_names
+from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.atomic import read_bytes
+from farfield.files.clouds import read_bin
+from farfield.files.images import read_image
+from farfield.files.kitti import KittiObjects, read_calib, read_labels
+from farfield.files.view_of_delft import DelftObjects, read_camera_poses, read_objects
+from farfield.frame import Boxes, Cloud, Frame, Lazy
+
+RCS_LIMIT_DBSM = 60.0
+"""Radar cross sections from minus to plus this become the intensities 0 to 1, linear in decibels."""
+REFLECTANCE_FULL = 255.0  # the lidar's, unlike KITTI's
+RADAR_RATE_HZ = 13.0  # nominal; files count scans and give no times
+
+Sensor = Literal["lidar", "radar"]
+_COMPANIONS = {"image_2": (".jpg", ".png"), "label_2": (".txt", ".json"), "pose": (".json",), "calib": (".txt",)}
+_NEEDED_POINTS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rig:
+    """What a frame's calibration files say: sensors to camera, and which of them the frame's coordinates belong to."""
+
+    camera_T: Mapping[Sensor, Float[np.ndarray, "4 4"]]
+    calib: Mapping[Sensor, Mapping[str, np.ndarray]]
+    reference: Sensor
+
+    def reference_T(self, sensor: Sensor) -> Float[np.ndarray, "4 4"]:
+        return np.asarray(np.linalg.inv(self.camera_T[self.reference]) @ self.camera_T[sensor])
+
+
+class ViewOfDelft(Dataset):
+    """View-of-Delft frames, from the data set's root or from one of its folders alone.
+
+    Clouds are ``"lidar"``, ``"radar"`` (one scan), ``"radar_3frames"`` and ``"radar_5frames"``, those that are there.
+    A radar cloud keeps all columns of its file in ``extra``:
+
+    - ``rcs_dbsm``, which its intensity is too, see :data:`RCS_LIMIT_DBSM`,
+    - ``v_r_m_s``, radial velocity relative to the radar, positive away from it; once more as ``doppler_m_s``, the name
+      that detectors of radar cells ask for,
+    - ``v_r_compensated_m_s``, the same over ground, without the ego vehicle's motion,
+    - ``scan``, 0 for the newest, -1, -2...; ``lag_s`` is its age at :data:`RADAR_RATE_HZ`.
+
+    Radial means along the ray from the radar, which stands at ``metadata["reference_T_radar"]``.
+
+    ``world_T_lidar`` is the pose of the reference sensor in the odometry's frame, which is smooth within a drive and
+    begins anew with the next; ``metadata["world_T_camera"]`` has the camera's poses in ``odom``, ``map`` and ``utm``.
+    Further ``metadata``: ``moving`` (of each box, from the label's truncation column, which tells nothing else),
+    ``radar_velocity_m_s`` (x, y, z in the radar's frame, solved from the two velocity columns), and what
+    :class:`~farfield.datasets.kitti.object.Kitti` gives. Labels in JSON add ``activity`` and ``object_id``.
+
+    A sequence is a clip of the data set's documentation, or the part's name for frames that are in none.
+
+    Args:
+        root: The data set's root, or ``lidar``, ``radar``, ``radar_3frames`` or ``radar_5frames`` in it.
+        part: ``"training"`` or ``"testing"``.
+        classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
+        reference: Whose coordinates everything is in: ``"lidar"``, ``"radar"``, or None for the lidar where there is
+            one.
+
+    Raises:
+        DatasetError: If there is no cloud.
+        ConfigError: If an option is unknown.
+    """
+
+    name = "view_of_delft"
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        part: Literal["training", "testing"] = "training",
+        classes: Literal["cirrus", "kitti"] = "cirrus",
+        reference: Sensor | None = None,
+    ) -> None:
+        for option, value, known in (
+            ("part", part, PARTS),
+            ("classes", classes, ("cirrus", "kitti")),
+            ("reference", reference, (None, "lidar", "radar")),
+        ):
+            if value not in known:
+                raise ConfigError(f"view_of_delft: expected {option} to be one of {known}, got {value!r}")
+        self.root, self.classes = Path(root), classes
+        self.trees = find_trees(self.root, part)
+        if not self.trees:
+            raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
+        self.reference: Sensor = reference or ("lidar" if "lidar" in self.trees else "radar")
+        self._clouds = {name: {p.stem: p for p in tree.glob("velodyne/*.bin")} for name, tree in self.trees.items()}
+        self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
+        self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
+
+    def viewed(self, options: Mapping[str, Any]) -> "ViewOfDelft":
+        """The same frames in the coordinates that the option ``reference`` names; others are passed over."""
+        reference = options.get("reference")
+        if reference not in ("lidar", "radar") or reference == self.reference:
+            return self
+        other = copy.copy(self)
+        other.reference = reference
+        return other
+
+    def split_units(self) -> tuple[str, ...]:
+        """Name what the official lists name, single frames; the lists keep clips whole."""
+        return self.frame_ids
+
+    def _split_from_file(self) -> dict[str, list[str]]:
+        """Use ``ImageSets/{train,val,test}.txt`` where they are, or else the documented part of each clip."""
+        if (self.root / self.split_file).is_file():
+            return super()._split_from_file()
+        places = [folder / "ImageSets" for tree in self.trees.values() for folder in (tree.parent, tree)]
+        for place in [self.root / "ImageSets", *places]:
+            lists = {name: place / f"{name}.txt" for name in SPLIT_SHARES}
+            found = {
+                name: read_bytes(path).decode("ascii", "replace") for name, path in lists.items() if path.is_file()
+            }
+            if found:
+                return {name: text.split() for name, text in found.items()}
+        parts: dict[str, list[str]] = {name: [] for name in SPLIT_SHARES}
+        for frame_id, clip in zip(self.frame_ids, self.sequences, strict=True):
+            if clip in CLIPS:
+                parts[CLIPS[clip][2]].append(frame_id)
+        return parts if any(parts.values()) else {}
+
+    def _file(self, index: int, kind: str, tree: str | None = None, suffixes: Sequence[str] = ()) -> Path | None:
+        """A companion of frame ``index``: from the tree named, or from the first that has it, ``.txt`` first."""
+        trees = list(self.trees.values()) if tree is None else [self.trees[tree]]
+        names = [self.frame_ids[index] + suffix for suffix in suffixes or _COMPANIONS[kind]]
+        paths = (folder / kind / name for name in names for folder in trees)
+        return next((path for path in paths if path.is_file()), None)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        clouds = [paths[self.frame_ids[index]] for paths in self._clouds.values() if self.frame_ids[index] in paths]
+        calibs = [self._file(index, "calib", name) for name in self.trees]
+        beside = [self._file(index, kind) for kind in ("image_2", "label_2", "pose")]
+        return [*clouds, *(path for path in [*calibs, *beside] if path is not None)]
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``.
+
+        Raises:
+            DatasetError: If a calibration is missing that the labels or a cloud of another sensor need.
+        """
+        rig, image, pose = self._rig(index), self._file(index, "image_2"), self._file(index, "pose")
+        clouds = self._cloud_loaders(index, rig)
+        metadata: dict[str, Callable[[], Any]] = {
+            "files": lambda: [str(path) for path in self.files(index)],
+            "box_protocol": lambda: "full",
+        }
+        annotation, details = self._labels(index, rig)
+        metadata |= details
+        if "radar" in rig.camera_T:
+            metadata["reference_T_radar"] = lambda: rig.reference_T("radar")
+        if "radar" in clouds:
+            path = self._clouds["radar"][self.frame_ids[index]]
+            metadata["radar_velocity_m_s"] = lambda: radar_velocity_m_s(read_radar(path))
+        world_T_camera = {} if pose is None else read_camera_poses(pose)
+        if world_T_camera:
+            metadata["world_T_camera"] = lambda: world_T_camera
+        known = "odom" in world_T_camera and rig.reference in rig.camera_T
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=self.frame_ids[index],
+            clouds=Lazy(clouds),
+            images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
+            cameras={"camera": sized_camera(rig.calib[rig.reference], image)} if rig.reference in rig.calib else {},
+            annotation=annotation,
+            world_T_lidar=world_T_camera["odom"] @ rig.camera_T[rig.reference] if known else None,
+            reference=self.reference,
+            metadata=Lazy(metadata),
+        )
+
+    def _rig(self, index: int) -> _Rig:
+        calib: dict[Sensor, Mapping[str, np.ndarray]] = {}
+        for name in self.trees:
+            path = self._file(index, "calib", name)
+            if path is not None:
+                calib.setdefault(_sensor(name), read_calib(path))
+        camera_T = {sensor: camera_from_calib(matrices) for sensor, matrices in calib.items()}
+        return _Rig(camera_T=camera_T, calib=calib, reference=self.reference)
+
+    def _cloud_loaders(self, index: int, rig: _Rig) -> dict[str, Callable[[], Cloud]]:
+        loaders: dict[str, Callable[[], Cloud]] = {}
+        for name, paths in self._clouds.items():
+            path, sensor = paths.get(self.frame_ids[index]), _sensor(name)
+            if path is None:
+                continue
+            read = (
+                partial(read_radar, path)
+                if sensor == "radar"
+                else partial(read_cloud, path, intensity_scale=REFLECTANCE_FULL)
+            )
+            if sensor != rig.reference:
+                self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")
+                read = partial(_moved, read, rig.reference_T(sensor))
+            loaders[name] = read
+        return loaders
+
+    def _labels(self, index: int, rig: _Rig) -> tuple[Callable[[], Boxes] | None, dict[str, Callable[[], Any]]]:
+        """Loaders of the boxes and of what else the label file tells."""
+        path = self._file(index, "label_2")
+        if path is None:
+            return None, {}
+        upright: Sensor = "radar" if "radar" in rig.camera_T or path.suffix == ".json" else "lidar"
+        if path.suffix == ".json":
+            if rig.reference != "radar":
+                self._need(index, rig, ("radar", rig.reference), f"{path}: its boxes are in the radar's frame")
+            objects = Lazy({"all": partial(read_objects, path)})
+            boxes, details = partial(_boxes_of_json, objects, self.classes), json_metadata(objects)
+        else:
+            self._need(index, rig, (rig.reference,), f"{path}: its boxes are in the camera's frame")
+            objects = Lazy({"raw": partial(read_labels, path), "all": lambda: _without_flags(objects["raw"])})
+            boxes = partial(_boxes_of, objects, rig.camera_T[upright], self.classes)
+            details = object_metadata(objects, rig.camera_T[rig.reference])
+            details["moving"] = lambda: objects["raw"][objects["raw"].has_box].truncation > 0
+        if upright == rig.reference:
+            return boxes, details
+        return partial(_moved_boxes, boxes, rig.reference_T(upright)), details
+
+    def _need(self, index: int, rig: _Rig, sensors: Sequence[Sensor], why: str) -> None:
+        missing = [sensor for sensor in sensors if sensor not in rig.camera_T]
+        if missing:
+            raise DatasetError(f"{why}, expected {missing[0]}/.../calib/{self.frame_ids[index]}.txt, found none")
+
+
+def _sensor(cloud: str) -> Sensor:
+    return "lidar" if cloud == "lidar" else "radar"
+
+
+def _moved(read: Callable[[], Cloud], target_T_source: Float[np.ndarray, "4 4"]) -> Cloud:
+    return read().transform(target_T_source)
+
+
+def _moved_boxes(read: Callable[[], Boxes], target_T_source: Float[np.ndarray, "4 4"]) -> Boxes:
+    return read().transform(target_T_source)
+
+
+def _without_flags(objects: KittiObjects) -> KittiObjects:
+    """The rows without the two columns that mean something else here: moving for truncation, 1 for score."""
+    return replace(objects, truncation=np.zeros(len(objects)), score=None)
+
+
+def _boxes_of(objects: Lazy, camera_T_sensor: Float[np.ndarray, "4 4"], classes: str) -> Boxes:
+    return boxes_from_labels(objects["all"], camera_T_sensor, classes=classes)
+
+
+def _boxes_of_json(objects: Lazy, classes: str) -> Boxes:
+    return boxes_from_objects(objects["all"], classes=classes)
+
+
+def json_metadata(objects: Lazy) -> dict[str, Callable[[], Any]]:
+    """Loaders of what a JSON label file tells beyond boxes; ``objects["all"]`` holds its objects."""
+
+    def activity() -> tuple[str, ...]:
+        found: DelftObjects = objects["all"]
+        return tuple(str(attributes.get("activity", "")) for attributes in found.attributes)
+
+    return {
+        "raw_label": lambda: tuple(kitti_names(objects["all"])),
+        "activity": activity,
+        "moving": lambda: np.array([name == "moving" for name in activity()], dtype=np.bool_),
+        "object_id": lambda: objects["all"].object_id,
+    }
+
+
+def read_radar(path: Path) -> Cloud:
+    """Read a radar cloud in the radar's own frame: rows of x, y, z, RCS, v_r, v_r compensated, scan, seven float32.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+    """
+    rows = read_bin(path, columns=RADAR_COLUMNS)
+    rcs_dbsm = rows[:, 3]
+    extra = {
+        "rcs_dbsm": rcs_dbsm,
+        "v_r_m_s": rows[:, 4],
+        "doppler_m_s": rows[:, 4],
+        "v_r_compensated_m_s": rows[:, 5],
+        "scan": rows[:, 6],
+        "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
+    }
+    intensity = np.clip((rcs_dbsm / np.float32(RCS_LIMIT_DBSM) + 1) / 2, 0.0, 1.0)
+    return Cloud(rows[:, :3].copy(), intensity, {name: np.ascontiguousarray(column) for name, column in extra.items()})
+
+
+def radar_velocity_m_s(cloud: Cloud) -> Float[np.ndarray, " 3"] | None:
+    """Solve the radar's own velocity over ground from a cloud in its frame, by least squares over the newest scan.
+
+    A point's two velocities differ by the radar's motion along the ray, so ``v_r_compensated - v_r = ray . velocity``.
+
+    Returns:
+        x, y, z in metres a second, shape (3,); None for fewer than three points.
+    """
+    cloud = cloud[cloud.extra["scan"] == 0]
+    ranges_m = np.linalg.norm(cloud.points_m.astype(np.float64), axis=1)
+    cloud, ranges_m = cloud[ranges_m > 0], ranges_m[ranges_m > 0]
+    if len(cloud) < _NEEDED_POINTS:
+        return None
+    difference = cloud.extra["v_r_compensated_m_s"].astype(np.float64) - cloud.extra["v_r_m_s"]
+    return np.asarray(np.linalg.lstsq(cloud.points_m / ranges_m[:, None], difference, rcond=None)[0])

@@ -1,0 +1,1 @@
+"""Anchors: their grid, their matching to boxes, and the head that VoxelNet, SECOND, PointPillars and RTNH share."""

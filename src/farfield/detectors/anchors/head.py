@@ -1,0 +1,199 @@
+"""The anchor head that VoxelNet, SECOND and PointPillars share: one 1 x 1 convolution, its loss and its boxes.
+
+Every anchor gives one logit for its class, a box code of seven numbers and two direction logits. In the style of
+OpenPCDet it gives a logit for each class, whichever its own.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from pydantic import Field
+from torch import Tensor, nn
+
+from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
+from farfield.detectors.anchors.matching import match_by_overlap
+from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.losses import box_loss, direction_loss, focal_loss
+from farfield.detectors.nms import rotated_nms
+from farfield.detectors.processes import normaliser
+from farfield.geometry.boxes import Boxes
+
+_BOX_NUMBERS = 9  # seven of the box, two of the direction
+
+
+class AnchorHeadConfig(DetectorConfig):
+    """Settings of a detector with anchors."""
+
+    anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
+    head: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect it")
+    matching: Literal["distance", "iou"] = Field("distance", description="iou: anchors answer by overlap, as published")
+    positive_m: float = Field(1.0, description="anchor cells this near to a box's centre answer for it")
+    ignore_m: float = Field(2.0, description="anchor cells this near are not blamed")
+    box_weight: float = 2.0
+    direction_weight: float = 0.2
+    candidates: int = Field(1000, ge=1, description="best anchors that go into the suppression")
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """The classes that have an anchor."""
+        return tuple(self.anchors)
+
+
+class AnchorMaps(NamedTuple):
+    """What the head says of each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2).
+
+    In the style of OpenPCDet there is a logit for each of k classes, shape (b, a, k).
+    """
+
+    logits: Tensor
+    codes: Tensor
+    directions: Tensor
+
+
+class AnchorLosses(NamedTuple):
+    """The parts of the training loss, each normalised by the weight of the positive anchors."""
+
+    classification: Tensor
+    box: Tensor
+    direction: Tensor
+
+
+class AnchorHead(nn.Conv2d):
+    """From a bird's-eye feature map (b, c, nx, ny) to anchors, their loss and their boxes.
+
+    Args:
+        config: Settings of the detector.
+        c_in: Channels of the map.
+        grid: The anchors, one set at each cell of the map.
+    """
+
+    def __init__(self, config: AnchorHeadConfig, c_in: int, grid: AnchorGrid) -> None:
+        self.logits = len(grid.names) if config.head == "openpcdet" else 1
+        super().__init__(c_in, grid.per_cell * (self.logits + _BOX_NUMBERS), 1)
+        self.config, self.anchors = config, grid.styled(config.head)
+        self._start_unsure()
+
+    def _start_unsure(self) -> None:
+        """Begin with every anchor at a score of 0.01, so that the many negatives do not drown the first steps."""
+        if self.weight.is_meta:  # nothing to set; normal_ there would import torch._dynamo, which takes seconds
+            return
+        bias = torch.zeros(self.logits + _BOX_NUMBERS, self.anchors.per_cell)
+        bias[: self.logits] = -float(np.log((1 - 0.01) / 0.01))
+        with torch.no_grad():
+            self.weight.normal_(std=0.01)
+            if self.bias is not None:
+                self.bias.copy_(bias.reshape(-1))
+
+    def forward(self, image: Tensor) -> AnchorMaps:  # the anchors' order is channels last
+        """Map (b, c, nx, ny) to what is said of each anchor, in the order of the anchor grid."""
+        maps = super().forward(image).permute(0, 2, 3, 1)
+        maps = maps.reshape(len(image), -1, self.logits + _BOX_NUMBERS, self.anchors.per_cell)
+        logits, codes, directions = (
+            part.transpose(2, 3).reshape(len(image), -1, part.shape[2])
+            for part in maps.split((self.logits, 7, 2), dim=2)
+        )
+        return AnchorMaps(logits if self.config.head == "openpcdet" else logits.squeeze(2), codes, directions)
+
+    def targets(self, boxes: Boxes) -> Targets:
+        """What one frame's annotation asks of the anchors."""
+        config = self.config
+        weights = config.box_weights(boxes)
+        if config.matching == "iou":
+            return match_by_overlap(self.anchors, boxes, weights=weights)
+        return self.anchors.assign(boxes, positive_m=config.positive_m, ignore_m=config.ignore_m, weights=weights)
+
+    def loss(self, maps: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
+        """Focal, smooth-L1 and direction losses over a batch (PointPillars, equations 1 to 3)."""
+        device = maps.logits.device
+
+        def flat(name: Literal["positive", "ignored"]) -> Tensor:
+            parts = [getattr(target, name) + i * len(self.anchors) for i, target in enumerate(targets)]
+            return torch.from_numpy(np.concatenate(parts)).to(device)
+
+        def joined(name: Literal["code", "backwards", "weight"]) -> Tensor:
+            return torch.from_numpy(np.concatenate([getattr(target, name) for target in targets])).to(device)
+
+        positive, weight, config = flat("positive"), joined("weight").float(), self.config
+        total = normaliser(weight.sum())
+        code, direction = maps.codes.reshape(-1, 7)[positive].float(), maps.directions.reshape(-1, 2)[positive].float()
+        return AnchorLosses(
+            focal_loss(maps.logits, *self._classes(positive, flat("ignored")), weight=weight) / total,
+            config.box_weight * box_loss(code, joined("code").float(), weight=weight) / total,
+            config.direction_weight * direction_loss(direction, joined("backwards"), weight=weight) / total,
+        )
+
+    def _classes(self, positive: Tensor, ignored: Tensor) -> tuple[Tensor, Tensor]:
+        """Flat indices of anchors to those of logits: the logit of its class at a positive, all at an ignored one."""
+        if self.config.head == "farfield":
+            return positive, ignored
+        kind = positive % self.anchors.per_cell // 2
+        every = torch.arange(self.logits, device=ignored.device)
+        return positive * self.logits + kind, (ignored[:, None] * self.logits + every).reshape(-1)
+
+    def boxes(self, maps: AnchorMaps) -> list[Boxes]:
+        """The boxes of each frame after suppression, best first."""
+        return [self._frame(*frame) for frame in zip(*maps, strict=True)]
+
+    def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
+        kind = None if logits.ndim == 1 else logits.argmax(1)
+        best, index = torch.topk(logits.float() if kind is None else logits.float().amax(1), self._limit(len(logits)))
+        score = torch.sigmoid(best)
+        keep = score >= self.config.score_threshold
+        index, score = index[keep], score[keep]
+        anchor = index.cpu().numpy()
+        direction = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
+        rows = self.anchors.decode(codes[index].double().cpu().numpy(), direction, anchor)
+        names = np.array(self.anchors.names, dtype=np.str_)
+        boxes = Boxes(
+            centre_m=rows[:, :3],
+            size_m=rows[:, 3:6],
+            yaw_rad=rows[:, 6],
+            label=self.anchors.labels(anchor) if kind is None else names[kind[index].cpu().numpy()],
+            score=score.double().cpu().numpy(),
+        )
+        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+
+    def _limit(self, anchors: int) -> int:
+        return min(self.config.candidates, anchors)
+
+
+class AnchorDetector(nn.Module, ABC):
+    """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads.
+
+    The head is an :class:`AnchorHead` or another module with its methods.
+    """
+
+    head: Any
+
+    @abstractmethod
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5 + k)."""
+
+    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Any] | None = None) -> Any:
+        """Run the network; gives the head's maps.
+
+        Args:
+            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), further columns, shape (n, 5 + k).
+            targets: Not looked at.
+        """
+        del targets
+        return self.head(self.image(clouds))
+
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n columns"]) -> Any:
+        """What one frame's annotation asks of the anchors."""
+        del points
+        return self.head.targets(boxes)
+
+    def loss(self, outputs: Any, targets: Sequence[Any]) -> Any:
+        """The head's losses over a batch."""
+        return self.head.loss(outputs, targets)
+
+    @torch.no_grad()
+    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
+        """Detect: one set of scored boxes a frame, best first."""
+        boxes: list[Boxes] = self.head.boxes(self(clouds))
+        return boxes

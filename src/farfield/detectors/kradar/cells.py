@@ -1,0 +1,139 @@
+"""Radar clouds on their own raster: every point is a cell of 0.4 m, so a cloud is a sparse cube of power."""
+
+from collections.abc import Sequence
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from farfield.detectors.contract import POINT_COLUMNS
+from farfield.detectors.published import first_points
+from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
+
+DOPPLER = "doppler_m_s"
+LOG_POWER_UNIT = 0.01
+"""With ``power: log`` a power p, over 1e13, becomes log(1 + p / 0.01): K-Radar's noise lies near 0.01."""
+
+
+class RadarGridConfig(VoxelGridConfig):
+    """The raster, in the radar's frame; K-Radar's narrow region (driving corridor) by default."""
+
+    range_m: float = Field(72.0, gt=0, description="forward reach, x from 0")
+    half_width_m: float = Field(6.4, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
+    z_min_m: float = Field(-2.0, description="cells below are dropped")
+    z_max_m: float = Field(6.0, description="cells above are dropped")
+    voxel_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
+
+
+def point_columns(use_doppler: bool, *, positions: bool) -> list[int]:
+    """Columns of the points that a radar network reads: positions if asked for, power, Doppler if asked for."""
+    return [0, 1, 2] * positions + [3] + [len(POINT_COLUMNS)] * use_doppler
+
+
+def scaled_power(points: Tensor, *, log: bool) -> Tensor:
+    """The points, shape (n, c), with their power (column 3) as it is or, floored at 0, as log(1 + p / 0.01)."""
+    if not log:
+        return points
+    power = torch.log1p(points[:, 3:4].clamp(min=0.0) / LOG_POWER_UNIT)
+    return torch.cat([points[:, :3], power, points[:, 4:]], 1)
+
+
+def in_unit_grid(points: Tensor, grid: VoxelGridConfig) -> Tensor:
+    """The points, shape (n, c), with x, y, z (columns 0 to 2) as shares of the grid, from -1 to 1.
+
+    Metres would drown the power: x reaches 72, the logarithm of the power about 8, and what follows is normalised as a
+    whole.
+    """
+    low = points.new_tensor([0.0, -grid.half_width_m, grid.z_min_m])
+    high = points.new_tensor([grid.range_m, grid.half_width_m, grid.z_max_m])
+    return torch.cat([(points[:, :3] - low) / (high - low) * 2 - 1, points[:, 3:]], 1)
+
+
+def located(clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
+    """The points of a batch that lie on the raster, shape (n, c), and the cell of each, shape (n,), int64."""
+    points = torch.cat(list(clouds))
+    lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
+    batch = torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+    rows, key = voxel_keys(points, batch, grid, multiple)
+    return points[rows], key
+
+
+def cell_table(features: Tensor, key: Tensor, cells: int) -> tuple[Tensor, Tensor]:
+    """Mean features of every cell, zero where there is no point; a radar cloud has one point a cell.
+
+    Args:
+        features: Of the points, shape (n, c).
+        key: Cell of each point, shape (n,), int64.
+        cells: Number of cells of the batch.
+
+    Returns:
+        The table, shape (cells, c), and the number of points in each cell, shape (cells,).
+    """
+    count = torch.bincount(key, minlength=cells)
+    table = features.new_zeros(cells, features.shape[1]).index_add_(0, key, features)
+    return table / count.clamp(min=1)[:, None], count
+
+
+class CellEncoder(nn.Module):
+    """Points to occupied cells with learned features.
+
+    Args:
+        grid: The raster.
+        multiple: The network's coarsest stride.
+        channels: Features a cell.
+        max_points: 0 for RTNH as published: position and power through one 1 x 1 x 1 convolution. Otherwise the
+            "simplified PointNet" of its wide form: a linear layer and the maximum over the first so many points of a
+            cell, where missing points count as zeros.
+        use_doppler: Also read the points' Doppler.
+        log_power: Read the logarithm of the power.
+        unit_positions: Read positions as shares of the grid, -1 to 1, instead of metres.
+    """
+
+    def __init__(
+        self,
+        grid: VoxelGridConfig,
+        *,
+        multiple: int,
+        channels: int,
+        max_points: int = 0,
+        use_doppler: bool = False,
+        log_power: bool = False,
+        unit_positions: bool = False,
+    ) -> None:
+        super().__init__()
+        self.grid, self.multiple, self.max_points = grid, multiple, max_points
+        self.log_power, self.unit_positions = log_power, unit_positions
+        self.columns = point_columns(use_doppler, positions=True)
+        self.linear = nn.Linear(len(self.columns), channels, bias=max_points == 0)
+
+    def forward(self, clouds: Sequence[Tensor]) -> SparseTensor:
+        """Encode the points x, y, z (metres), power, lag (s), Doppler (m/s) of each frame, in float32."""
+        shape = self.grid.shape(self.multiple)
+        points, key = located(clouds, self.grid, self.multiple)
+        points = in_unit_grid(points, self.grid) if self.unit_positions else points
+        features = scaled_power(points, log=self.log_power)[:, self.columns]
+        cells = len(clouds) * shape[0] * shape[1] * shape[2]
+        with torch.autocast(points.device.type, enabled=False):
+            if self.max_points:
+                pooled, keys = self._pooled(features, key, cells)
+            else:
+                table, count = cell_table(features, key, cells)
+                keys = count.nonzero().squeeze(1)
+                pooled = self.linear(table.index_select(0, keys))
+        return SparseTensor(pooled, keys, shape, len(clouds))
+
+    def _pooled(self, features: Tensor, key: Tensor, cells: int) -> tuple[Tensor, Tensor]:
+        count = torch.bincount(key, minlength=cells)
+        keys = count.nonzero().squeeze(1)
+        if len(keys) < len(key):  # somewhere two points share a cell
+            kept = first_points(key, self.max_points)
+            features, key = features[kept], key[kept]
+        row = torch.cumsum(count > 0, 0)[key] - 1
+        if len(keys) == len(key) and self.max_points > 1:  # one point a cell, and zeros beside it
+            learned = torch.relu(self.linear(features))
+            return torch.zeros_like(learned).index_copy_(0, row, learned), keys
+        padded = (count.index_select(0, keys) < self.max_points)[:, None]
+        learned = self.linear(features)
+        start = torch.where(padded, 0.0, -torch.inf).to(learned.dtype).expand(-1, learned.shape[1])
+        return start.scatter_reduce(0, row[:, None].expand_as(learned), learned, "amax"), keys

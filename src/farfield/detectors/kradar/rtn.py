@@ -1,0 +1,93 @@
+"""RTN, the Radar Tensor Network without Height (K-Radar: Paek, Kong and Wijaya, NeurIPS 2022, appendix E.1, E.3).
+
+The whole cube in the region -> a bird's-eye image, the layers of height as its channels -> ResNet-50 or ResNeXt-101 ->
+maps of all stages brought to one -> the head of RTNH -> rotated NMS. No configuration of RTN was ever released. What is
+taken here, from the released trunk and the memory that table 9 tells: four stages at strides 1, 2, 4 and 4 (the last
+one dilated) behind a 7 x 7 convolution of stride 1, ResNeXt-101 as 32 x 8d, its only kind there.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from farfield.detectors.contract import Channels
+from farfield.detectors.kradar.backbone import RadarNeck
+from farfield.detectors.kradar.cells import cell_table, located, point_columns, scaled_power
+from farfield.detectors.kradar.config import RadarDetector, RadarDetectorConfig
+from farfield.detectors.kradar.resnet import ResNet
+
+_DEPTHS = {"resnet50": (3, 4, 6, 3), "resnext101": (3, 4, 23, 3)}
+
+
+class RTNConfig(RadarDetectorConfig):
+    """Everything that decides the shape of the network and of its answers."""
+
+    name: Literal["rtn"] = "rtn"
+    trunk: Literal["resnet50", "resnext101"] = "resnet50"
+    height: Literal["channels", "mean"] = Field(
+        "channels", description="mean: average the layers into one channel, as the released code's bird's-eye map does"
+    )
+    planes: Channels = Field(64, description="planes of the first stage")
+    group_width: Channels = Field(8, description="with trunk: resnext101, channels of each of its 32 groups")
+    strides: tuple[Annotated[int, Field(ge=1, le=4)], ...] = Field((1, 2, 2, 1), min_length=1, max_length=4)
+    depths: tuple[Annotated[int, Field(ge=1, le=64)], ...] | None = Field(
+        None, description="bottlenecks of each stage; those of the trunk if left out"
+    )
+
+    @model_validator(mode="after")
+    def _trunk_fits(self) -> "RTNConfig":
+        if len(self.stage_depths) != len(self.strides):
+            raise ValueError(f"expected as many depths as strides, got {self.depths} and {self.strides}")
+        width = self.planes * self.group_width
+        if self.trunk == "resnext101" and (width < 64 or width % 64):
+            raise ValueError(f"expected planes times group_width to be a multiple of 64, got {width}")
+        return self
+
+    @property
+    def stage_depths(self) -> tuple[int, ...]:
+        """Bottlenecks of each stage."""
+        return _DEPTHS[self.trunk][: len(self.strides)] if self.depths is None else self.depths
+
+
+class RTN(RadarDetector):
+    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+
+    low_precision: ClassVar[tuple[str, ...]] = ("trunk", "neck", "head")
+
+    def __init__(self, config: RTNConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or RTNConfig()
+        layers = 1 if config.height == "mean" else config.grid.shape(1)[0]
+        self.columns = point_columns(config.use_doppler, positions=False)
+        grouped = {"groups": 32, "group_width": config.group_width} if config.trunk == "resnext101" else {}
+        self.trunk = ResNet(
+            layers * len(self.columns),
+            depths=config.stage_depths,
+            planes=config.planes,
+            strides=config.strides,
+            **grouped,
+        )
+        self.multiple = max(self.trunk.strides)
+        self.neck = RadarNeck(self.trunk.widths, self.trunk.strides, config.neck_width, overlap=False)
+        self.head = self.make_head(config, self.neck.channels, self.multiple)
+
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Dense map of the cells, 2D dense convolution blocks and neck (appendix E.1 and E.3)."""
+        image = self.dense_map(clouds)
+        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
+        features: Tensor = self.neck(self.trunk(image))
+        return features
+
+    def dense_map(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Power (and Doppler) of every cell, zero where none is known, layers of height as channels, (b, c, nx, ny)."""
+        config = self.config
+        depth, nx, ny = config.grid.shape(self.multiple)
+        points, key = located(clouds, config.grid, self.multiple)
+        values = scaled_power(points, log=config.power == "log")[:, self.columns]
+        table, _ = cell_table(values, key, len(clouds) * depth * nx * ny)
+        image = table.view(len(clouds), depth, nx, ny, len(self.columns))
+        image = image.mean(1, keepdim=True) if config.height == "mean" else image
+        return image.permute(0, 4, 1, 2, 3).flatten(1, 2).contiguous(memory_format=torch.channels_last)

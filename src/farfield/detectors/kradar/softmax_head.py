@@ -1,0 +1,234 @@
+"""The head of RTN and RTNH (K-Radar, NeurIPS 2022, appendix E.1, figure 20).
+
+Two 1 x 1 convolutions: which anchor of a cell answers, or none (softmax over the anchors and the background), and
+eight numbers an anchor: the differences of x, y, z, length, width, height, cos(yaw) and sin(yaw) from the anchor's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.nms import rotated_nms
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.iou import paired_iou
+
+_NUMBERS = 8
+_SMALLEST_M = 0.1
+_GAMMA = 2.0
+
+
+class SoftmaxMaps(NamedTuple):
+    """What the head says: class logits (b, cells, 1 + anchors), background first, and codes (b, cells, anchors, 8)."""
+
+    logits: Tensor
+    codes: Tensor
+
+
+class SoftmaxLosses(NamedTuple):
+    """The parts of the training loss."""
+
+    classification: Tensor
+    box: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTargets:
+    """A frame's boxes; which cells answer for them is decided beside the loss, where the predictions are known.
+
+    Args:
+        rows: x, y, z, l, w, h, yaw, shape (n, 7).
+        kind: Number of each box's class, shape (n,).
+        weight: Weight of each box in the loss, shape (n,).
+    """
+
+    rows: Float[np.ndarray, "n 7"]
+    kind: Int[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+
+
+class Matches(NamedTuple):
+    """Which proposals of a frame answer: flat indices cell * anchors + anchor, the box of each, and cells left alone.
+
+    ``best`` tells which of a cell's answers its class is taken from.
+    """
+
+    proposal: Int[np.ndarray, " p"]
+    box: Int[np.ndarray, " p"]
+    best: Int[np.ndarray, " q"]
+    ignored: Int[np.ndarray, " i"]
+
+
+def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, grid: AnchorGrid) -> Matches:
+    """Choose the proposals that answer for a frame's boxes, by their rotated overlap in bird's-eye view.
+
+    A proposal of the box's class answers from its ``positive_iou`` on, and so does the one that overlaps the box most
+    (the nearest one where none does). A cell none of whose proposals reaches ``negative_iou`` is background; the
+    others are left alone. The released code lets each box of a frame overwrite the cells of the boxes before it; here
+    all count.
+
+    Args:
+        proposals: Predicted boxes, or the anchors, in the anchors' order, sizes above 0.
+        targets: The frame's boxes.
+        grid: The anchors.
+    """
+    slots = np.arange(len(proposals)) % grid.per_cell // 2
+    box, proposal, forced = _near(proposals, slots, targets)
+    iou = paired_iou(_boxes(targets.rows[box]), _boxes(proposals[proposal]), kind="bev")
+    limits = np.array([[anchor.positive_iou, anchor.negative_iou] for anchor in grid.classes.values()])
+    positive_iou, negative_iou = limits[targets.kind[box]].T
+    most = np.zeros(len(targets.rows))
+    np.maximum.at(most, box, iou)
+    answers = (iou > positive_iou) | (iou == most[box]) & (most[box] > 0) | forced & (most[box] == 0)
+    order = np.lexsort((-iou, proposal))
+    order = order[answers[order]]
+    chosen, first = np.unique(proposal[order], return_index=True)
+    owner, overlap = box[order][first], iou[order][first]
+    by_cell = np.lexsort((-overlap, chosen // grid.per_cell))
+    cells, first = np.unique(chosen[by_cell] // grid.per_cell, return_index=True)
+    ignored = np.setdiff1d(proposal[iou >= negative_iou] // grid.per_cell, cells)
+    return Matches(chosen, owner, by_cell[first], ignored)
+
+
+def _near(proposals: np.ndarray, slots: np.ndarray, targets: BoxTargets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of boxes and proposals of their class that may overlap, and whether it is the box's nearest proposal."""
+    reach = np.hypot(proposals[:, 3], proposals[:, 4]) / 2
+    parts = []
+    for number, row in enumerate(targets.rows):
+        own = np.flatnonzero(slots == targets.kind[number])
+        gap = np.hypot(*(proposals[own, :2] - row[:2]).T)
+        close = gap < reach[own] + np.hypot(row[3], row[4]) / 2
+        nearest = np.arange(len(own)) == gap.argmin()
+        rows = np.flatnonzero(close | nearest)
+        parts.append((np.full(len(rows), number), own[rows], nearest[rows]))
+    if not parts:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    box, proposal, forced = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return box, proposal, forced
+
+
+def _boxes(rows: np.ndarray) -> Boxes:
+    return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], label="")
+
+
+class SoftmaxHead(nn.Module):
+    """From a bird's-eye map to anchors' classes and boxes, their loss and their boxes.
+
+    Args:
+        config: Settings of the detector: an AnchorHeadConfig.
+        c_in: Channels of the map.
+        grid: The anchors, one set at each cell of the map.
+        proposals: What must overlap a box to answer for it: the predicted boxes, as published, or the anchors.
+    """
+
+    def __init__(self, config: Any, c_in: int, grid: AnchorGrid, *, proposals: Literal["predicted", "anchors"]) -> None:
+        super().__init__()
+        self.config, self.anchors, self.proposals = config, grid, proposals
+        self.classes = nn.Conv2d(c_in, 1 + grid.per_cell, 1)
+        self.boxes_of_anchors = nn.Conv2d(c_in, _NUMBERS * grid.per_cell, 1)
+        if not self.classes.weight.is_meta:
+            nn.init.zeros_(self.classes.bias)
+            nn.init.normal_(self.boxes_of_anchors.weight, std=0.01)
+            nn.init.zeros_(self.boxes_of_anchors.bias)
+
+    @property
+    def weight(self) -> Tensor:
+        """A weight of the head, for its number type."""
+        return self.classes.weight
+
+    def forward(self, image: Tensor) -> SoftmaxMaps:
+        """Map (b, c, nx, ny) to what is said of each cell, in the order of the anchor grid."""
+        logits = self.classes(image).permute(0, 2, 3, 1).flatten(1, 2)
+        codes = self.boxes_of_anchors(image).permute(0, 2, 3, 1)
+        return SoftmaxMaps(logits, codes.reshape(len(image), logits.shape[1], self.anchors.per_cell, _NUMBERS))
+
+    def targets(self, boxes: Boxes) -> BoxTargets:
+        """The boxes that have an anchor and stand on the grid."""
+        grid = self.anchors
+        kind = grid.kinds(boxes)
+        column, row = np.floor((boxes.centre_m[:, :2] - grid.first_m) / grid.step_m + 0.5).T
+        here = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
+        rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+        return BoxTargets(rows[here], kind[here], self.config.box_weights(boxes)[here])
+
+    def loss(self, maps: SoftmaxMaps, targets: Sequence[BoxTargets]) -> SoftmaxLosses:
+        """Focal loss over cells, every class with the same weight, and smooth L1 over the boxes of those that answer.
+
+        As in the released code each class (background, each anchor) counts by the mean over its own cells.
+        """
+        logits, codes = maps.logits.float(), maps.codes.float()
+        answers = torch.zeros(logits.shape[:2], dtype=torch.long)
+        weights = torch.ones(logits.shape[:2])
+        picked, wanted, weight = [], [], []
+        fixed = self._rows(None) if self.proposals == "anchors" else None
+        for frame, target in enumerate(targets):
+            rows = self._rows(codes[frame]) if fixed is None else fixed
+            found = match_proposals(rows, target, self.anchors)
+            cell, slot = np.divmod(found.proposal, self.anchors.per_cell)
+            box_weight = torch.from_numpy(target.weight[found.box]).float()
+            best = torch.from_numpy(found.best)
+            answers[frame, torch.from_numpy(found.ignored)] = -1
+            answers[frame, torch.from_numpy(cell)[best]] = 1 + torch.from_numpy(slot)[best]
+            weights[frame, torch.from_numpy(cell)[best]] = box_weight[best]
+            picked.append(codes[frame].flatten(0, 1)[torch.from_numpy(found.proposal).to(codes.device)])
+            wanted.append(self._code(target.rows[found.box], found.proposal))
+            weight.append(box_weight)
+        device = codes.device
+        wanted_codes, box_weights = torch.cat(wanted).to(device), torch.cat(weight).to(device)
+        error = functional.smooth_l1_loss(torch.cat(picked), wanted_codes, reduction="none").mean(1)
+        box = (error * box_weights).sum() / box_weights.sum().clamp(min=1.0)
+        classification = _balanced_focal(logits, answers.to(device), weights.to(device))
+        return SoftmaxLosses(classification, self.config.box_weight * box)
+
+    def boxes(self, maps: SoftmaxMaps) -> list[Boxes]:
+        """The boxes of each frame after suppression, best first."""
+        return [self._frame(*frame) for frame in zip(*maps, strict=True)]
+
+    def _frame(self, logits: Tensor, codes: Tensor) -> Boxes:
+        probability = torch.softmax(logits.float(), 1)
+        best, answer = probability.max(1)
+        cells = ((answer > 0) & (best >= self.config.score_threshold)).nonzero().squeeze(1)
+        score, order = torch.topk(best[cells], min(self.config.candidates, len(cells)))
+        cells = cells[order]
+        slot = answer[cells] - 1
+        index = (cells * self.anchors.per_cell + slot).cpu().numpy()
+        rows = self._decoded(codes[cells, slot].double().cpu().numpy(), index)
+        boxes = _boxes(rows).replace(label=self.anchors.labels(index), score=score.double().cpu().numpy())
+        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+
+    def _rows(self, codes: Tensor | None) -> np.ndarray:
+        """Proposals of a frame, all anchors in their order: predicted boxes, or without codes the anchors."""
+        index = np.arange(len(self.anchors))
+        if codes is None:
+            return self.anchors.rows(index)
+        return self._decoded(codes.detach().flatten(0, 1).double().cpu().numpy(), index)
+
+    def _decoded(self, code: np.ndarray, index: np.ndarray) -> np.ndarray:
+        numbers = _with_direction(self.anchors.rows(index)) + code
+        size_m = np.maximum(numbers[:, 3:6], _SMALLEST_M)
+        return np.column_stack([numbers[:, :3], size_m, np.arctan2(numbers[:, 7], numbers[:, 6])])
+
+    def _code(self, rows: np.ndarray, index: np.ndarray) -> Tensor:
+        return torch.from_numpy(_with_direction(rows) - _with_direction(self.anchors.rows(index))).float()
+
+
+def _with_direction(rows: np.ndarray) -> np.ndarray:
+    """x, y, z, l, w, h, yaw to x, y, z, l, w, h, cos(yaw), sin(yaw)."""
+    return np.column_stack([rows[:, :6], np.cos(rows[:, 6]), np.sin(rows[:, 6])])
+
+
+def _balanced_focal(logits: Tensor, answers: Tensor, weights: Tensor) -> Tensor:
+    """Focal loss of softmax, the mean over the classes that occur of each one's weighted mean; -1 does not count."""
+    counted = answers >= 0
+    answer, weight = answers[counted], weights[counted]
+    log_probability = functional.log_softmax(logits[counted], 1).gather(1, answer[:, None]).squeeze(1)
+    loss = (1 - log_probability.exp()) ** _GAMMA * -log_probability
+    sums = loss.new_zeros(2, logits.shape[2]).index_add(1, answer, torch.stack([loss * weight, weight]))
+    present = sums[1] > 0
+    return (sums[0][present] / sums[1][present]).mean()

@@ -1,0 +1,1 @@
+"""PointPillars (Lang et al., CVPR 2019)."""

@@ -1,0 +1,99 @@
+"""PointPillars (Lang et al., CVPR 2019, arXiv 1812.05784) at long range.
+
+Points -> pillars -> bird's-eye image -> three blocks of convolutions -> one anchor head -> rotated NMS. Differences
+from the paper, each for long range: every point counts (no limit of points or pillars), anchors answer for a box by the
+distance of its centre (boxes of visible parts overlap no anchor; ``matching: iou`` is the published way), and intensity
+is left out by default. ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.bev import BevBackbone
+from farfield.detectors.contract import Channels
+from farfield.detectors.grid import GridConfig
+from farfield.detectors.pointpillars.pillars import PillarEncoder
+from farfield.detectors.published import PublishedPillarEncoder, use_published_momentum
+
+
+class PointPillarsConfig(AnchorHeadConfig):
+    """Everything that decides the shape of the network and of its answers."""
+
+    name: Literal["pointpillars"] = "pointpillars"
+    grid: GridConfig = GridConfig()
+    pillar_channels: Channels = 32
+    features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
+    max_points: int = Field(0, ge=0, description="with features: openpcdet, a pillar's points that count; 0 for all")
+    use_intensity: bool = False
+    use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    widths: tuple[Channels, ...] = (32, 64, 128)
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (1, 4, 4)
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
+    out_stride: int = Field(4, ge=1, description="stride of the anchors' grid, in pillars")
+    neck_width: Channels = 96
+
+    @model_validator(mode="after")
+    def _one_set_of_features(self) -> "PointPillarsConfig":
+        if self.features == "farfield" and self.max_points:
+            raise ValueError("expected max_points with features: openpcdet only; farfield's features count all points")
+        if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
+            raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
+        return self
+
+    @property
+    def reach_m(self) -> float:
+        """How far ahead the detector looks, metres."""
+        return self.grid.range_m
+
+
+class PointPillars(AnchorDetector):
+    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+
+    low_precision: ClassVar[tuple[str, ...]] = ("backbone", "head")
+
+    def __init__(self, config: PointPillarsConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or PointPillarsConfig()
+        multiple = int(np.prod(config.strides))
+        self.encoder = _encoder(config, multiple)
+        self.backbone = BevBackbone(
+            config.pillar_channels,
+            widths=config.widths,
+            depths=config.depths,
+            strides=config.strides,
+            out_stride=config.out_stride,
+            neck_width=config.neck_width,
+        )
+        anchors = AnchorGrid(
+            config.anchors,
+            nx=self.encoder.nx // config.out_stride,
+            ny=self.encoder.ny // config.out_stride,
+            cell_m=config.grid.cell_m * config.out_stride,
+            y_min_m=self.encoder.y_min_m,
+        )
+        self.head = AnchorHead(config, self.backbone.channels, anchors)
+        if config.features == "openpcdet":
+            use_published_momentum(self)
+
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Pillars, their image, and the backbone's features (sections 2.1 and 2.2)."""
+        batch = torch.cat([torch.full((len(c),), i, dtype=torch.long, device=c.device) for i, c in enumerate(clouds)])
+        image = self.encoder(torch.cat(list(clouds)), batch, len(clouds))
+        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
+        features: Tensor = self.backbone(image)
+        return features
+
+
+def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | PublishedPillarEncoder:
+    channels = config.pillar_channels
+    if config.features == "openpcdet":
+        return PublishedPillarEncoder(config.grid, multiple=multiple, channels=channels, max_points=config.max_points)
+    extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
+    return PillarEncoder(config.grid, multiple=multiple, channels=channels, **extra)

@@ -1,0 +1,398 @@
+"""PointRCNN (Shi, Wang and Li, CVPR 2019, arXiv 1812.04244) at long range.
+
+Stage 1 (section 3.1 and 3.2): PointNet++ -> every point is foreground or not, and every foreground point proposes a
+box in bins. Stage 2 (3.3 and 3.4): the points around each proposal, in its own frame -> confidence and refined box.
+
+Differences from the paper, each for long range or for many classes: points and proposals are chosen by budgets for
+bands of range and nothing is dropped beyond 80 m; one network tells all classes apart, so that a foreground score and
+a mean size belong to each class; near centres count as well as overlap where proposals are matched; and the second
+stage also reads the proposal's size.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor, nn
+from torch.nn import functional
+
+from farfield.detectors.anchors.grid import cirrus_anchors
+from farfield.detectors.contract import Channels, DetectorConfig
+from farfield.detectors.losses import focal_loss
+from farfield.detectors.nms import rotated_nms
+from farfield.detectors.pointrcnn.bins import BinCoder, BinConfig
+from farfield.detectors.pointrcnn.pointnet import (
+    BackboneConfig,
+    PointNet2,
+    SetAbstraction,
+    SetAbstractionConfig,
+    SharedMlp,
+    Widths,
+    pool_group,
+)
+from farfield.detectors.pointrcnn.points import (
+    BandConfig,
+    Groups,
+    WindowConfig,
+    content_rank,
+    farthest_points,
+    frame_rows,
+    in_roi_frames,
+    points_in_rois,
+    sample_bands,
+)
+from farfield.detectors.pointrcnn.points.proposals import (
+    MatchConfig,
+    ProposalConfig,
+    as_boxes,
+    draw_proposals,
+    first_candidates,
+    keep_proposals,
+    match_proposals,
+    shaken_boxes,
+)
+from farfield.detectors.pointrcnn.points.targets import UNSURE, PointTargets, assign_points, join_targets, owners_of
+from farfield.detectors.processes import normaliser, sum_over_processes
+from farfield.geometry.boxes import Boxes
+
+Metres = Annotated[float, Field(gt=0)]
+
+
+def _level(centres: int, radii_m: tuple[float, ...], *widths: tuple[int, ...]) -> SetAbstractionConfig:
+    limits = (16, 32)[: len(radii_m)]
+    return SetAbstractionConfig(centres=centres, radii_m=radii_m, limits=limits, widths=widths)
+
+
+def cirrus_backbone() -> BackboneConfig:
+    """Four levels as published, with radii that follow the spacing of their centres over 250 m x 100 m."""
+    levels = (
+        _level(4096, (0.3, 1.0), (16, 16, 32), (32, 32, 64)),
+        _level(1024, (1.0, 3.0), (64, 64, 96), (64, 64, 96)),
+        _level(256, (3.0, 8.0), (96, 96, 128), (96, 96, 128)),
+        _level(64, (8.0, 20.0), (128, 128, 192), (128, 128, 192)),
+    )
+    return BackboneConfig(levels=levels, propagation=((128, 128), (128, 128), (192, 192), (256, 256)))
+
+
+class RefinementConfig(BaseModel):
+    """The second stage."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    context_m: float = Field(1.0, ge=0, description="proposals grow by this at every face before they take points")
+    points: int = Field(128, ge=1, le=4096, description="points of a proposal")
+    local_widths: Widths = (64, 64)
+    merged_width: Channels = 64
+    levels: tuple[SetAbstractionConfig, ...] = (
+        SetAbstractionConfig(centres=32, radii_m=(0.6,), limits=(16,), widths=((64, 96),)),
+    )
+    pooled_widths: Widths = (128, 192)
+    head_widths: Widths = (128, 128)
+    norm: bool = Field(True, description="batch normalisation; published without")
+    bins: BinConfig = BinConfig(scope_m=1.5, bin_m=0.5, headings=9, heading_span_rad=float(np.pi / 2))
+    match: MatchConfig = MatchConfig()
+
+
+class PointRCNNConfig(DetectorConfig):
+    """Everything that decides the shape of the network and of its answers."""
+
+    name: Literal["pointrcnn"] = "pointrcnn"
+    window: WindowConfig = WindowConfig()
+    sizes_m: dict[str, tuple[Metres, Metres, Metres]] = Field(
+        default_factory=lambda: {name: anchor.size_m for name, anchor in cirrus_anchors().items()},
+        min_length=1,
+        description="mean length, width and height of each class",
+    )
+    points: int = Field(16384, ge=1, le=1 << 20, description="points of a frame that the network reads")
+    bands: BandConfig = BandConfig()
+    inputs: tuple[Literal["intensity", "lag", "height", "range"], ...] = ("height", "range")
+    backbone: BackboneConfig = Field(default_factory=cirrus_backbone)
+    head_width: Channels = 128
+    bins: BinConfig = BinConfig(scope_m=4.0, bin_m=0.5, headings=12)
+    foreground_margin_m: float = Field(0.05, ge=0, description="boxes grow by this before they claim points")
+    unsure_margin_m: float = Field(0.2, ge=0, description="points this far outside a box are not blamed")
+    balance: float = Field(0.5, ge=0, le=1, description="1: boxes weigh alike; 0: points do, as published")
+    proposals: ProposalConfig = ProposalConfig()
+    refinement: RefinementConfig = RefinementConfig()
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """The classes that have a mean size."""
+        return tuple(self.sizes_m)
+
+    @property
+    def reach_m(self) -> float:
+        """How far ahead the detector looks, metres."""
+        return self.window.range_m
+
+
+class Stages(NamedTuple):
+    """Raw outputs of both stages; points and proposals are listed frame after frame.
+
+    Args:
+        lengths: Chosen points of each frame, shape (b,).
+        rows: Row of each chosen point in its cloud, shape (n,).
+        xyz: Its coordinates, shape (n, 3).
+        logits: Foreground logits by class, shape (n, classes).
+        codes: Proposed box of each point in bins, shape (n, numbers).
+        proposal_lengths: Proposals of each frame, shape (b,).
+        proposals: Proposals x, y, z, length, width, height, yaw, shape (m, 7).
+        kinds: Their class numbers, shape (m,).
+        confidences: Logits of the second stage by class, shape (m, classes).
+        refinements: Refined boxes in bins, shape (m, numbers).
+    """
+
+    lengths: Tensor
+    rows: Tensor
+    xyz: Tensor
+    logits: Tensor
+    codes: Tensor
+    proposal_lengths: Tensor
+    proposals: Tensor
+    kinds: Tensor
+    confidences: Tensor
+    refinements: Tensor
+
+
+class Losses(NamedTuple):
+    """The parts of the training loss: segmentation and boxes of stage 1, confidence and boxes of stage 2."""
+
+    segmentation: Tensor
+    proposal: Tensor
+    confidence: Tensor
+    refinement: Tensor
+
+
+class Refinement(nn.Module):
+    """Stage 2: from the points of each proposal to logits by class and a box in bins (section 3.4, figure 2 b).
+
+    Args:
+        c_in: Semantic features a point.
+        classes: Number of classes.
+        config: The stage.
+    """
+
+    def __init__(self, c_in: int, classes: int, config: RefinementConfig) -> None:
+        super().__init__()
+        self.config = config
+        norm = config.norm
+        # local x, y, z, the proposal's size, range, and the foreground score of each class
+        self.local = SharedMlp((7 + classes, *config.local_widths), norm=norm)
+        self.merge = SharedMlp((c_in + config.local_widths[-1], config.merged_width), norm=norm)
+        channels, levels = config.merged_width, []
+        for level in config.levels:
+            levels.append(SetAbstraction(channels, level, norm=norm))
+            channels = levels[-1].channels
+        self.levels = nn.ModuleList(levels)
+        self.pool = SharedMlp((3 + channels, *config.pooled_widths), norm=norm)
+        widths = (config.pooled_widths[-1], *config.head_widths)
+        self.confidence = nn.Sequential(SharedMlp(widths, norm=norm), nn.Linear(widths[-1], classes))
+        self.box = nn.Sequential(SharedMlp(widths, norm=norm), nn.Linear(widths[-1], config.bins.numbers))
+
+    def forward(self, local: Tensor, extra: Tensor, semantic: Tensor, lengths: list[int]) -> tuple[Tensor, Tensor]:
+        """Logits (m, classes) and codes (m, numbers) of m proposals.
+
+        Args:
+            local: Points in the frames of their proposals, metres, shape (p, 3), proposal after proposal.
+            extra: What else is known of each point, shape (p, 4 + classes).
+            semantic: Its features of the first stage, shape (p, c_in).
+            lengths: Points of each proposal; may be 0.
+        """
+        rows = self.local(torch.cat([local, extra], 1))
+        rows = self.merge(torch.cat([semantic.to(rows.dtype), rows], 1))
+        for level in self.levels:
+            chosen, taken = farthest_points(local, lengths, level.config.centres)
+            centres = local[chosen]
+            rows, local, lengths = level(local, rows, lengths, centres, taken), centres, taken
+        owner = frame_rows(lengths, local.device)
+        everything = Groups(owner, torch.arange(len(owner), device=local.device), len(lengths))
+        pooled = pool_group(self.pool, everything, local, rows)
+        return self.confidence(pooled), self.box(pooled)
+
+
+class PointRCNN(nn.Module):
+    """The network. ``forward`` gives the raw outputs of both stages; ``loss`` and ``predict`` give them a meaning."""
+
+    low_precision: ClassVar[tuple[str, ...]] = ("backbone", "segmentation", "generation", "refinement")
+    sizes_m: Tensor
+
+    def __init__(self, config: PointRCNNConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or PointRCNNConfig()
+        classes = len(config.sizes_m)
+        self.coder, self.refiner = BinCoder(config.bins), BinCoder(config.refinement.bins)
+        self.backbone = PointNet2(len(config.inputs), config.backbone)
+        widths = (self.backbone.channels, config.head_width)
+        self.segmentation = nn.Sequential(SharedMlp(widths), nn.Linear(config.head_width, classes))
+        self.generation = nn.Sequential(SharedMlp(widths), nn.Linear(config.head_width, config.bins.numbers))
+        self.refinement = Refinement(self.backbone.channels, classes, config.refinement)
+        nn.init.constant_(self.segmentation[-1].bias, -float(np.log((1 - 0.01) / 0.01)))  # few points are foreground
+        for head in (self.segmentation, self.generation, self.refinement.box):
+            nn.init.normal_(head[-1].weight, std=0.01)
+
+    def forward(self, clouds: Sequence[Tensor], targets: Sequence[PointTargets] | None = None) -> Stages:
+        """Run both stages.
+
+        Args:
+            clouds: One tensor a frame: x, y, z (metres), intensity, lag (seconds), shape (n, 5).
+            targets: While training, what each frame asks for: the second stage then sees proposals of all qualities.
+        """
+        rows = [self._choose(cloud) for cloud in clouds]
+        points = torch.cat([cloud[row] for cloud, row in zip(clouds, rows, strict=True)])
+        lengths, xyz = [len(row) for row in rows], points[:, :3].contiguous()
+        features = self.backbone(xyz, self._inputs(points), lengths)
+        logits, codes = self.segmentation(features), self.generation(features)
+        with torch.no_grad():
+            proposals, kinds, counts = self._propose(xyz, logits.float(), codes, lengths, targets)
+        confidences, refinements = self._refine(xyz, features, logits, lengths, proposals, counts)
+        device = xyz.device
+        return Stages(
+            torch.tensor(lengths, device=device), torch.cat(rows), xyz, logits, codes,
+            torch.tensor(counts, device=device), proposals, kinds, confidences, refinements,
+        )  # fmt: skip
+
+    def _choose(self, cloud: Tensor) -> Tensor:
+        """Rows of the points that the network reads: those in the window, by the budget of each band of range."""
+        inside = self.config.window.rows(cloud)
+        return inside[sample_bands(cloud[inside], self.config.bands, self.config.points)]
+
+    def _inputs(self, points: Tensor) -> Tensor | None:
+        columns = {
+            "intensity": points[:, 3],
+            "lag": points[:, 4],
+            "height": points[:, 2] / self.config.window.z_max_m,
+            "range": torch.hypot(points[:, 0], points[:, 1]) / 100.0,
+        }
+        return torch.stack([columns[name] for name in self.config.inputs], 1) if self.config.inputs else None
+
+    def _propose(
+        self, xyz: Tensor, logits: Tensor, codes: Tensor, lengths: list[int], targets: Sequence[PointTargets] | None
+    ) -> tuple[Tensor, Tensor, list[int]]:
+        """Boxes that the second stage looks at, their classes, and how many each frame has."""
+        boxes, kinds = [], []
+        frames = zip(xyz.split(lengths), torch.sigmoid(logits).split(lengths), codes.split(lengths), strict=True)
+        for index, (place, scores, code) in enumerate(frames):
+            score, kind = scores.max(1)
+            row = first_candidates(place, score, self.config.proposals)
+            box = self.coder.decode(code[row], self._reference(place[row], kind[row]))
+            kept = keep_proposals(box, score[row], self.config.proposals, training=self.training)
+            box, kind = box[kept], kind[row][kept]
+            if self.training and targets is not None:
+                box, kind = self._draw(place, box, kind, targets[index])
+            boxes.append(box)
+            kinds.append(kind)
+        return torch.cat(boxes), torch.cat(kinds), [len(box) for box in boxes]
+
+    def _reference(self, xyz: Tensor, kind: Tensor) -> Tensor:
+        """What boxes of stage 1 are relative to: a point, the mean size of its class, no turn; shape (k, 7)."""
+        return torch.cat([xyz, self._sizes_m(xyz)[kind], xyz.new_zeros(len(xyz), 1)], 1)
+
+    def _sizes_m(self, like: Tensor) -> Tensor:
+        """Mean size of each class, shape (classes, 3)."""
+        return like.new_tensor(list(self.config.sizes_m.values()))
+
+    def _draw(self, xyz: Tensor, boxes: Tensor, kinds: Tensor, target: PointTargets) -> tuple[Tensor, Tensor]:
+        """Proposals of a frame to train on, with shaken copies of its boxes; drawn by the content of its cloud."""
+        config = self.config.refinement.match
+        rng = np.random.default_rng(int(content_rank(xyz).sum()))
+        rows = np.concatenate([boxes.cpu().numpy(), shaken_boxes(target.rows, config.shaken, rng)])
+        kind = np.concatenate([kinds.cpu().numpy(), np.repeat(target.kind, config.shaken)])
+        drawn = draw_proposals(match_proposals(rows, target.rows), config, rng)
+        return torch.from_numpy(rows[drawn]).to(boxes), torch.from_numpy(kind[drawn]).to(kinds)
+
+    def _refine(
+        self, xyz: Tensor, features: Tensor, logits: Tensor, lengths: list[int], proposals: Tensor, counts: list[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Pool the points of each proposal, turn them into its frame, and run the second stage (section 3.3)."""
+        config = self.config.refinement
+        inside = points_in_rois(xyz, lengths, proposals, counts, context_m=config.context_m, limit=config.points)
+        proposal, point = proposals[inside.centre], xyz[inside.point]
+        local = in_roi_frames(point, proposal)
+        range_m = torch.linalg.norm(point, dim=1, keepdim=True)
+        scores = torch.sigmoid(logits.detach().float())[inside.point]
+        extra = torch.cat([proposal[:, 3:6], range_m / 100.0, scores], 1)
+        members = torch.bincount(inside.centre, minlength=len(proposals)).tolist()
+        confidences, refinements = self.refinement(local, extra, features.index_select(0, inside.point), members)
+        return confidences, refinements
+
+    def _proposal_reference(self, proposals: Tensor, kinds: Tensor) -> Tensor:
+        """What boxes of stage 2 are relative to: a proposal's place and heading, the mean size of its class."""
+        return torch.cat([proposals[:, :3], self._sizes_m(proposals)[kinds], proposals[:, 6:]], 1)
+
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> PointTargets:
+        """Which point of a cloud belongs to which box."""
+        config = self.config
+        return assign_points(
+            boxes,
+            points,
+            config.class_names,
+            weight=config.box_weights(boxes),
+            margin_m=config.foreground_margin_m,
+            unsure_m=config.unsure_margin_m,
+        )
+
+    def loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> Losses:
+        """Focal loss and bin-based box loss of stage 1, cross-entropy and bin-based box loss of stage 2."""
+        return Losses(*self._first_loss(outputs, targets), *self._second_loss(outputs, targets))
+
+    def _first_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
+        owner = owners_of(targets, outputs.rows, outputs.lengths.tolist())
+        boxes, kind, weight = join_targets(targets, outputs.xyz.device)
+        positive, unsure = torch.nonzero(owner >= 0)[:, 0], torch.nonzero(owner == UNSURE)[:, 0]
+        box, classes = owner[positive], len(self.config.sizes_m)
+        count = torch.bincount(box, minlength=len(boxes)).float()[box]
+        mean = sum_over_processes(count.sum()) / sum_over_processes(count.new_tensor(float(len(count)))).clamp(min=1)
+        each = weight[box] * (mean / count) ** self.config.balance
+        total = normaliser(each.sum())
+        ignored = (unsure[:, None] * classes + torch.arange(classes, device=unsure.device)).flatten()
+        right = positive * classes + kind[box]
+        wanted = self.coder.encode(boxes[box], self._reference(outputs.xyz[positive], kind[box]))
+        box_loss = self.coder.loss(outputs.codes[positive], wanted)
+        return focal_loss(outputs.logits, right, ignored, weight=each) / total, (box_loss * each).sum() / total
+
+    def _second_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
+        config, device = self.config.refinement.match, outputs.xyz.device
+        boxes, kind, weight = join_targets(targets, device)
+        parts, first = [], 0
+        for target, rows in zip(targets, outputs.proposals.split(outputs.proposal_lengths.tolist()), strict=True):
+            match = match_proposals(rows.cpu().numpy(), target.rows)
+            parts.append((match.box + first, match.right(config), match.wrong(config), match.refined(config)))
+            first += len(target.rows)
+        box, right, wrong, refined = (
+            torch.from_numpy(np.concatenate(part)).to(device) for part in zip(*parts, strict=True)
+        )
+        sure = torch.nonzero(right | wrong)[:, 0]
+        wanted = torch.zeros(len(right), len(self.config.sizes_m), device=device)
+        wanted[right, kind[box[right]]] = 1.0
+        each = torch.ones(len(right), device=device)
+        each[right] = weight[box[right]]
+        blame = functional.binary_cross_entropy_with_logits(
+            outputs.confidences[sure].float(), wanted[sure], reduction="none"
+        )
+        row = torch.nonzero(refined)[:, 0]
+        reference = self._proposal_reference(outputs.proposals[row], outputs.kinds[row])
+        loss = self.refiner.loss(outputs.refinements[row], self.refiner.encode(boxes[box[row]], reference))
+        share = weight[box[row]]
+        return (
+            (blame.sum(1) * each[sure]).sum() / normaliser(blame.new_tensor(float(len(sure)))),
+            (loss * share).sum() / normaliser(share.sum()),
+        )
+
+    @torch.no_grad()
+    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
+        """Detect: one set of scored boxes a frame, best first."""
+        outputs = self(clouds)
+        boxes = self.refiner.decode(outputs.refinements, self._proposal_reference(outputs.proposals, outputs.kinds))
+        counts = outputs.proposal_lengths.tolist()
+        scores = torch.sigmoid(outputs.confidences.float())
+        return [self._boxes(*frame) for frame in zip(boxes.split(counts), scores.split(counts), strict=True)]
+
+    def _boxes(self, rows: Tensor, scores: Tensor) -> Boxes:
+        score, kind = scores.max(1)
+        keep = score >= self.config.score_threshold
+        found = as_boxes(rows[keep].cpu().numpy(), score[keep].double().cpu().numpy())
+        found = found.replace(label=np.array(self.config.class_names)[kind[keep].cpu().numpy()])
+        return found[rotated_nms(found, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]

@@ -1,0 +1,179 @@
+"""Which cells are occupied around a cell: a bitmap of the grid, or binary search where that would be too large."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from farfield.detectors.sparse.tensor import Triple, decode_keys
+
+_MAX_BITMAP_CELLS = 2**30  # two tables of 128 MiB
+_WORD_BITS = 5  # 32 cells to a word
+_WORDS_PER_CELL = 256
+
+
+def neighbour_table(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:
+    """Find the neighbours of cells.
+
+    Args:
+        keys: Occupied cells, shape (n,), int64, ascending, each once.
+        query_keys: Cells whose neighbours are wanted, shape (m,), int64, on the same grid.
+        shape: Cells along z, x and y.
+        offsets: Steps (dz, dx, dy) to the K neighbours.
+
+    Returns:
+        Row in ``keys`` of each neighbour, ``n`` where it is not occupied or outside the grid, shape (m, K), int32: so
+        features with one row appended can be indexed as they are.
+    """
+    table = torch.full((len(query_keys) * len(offsets),), len(keys), dtype=torch.int32, device=keys.device)
+    if len(keys) == 0 or len(table) == 0:
+        return table.view(len(query_keys), len(offsets))
+    numbering = Numbering.around(keys, query_keys, shape, offsets)
+    wanted = numbering.numbers(query_keys)[:, None] + numbering.steps(offsets, keys.device)
+    pairs, rows = occupied(numbering, numbering.numbers(keys), wanted.view(-1))
+    table[pairs] = rows
+    return table.view(len(query_keys), len(offsets))
+
+
+def neighbour_pairs(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> tuple[Tensor, Tensor, tuple[int, ...]]:
+    """Find the neighbours that occupied cells are to one another.
+
+    Args:
+        keys: Occupied cells, shape (n,), int64, ascending, each once.
+        shape: Cells along z, x and y.
+        offsets: Steps (dz, dx, dy) to the K neighbours.
+
+    Returns:
+        Row of each cell that has a neighbour, that neighbour's row, shape (p,), int32, those of each step together and
+        ascending, and the number of pairs of each step.
+    """
+    if len(keys) == 0 or len(offsets) == 0:
+        none = torch.zeros(0, dtype=torch.int32, device=keys.device)
+        return none, none, (0,) * len(offsets)
+    numbering = Numbering.around(keys, keys, shape, offsets)
+    numbers = numbering.numbers(keys)
+    wanted = numbering.steps(offsets, keys.device)[:, None] + numbers
+    pairs, theirs = occupied(numbering, numbers, wanted.view(-1))
+    edges = torch.searchsorted(pairs, torch.arange(len(offsets) + 1, device=keys.device) * len(keys)).tolist()
+    counts = tuple(end - start for start, end in pairwise(edges))
+    mine = (pairs.int() if wanted.numel() < 2**31 else pairs).remainder_(len(keys)).int()
+    return mine, theirs, counts
+
+
+class Numbering:
+    """Numbers for the cells of a grid with empty cells between its lines, planes and frames.
+
+    A step from any cell then leads to its neighbour or to an empty cell, so that nothing has to be asked about borders.
+    Numbers ascend as keys do.
+
+    Args:
+        shape: Cells along z, x and y.
+        margin: Empty cells along each, as many as the longest step.
+        frames: Number of grids.
+    """
+
+    def __init__(self, shape: Triple, margin: Triple, frames: int) -> None:
+        self.shape, self.margin, self.frames = shape, margin, frames
+        self.plane, self.line = shape[1] + margin[1], shape[2] + margin[2]
+        planes = frames * (shape[0] + margin[0]) + 2 * margin[0]
+        self.size = (planes * self.plane + 2 * margin[1]) * self.line + 2 * margin[2] + 1
+        self.dtype = torch.int32 if self.size < 2**31 else torch.int64
+
+    @classmethod
+    def around(cls, keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> "Numbering":
+        """A numbering of all these cells that is safe for these steps; neither set of keys is empty."""
+        z, x, y = (max(abs(step) for step in along) for along in zip(*offsets, strict=True))
+        last = keys[-1] if keys is query_keys else torch.maximum(keys[-1], query_keys.max())
+        return cls(shape, (z, x, y), int(last) // (shape[0] * shape[1] * shape[2]) + 1)
+
+    def numbers(self, keys: Tensor) -> Tensor:
+        """Number of each key, shape (n,), int32 where that is wide enough."""
+        keys = keys.to(self.dtype)
+        above_line = torch.div(keys, self.shape[2], rounding_mode="floor")
+        above_plane = torch.div(above_line, self.shape[1], rounding_mode="floor")
+        z, x, y = self.margin
+        number = keys + above_line * y + above_plane * (x * self.line)
+        first = (z * self.plane + x) * self.line + y
+        if self.frames > 1:
+            frame = torch.div(above_plane, self.shape[0], rounding_mode="floor")
+            number += frame * (z * self.plane * self.line)
+        return number.add_(first)
+
+    def steps(self, offsets: Sequence[Triple], device: torch.device) -> Tensor:
+        """What each step (dz, dx, dy) adds to a number, shape (K,)."""
+        steps = [(dz * self.plane + dx) * self.line + dy for dz, dx, dy in offsets]
+        return torch.tensor(steps, dtype=self.dtype, device=device)
+
+
+def occupied(numbering: Numbering, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Find numbers among others.
+
+    Args:
+        numbering: How cells are numbered.
+        numbers: Occupied cells, shape (n,), ascending, each once.
+        wanted: Cells to look up, shape (m,).
+
+    Returns:
+        Which of those wanted are occupied, shape (p,), int64, ascending, and their rows in ``numbers``, int32.
+    """
+    words = numbering.size >> _WORD_BITS
+    if numbering.size <= _MAX_BITMAP_CELLS and words <= _WORDS_PER_CELL * (len(numbers) + 4096):
+        return _look_up(words + 1, numbers, wanted)
+    row = torch.searchsorted(numbers, wanted, out_int32=True).clamp_(max=len(numbers) - 1)
+    hits = (numbers.index_select(0, row) == wanted).nonzero().squeeze(1)
+    return hits, row.index_select(0, hits)
+
+
+def _look_up(words: int, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """:func:`occupied` by a bitmap: a cell's row is that of its word's first cell plus the bits set below its own."""
+    mask = (1 << _WORD_BITS) - 1
+    word = numbers >> _WORD_BITS
+    bits = torch.zeros(words, dtype=torch.int32, device=numbers.device)
+    bits.index_add_(0, word, torch.bitwise_left_shift(torch.ones_like(numbers), numbers & mask))
+    new = torch.ones_like(word, dtype=torch.bool)
+    torch.ne(word[1:], word[:-1], out=new[1:])
+    first = new.nonzero().squeeze(1)
+    start = torch.empty_like(bits)
+    start.scatter_(0, word.index_select(0, first).long(), first.int())
+    there = bits.index_select(0, wanted >> _WORD_BITS)
+    there.bitwise_right_shift_(wanted & mask).bitwise_and_(1)
+    hits = there.nonzero().squeeze(1)
+    found = wanted.index_select(0, hits)
+    word = found >> _WORD_BITS
+    higher = torch.bitwise_left_shift(torch.full_like(found, -1), found & mask)
+    below = bits.index_select(0, word).bitwise_and_(higher.bitwise_not_())
+    return hits, start.index_select(0, word).add_(_count_bits(below))
+
+
+def _count_bits(words: Tensor) -> Tensor:
+    """Bits set in each int32 that is not negative: sums of 2, 4 and 8 bits side by side, then of the bytes."""
+    words -= (words >> 1) & 0x55555555
+    words = (words & 0x33333333).add_((words >> 2).bitwise_and_(0x33333333))
+    words = (words + (words >> 4)).bitwise_and_(0x0F0F0F0F)
+    words += words >> 8
+    return (words + (words >> 16)).bitwise_and_(0x3F)
+
+
+def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:
+    """Grow a set of cells.
+
+    Args:
+        keys: Cells, shape (n,), int64.
+        shape: Cells along z, x and y.
+        offsets: Steps (dz, dx, dy) from each cell to the cells to add; steps out of the grid add nothing.
+
+    Returns:
+        The cells and all added ones, ascending, each once, shape (m,), int64.
+    """
+    depth, nx, ny = shape
+    _, iz, ix, iy = decode_keys(keys, shape).unbind(1)
+    grown = [keys]
+    for dz, dx, dy in offsets:
+        inside = _within(iz, dz, depth) & _within(ix, dx, nx) & _within(iy, dy, ny)
+        grown.append((keys + ((dz * nx + dx) * ny + dy))[inside])
+    return torch.unique(torch.cat(grown))
+
+
+def _within(index: Tensor, step: int, size: int) -> Tensor:
+    return index < size - step if step >= 0 else index >= -step

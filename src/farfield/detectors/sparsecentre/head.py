@@ -1,0 +1,191 @@
+"""The centre head on a sparse map: a heat value a class and a box at each occupied cell, its loss and its boxes.
+
+CenterPoint (arXiv 2006.11275, section 4) with the changes of VoxelNeXt (arXiv 2303.11301, section 3.2): the occupied
+cell nearest to a box's centre answers for it, wherever it is, and boxes are read at local maxima over occupied cells.
+"""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+from torch.nn import functional
+
+from farfield.detectors.anchors.grid import cirrus_anchors
+from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.nms import rotated_nms
+from farfield.detectors.processes import normaliser
+from farfield.detectors.sparse import SparseTensor, SubmanifoldConv, decode_keys, neighbour_table
+from farfield.detectors.sparsecentre.backbone import FLAT, normalised
+from farfield.detectors.sparsecentre.targets import (
+    CentreTargets,
+    Truth,
+    assign,
+    decode,
+    encode,
+    heat_loss,
+    vote_loss,
+)
+from farfield.geometry.boxes import Boxes
+
+_NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw, sine and cosine of the yaw
+
+
+class CentreHeadConfig(DetectorConfig):
+    """Settings of a detector with a centre head."""
+
+    classes: tuple[str, ...] = Field(tuple(cirrus_anchors()), min_length=1)
+    gaussian_m: float = Field(0.7, gt=0, description="standard deviation of the heat around a centre")
+    assign_m: float = Field(8.0, gt=0, description="an occupied cell this near to a centre may answer for it")
+    box_m: float = Field(1.2, ge=0, description="cells this near to a centre learn its box, beside the nearest one")
+    box_weight: float = 1.0
+    direction_weight: float = 0.2
+    vote_weight: float = 0.5
+    peak_cells: int = Field(1, ge=1, le=8, description="a peak exceeds all occupied cells within so many steps")
+    candidates: int = Field(1000, ge=1, description="best peaks that go into the suppression")
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """The classes that have a heat map."""
+        return self.classes
+
+
+class CentreMaps(NamedTuple):
+    """What is said of the occupied cells of a batch.
+
+    Attributes:
+        logits: Heat of each class, shape (n, classes).
+        codes: Box, shape (n, 10).
+        height_m: Reference height of each cell, shape (n,).
+        keys: The cells, shape (n,).
+        votes: Foreground logit and step to the centre in cells, before diffusion, shape (m, 3).
+        vote_keys: The cells before diffusion, shape (m,).
+    """
+
+    logits: Tensor
+    codes: Tensor
+    height_m: Tensor
+    keys: Tensor
+    votes: Tensor
+    vote_keys: Tensor
+
+
+class CentreLosses(NamedTuple):
+    """The parts of the training loss, each over the weight of the boxes."""
+
+    heat: Tensor
+    box: Tensor
+    foreground: Tensor
+    vote: Tensor
+
+
+class CentreHead(nn.Module):
+    """From a sparse map to heat and boxes.
+
+    Args:
+        config: Settings of the detector.
+        channels: Channels of the map.
+        shape: Cells of the map along x and y.
+        cell_m: Edge length of a cell.
+        y_min_m: Right edge of the map.
+    """
+
+    def __init__(
+        self, config: CentreHeadConfig, channels: int, *, shape: tuple[int, int], cell_m: float, y_min_m: float
+    ) -> None:
+        super().__init__()
+        self.config, self.shape, self.cell_m, self.y_min_m = config, shape, cell_m, y_min_m
+        self.heat_stem = normalised(SubmanifoldConv(channels, channels, FLAT), channels)
+        self.box_stem = normalised(SubmanifoldConv(channels, channels, FLAT), channels)
+        self.heat = nn.Linear(channels, len(config.classes))
+        self.box = nn.Linear(channels, _NUMBERS)
+        with torch.no_grad():
+            self.heat.weight.normal_(std=0.01)
+            self.heat.bias.fill_(-2.2)  # every cell at a score of 0.1
+            self.box.weight.normal_(std=0.01)
+
+    def forward(self, sparse: SparseTensor) -> tuple[Tensor, Tensor]:
+        """Heat logits (n, classes) and box codes (n, 10) of the occupied cells."""
+        return self.heat(self.heat_stem(sparse).features), self.box(self.box_stem(sparse).features)
+
+    def targets(self, boxes: Boxes) -> CentreTargets:
+        """The boxes of the detector's classes with centres on the map."""
+        names, (nx, ny) = self.config.classes, self.shape
+        kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
+        x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
+        here = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
+        kept = boxes[here]
+        weight = self.config.box_weights(kept)
+        return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], weight)
+
+    def places_m(self, keys: Tensor) -> tuple[Tensor, Tensor]:
+        """Frame (n,) and centre x, y (n, 2) of cells."""
+        frame, _, ix, iy = decode_keys(keys, (1, *self.shape)).unbind(1)
+        return frame, torch.stack([(ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m], 1)
+
+    def loss(self, maps: CentreMaps, targets: Sequence[CentreTargets]) -> CentreLosses:
+        """Penalty-reduced focal loss on the heat, smooth L1 on boxes and votes, focal loss on the foreground."""
+        weight = sum(float(target.weight.sum()) for target in targets)
+        total = normaliser(torch.tensor(weight, dtype=torch.float32, device=maps.logits.device))
+        parts = [self._frame_loss(maps, index, target) for index, target in enumerate(targets)]
+        return CentreLosses(*(torch.stack(part).sum() / total for part in zip(*parts, strict=True)))
+
+    def _frame_loss(self, maps: CentreMaps, index: int, target: CentreTargets) -> tuple[Tensor, ...]:
+        config, truth = self.config, Truth.of(target, maps.logits.device)
+        frame, place_m = self.places_m(maps.keys)
+        rows = (frame == index).nonzero().squeeze(1)
+        duties = assign(
+            place_m[rows],
+            truth,
+            len(config.classes),
+            gaussian_m=config.gaussian_m,
+            assign_m=config.assign_m,
+            box_m=config.box_m,
+        )
+        heat = heat_loss(maps.logits[rows], duties.heat, duties.heat_weight)
+        wanted = encode(truth, duties.box, place_m[rows[duties.cell]], maps.height_m[rows[duties.cell]], self.cell_m)
+        error = functional.smooth_l1_loss(maps.codes[rows[duties.cell]].float(), wanted, beta=1 / 9, reduction="none")
+        error = error[:, :8].sum(1) + config.direction_weight * error[:, 8:].sum(1)
+        frame, place_m = self.places_m(maps.vote_keys)
+        rows = (frame == index).nonzero().squeeze(1)
+        foreground, vote = vote_loss(maps.votes[rows], place_m[rows], truth, self.cell_m)
+        return (
+            heat,
+            config.box_weight * (error * duties.weight).sum(),
+            config.vote_weight * foreground,
+            config.vote_weight * vote,
+        )
+
+    def boxes(self, maps: CentreMaps, batch_size: int) -> list[Boxes]:
+        """The boxes of each frame after suppression, best first."""
+        logits = maps.logits.float()
+        score = torch.sigmoid(logits)
+        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & (score >= self.config.score_threshold)
+        row, kind = passed.nonzero().unbind(1)
+        frame, place_m = self.places_m(maps.keys[row])
+        found = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
+        found, score, kind, frame = (part.cpu().numpy() for part in (found, score[row, kind].double(), kind, frame))
+        return [self._frame(found[frame == i], score[frame == i], kind[frame == i]) for i in range(batch_size)]
+
+    def _frame(self, rows: np.ndarray, score: np.ndarray, kind: np.ndarray) -> Boxes:
+        best = np.argsort(-score, kind="stable")[: self.config.candidates]
+        rows, label = rows[best], np.array(self.config.classes, dtype=np.str_)[kind[best]]
+        boxes = Boxes(
+            centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], label=label.tolist(), score=score[best]
+        )
+        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+
+
+def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], reach: int) -> Tensor:
+    """Where no occupied cell within ``reach`` steps is hotter, a class each, shape (n, classes), bool."""
+    side = range(-reach, reach + 1)
+    around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
+    table = neighbour_table(keys, keys, (1, *shape), around).long()
+    padded = torch.cat([logits, logits.new_full((1, logits.shape[1]), -torch.inf)])
+    best = torch.full_like(logits, -torch.inf)
+    for column in table.unbind(1):
+        best = torch.maximum(best, padded[column])
+    return logits >= best

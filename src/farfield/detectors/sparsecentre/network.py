@@ -1,0 +1,148 @@
+"""A fully sparse centre-based detector: its cost follows the points, not the area.
+
+In the line of VoxelNeXt (Chen et al., CVPR 2023, arXiv 2303.11301) and SAFDNet (Zhang et al., CVPR 2024, arXiv
+2403.05817): points -> voxels -> sparse 3D encoder -> heights summed to a bird's-eye map of occupied cells -> sparse
+pyramid with coarse stages -> diffusion to the empty centres -> heat and boxes at occupied cells -> local maxima ->
+rotated NMS. Nothing is as large as the range. Differences from the papers, each for long range: strided layers add no
+cells, so a single point is one path to the map; cells vote for the centre that they want occupied; heights of boxes are
+said relative to the points of their cell, since roads climb over 250 m; and any occupied cell can answer for a box.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from pydantic import Field, model_validator
+from torch import Tensor, nn
+
+from farfield.detectors.contract import Channels
+from farfield.detectors.sparse import SparseTensor, SubmanifoldConv
+from farfield.detectors.sparsecentre.backbone import (
+    FLAT,
+    ResidualBlock,
+    SparsePyramid,
+    VoxelEncoder,
+    flat_keys,
+    merge_heights,
+    normalised,
+)
+from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
+from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig, CentreLosses, CentreMaps
+from farfield.detectors.sparsecentre.targets import CentreTargets
+from farfield.detectors.voxels import VoxelGridConfig, mean_voxels
+from farfield.geometry.boxes import Boxes
+
+Depth = Annotated[int, Field(ge=0, le=64)]
+
+
+class SparseCentreConfig(CentreHeadConfig):
+    """Everything that decides the shape of the network and of its answers."""
+
+    name: Literal["sparsecentre"] = "sparsecentre"
+    grid: VoxelGridConfig = VoxelGridConfig(voxel_m=(0.2, 0.2, 0.25))
+    use_intensity: bool = False
+    use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    widths: tuple[Channels, ...] = Field((16, 32, 64), description="of the 3D stages; each but the first halves")
+    depths: tuple[Depth, ...] = (1, 1, 2)
+    pyramid_widths: tuple[Channels, ...] = Field((96, 96, 128, 128), description="of the map's levels; each halves")
+    pyramid_depth: Depth = 1
+    vote_threshold: float = Field(0.3, ge=0, le=1, description="cells with a foreground score above this vote")
+    vote_least: int = Field(16, ge=0, description="so many best cells of a frame vote in any case")
+    vote_ring: int = Field(1, ge=0, le=8, description="cells around a voted one that become occupied")
+    vote_reach_m: float = Field(10.0, gt=0, description="longest vote along x and along y")
+    head_depth: Depth = Field(1, description="residual blocks after the diffusion")
+
+    @property
+    def reach_m(self) -> float:
+        """How far ahead the detector looks, metres."""
+        return self.grid.range_m
+
+    @property
+    def map_stride(self) -> int:
+        """Voxels along the edge of a cell of the map."""
+        return int(2 ** (len(self.widths) - 1))
+
+    @property
+    def multiple(self) -> int:
+        """The coarsest stride, in voxels."""
+        return int(self.map_stride * 2 ** (len(self.pyramid_widths) - 1))
+
+    @model_validator(mode="after")
+    def _strides_fit(self) -> "SparseCentreConfig":
+        layers = self.grid.shape(self.multiple)[0]
+        if not 1 <= len(self.widths) == len(self.depths) <= 5 or not 1 <= len(self.pyramid_widths) <= 6:
+            raise ValueError("expected 1 to 5 widths, as many depths, and 1 to 6 pyramid_widths")
+        if layers % self.map_stride:
+            raise ValueError(f"expected voxel layers that {self.map_stride} divides, got {layers}: set extra_layers")
+        if self.grid.voxel_m[0] != self.grid.voxel_m[1]:
+            raise ValueError(f"expected voxels as long as wide, got {self.grid.voxel_m}")
+        return self
+
+
+class SparseCentre(nn.Module):
+    """The network. ``forward`` gives what is said of occupied cells; ``loss`` and ``predict`` give it a meaning."""
+
+    low_precision: ClassVar[tuple[str, ...]] = ("encoder", "to_map", "pyramid", "diffusion", "refine", "head")
+
+    def __init__(self, config: SparseCentreConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or SparseCentreConfig()
+        c_in, width = 7 + config.use_intensity + config.use_lag, config.pyramid_widths[0]
+        self.encoder = VoxelEncoder(c_in, config.widths, config.depths)
+        self.to_map = normalised(SubmanifoldConv(config.widths[-1], width, (1, 1, 1)), width)
+        self.pyramid = SparsePyramid(config.pyramid_widths, config.pyramid_depth)
+        cell_m = config.grid.voxel_m[0] * config.map_stride
+        self.diffusion = CentreDiffusion(
+            width,
+            threshold=config.vote_threshold,
+            least=config.vote_least,
+            ring=config.vote_ring,
+            reach_cells=config.vote_reach_m / cell_m,
+        )
+        self.refine = nn.Sequential(*[ResidualBlock(width, FLAT) for _ in range(config.head_depth)])
+        _, nx, ny = config.grid.shape(config.multiple)
+        shape, y_min_m = (nx // config.map_stride, ny // config.map_stride), config.grid.y_min_m(config.multiple)
+        self.head = CentreHead(config, width, shape=shape, cell_m=cell_m, y_min_m=y_min_m)
+
+    def forward(self, clouds: Sequence[Tensor], targets: Sequence[CentreTargets] | None = None) -> CentreMaps:
+        """Run the network.
+
+        Args:
+            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
+            targets: Not looked at.
+        """
+        del targets
+        config = self.config
+        voxels = mean_voxels(
+            clouds, config.grid, config.multiple, use_intensity=config.use_intensity, use_lag=config.use_lag
+        )
+        dtype = next(self.encoder.parameters()).dtype
+        flat = merge_heights(self.to_map(self.encoder(voxels.replace(voxels.features.to(dtype)))))
+        flat = self.pyramid(flat)
+        diffused = self.diffusion(flat, self._heights_m(voxels, flat.keys))
+        logits, codes = self.head(self.refine(diffused.sparse))
+        return CentreMaps(logits, codes, diffused.height_m, diffused.sparse.keys, diffused.votes, flat.keys)
+
+    def _heights_m(self, voxels: SparseTensor, keys: Tensor) -> Tensor:
+        """Mean height of the points' voxels in each cell of the map, shape (n,)."""
+        grid = self.config.grid
+        height_m = voxels.features[:, 5] * max(abs(grid.z_min_m), abs(grid.z_max_m))
+        cell = torch.searchsorted(keys, flat_keys(voxels, self.config.map_stride))
+        count = torch.bincount(cell, minlength=len(keys)).clamp(min=1)
+        return height_m.new_zeros(len(keys)).index_add(0, cell, height_m) / count
+
+    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> CentreTargets:
+        """The boxes of a frame that the network should find."""
+        del points
+        return self.head.targets(boxes)
+
+    def loss(self, outputs: CentreMaps, targets: Sequence[CentreTargets]) -> CentreLosses:
+        """Losses of heat, boxes, foreground and votes over a batch."""
+        return self.head.loss(outputs, targets)
+
+    @torch.no_grad()
+    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
+        """Detect: one set of scored boxes a frame, best first."""
+        return self.head.boxes(self(clouds), len(clouds))

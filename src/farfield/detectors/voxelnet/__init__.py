@@ -1,0 +1,1 @@
+"""VoxelNet (Zhou and Tuzel, CVPR 2018)."""

@@ -1,0 +1,104 @@
+"""VoxelNet (Zhou and Tuzel, CVPR 2018, arXiv 1711.06396) at long range (Cirrus, section V.A).
+
+Points -> voxels of 0.2 x 0.2 x 0.4 m with learned features -> 3D convolutions -> region proposal network -> boxes.
+Differences from the paper: the 3D convolutions compute only what a point reaches (the same function, see
+``middle.py``); 1250 x 500 cells are padded to 1256 x 504, since the three strides must divide them; loss and
+anchors' answers are those of the house's anchor head (focal loss, direction bins, answers by distance).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.bev import BevBackbone
+from farfield.detectors.contract import Channels
+from farfield.detectors.voxelnet.middle import MiddleLayers, middle_depths
+from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder
+from farfield.detectors.voxels import VoxelGridConfig
+
+_CIRRUS_GRID = VoxelGridConfig(range_m=250.0, half_width_m=50.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.2, 0.2, 0.4))
+
+
+class VoxelNetConfig(AnchorHeadConfig):
+    """Everything that decides the shape of the network and of its answers; widths and grid are the published ones."""
+
+    name: Literal["voxelnet"] = "voxelnet"
+    grid: VoxelGridConfig = _CIRRUS_GRID
+    max_points: int = Field(35, ge=1, le=10_000, description="points of a voxel that count")
+    use_intensity: bool = Field(True, description="read the return strength; its scale differs between sensors")
+    use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    vfe_widths: tuple[Annotated[Channels, Field(multiple_of=2)], ...] = (32, 128)
+    voxel_channels: Channels = 128
+    middle: Literal["sparse", "dense"] = Field("sparse", description="one function and one set of weights, two ways")
+    middle_widths: tuple[Channels, Channels, Channels] = (64, 64, 64)
+    widths: tuple[Channels, ...] = (128, 128, 256)
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (3, 5, 5)
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
+    out_stride: int = Field(2, ge=1, description="stride of the anchors' grid, in voxels")
+    neck_width: Channels = 256
+
+    @model_validator(mode="after")
+    def _fits(self) -> "VoxelNetConfig":
+        dx, dy, _ = self.grid.voxel_m
+        if dx != dy:
+            raise ValueError(f"expected voxels as long as wide, got {dx} m x {dy} m")
+        layers = self.grid.shape(1)[0]
+        if min(middle_depths(layers)) < 1:
+            raise ValueError(f"expected at least 5 layers of voxels in z for the middle layers, got {layers}")
+        return self
+
+    @property
+    def reach_m(self) -> float:
+        """How far ahead the detector looks, metres."""
+        return self.grid.range_m
+
+
+class VoxelNet(AnchorDetector):
+    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+
+    low_precision: ClassVar[tuple[str, ...]] = ("middle", "backbone", "head")
+
+    def __init__(self, config: VoxelNetConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or VoxelNetConfig()
+        multiple = math.prod(config.strides)
+        depth, nx, ny = config.grid.shape(multiple)
+        self.encoder = VoxelFeatureEncoder(
+            config.grid,
+            multiple=multiple,
+            widths=config.vfe_widths,
+            channels=config.voxel_channels,
+            max_points=config.max_points,
+            use_intensity=config.use_intensity,
+            use_lag=config.use_lag,
+        )
+        self.middle = MiddleLayers(config.voxel_channels, config.middle_widths, depth, config.middle)
+        self.backbone = BevBackbone(
+            self.middle.channels,
+            widths=config.widths,
+            depths=config.depths,
+            strides=config.strides,
+            out_stride=config.out_stride,
+            neck_width=config.neck_width,
+        )
+        anchors = AnchorGrid(
+            config.anchors,
+            nx=nx // config.out_stride,
+            ny=ny // config.out_stride,
+            cell_m=config.grid.voxel_m[0] * config.out_stride,
+            y_min_m=config.grid.y_min_m(multiple),
+        )
+        self.head = AnchorHead(config, self.backbone.channels, anchors)
+
+    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+        """Voxel features, convolutional middle layers and the region proposal network's trunk (section 2.1)."""
+        image = self.middle(self.encoder(clouds))
+        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
+        features: Tensor = self.backbone(image)
+        return features

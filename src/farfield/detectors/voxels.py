@@ -1,0 +1,126 @@
+"""Voxels: points to the occupied cells of a 3D grid, one mean feature row each (SECOND's mean VFE)."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from torch import Tensor
+
+from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
+
+_MAX_CELLS = 4_000_000_000
+
+
+class VoxelGridConfig(BaseModel):
+    """Where a voxel detector looks, and how finely.
+
+    Cell counts along x and y are rounded up to a multiple of the network's coarsest stride, so the grid may reach a
+    little farther than asked.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
+    half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
+    z_min_m: float = Field(-6.0, description="points below are dropped; generous, since roads climb over 250 m")
+    z_max_m: float = Field(6.0, description="points above are dropped")
+    voxel_m: tuple[float, float, float] = Field((0.1, 0.1, 0.2), description="voxel size along x, y and z")
+    extra_layers: int = Field(0, ge=0, le=64, description="empty layers above, as SECOND's grid has one (41 for 40)")
+
+    @model_validator(mode="after")
+    def _fits(self) -> "VoxelGridConfig":
+        if not min(self.voxel_m) > 0:
+            raise ValueError(f"expected a voxel size above 0 along x, y and z, got {self.voxel_m}")
+        if not self.z_max_m > self.z_min_m:
+            raise ValueError(f"expected z_max_m above z_min_m, got {self.z_max_m} and {self.z_min_m}")
+        volume_m3 = self.range_m * 2 * self.half_width_m * (self.z_max_m - self.z_min_m)
+        cells = volume_m3 / math.prod(self.voxel_m)
+        if not cells <= _MAX_CELLS:
+            raise ValueError(f"expected at most {_MAX_CELLS:,} voxels, got {cells:,.0f}: take a larger voxel_m")
+        return self
+
+    def shape(self, multiple: int) -> Triple:
+        """Cells along z, x and y; ``multiple`` divides the last two."""
+        dx, dy, dz = self.voxel_m
+        along = ((self.range_m, dx), (2 * self.half_width_m, dy))
+        nx, ny = (math.ceil(round(length / step, 6) / multiple) * multiple for length, step in along)
+        return math.ceil(round((self.z_max_m - self.z_min_m) / dz, 6)) + self.extra_layers, nx, ny
+
+    def y_min_m(self, multiple: int) -> float:
+        """The grid's right edge in metres: padding is shared between both sides."""
+        return -self.shape(multiple)[2] * self.voxel_m[1] / 2
+
+
+def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
+    """Number the voxel of each point.
+
+    Args:
+        points: x, y, z (metres) first, shape (n, >= 3). Points outside the grid, or not finite, are dropped.
+        batch: Frame number of each point, shape (n,), int64.
+        grid: The voxel grid.
+        multiple: The network's coarsest stride.
+
+    Returns:
+        Rows of the points inside the grid, shape (m,), int64, and the key of each one's voxel, shape (m,), int64, as
+        :func:`~farfield.detectors.sparse.tensor.encode_keys` numbers them.
+    """
+    depth, nx, ny = grid.shape(multiple)
+    dx, dy, dz = grid.voxel_m
+    ix = torch.floor(points[:, 0] / dx)
+    iy = torch.floor((points[:, 1] - grid.y_min_m(multiple)) / dy)
+    iz = torch.floor((points[:, 2] - grid.z_min_m) / dz)
+    keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (iz >= 0) & (iz < depth - grid.extra_layers)
+    rows = keep.nonzero().squeeze(1)
+    key = ((batch[rows] * depth + iz[rows].long()) * nx + ix[rows].long()) * ny + iy[rows].long()
+    return rows, key
+
+
+def mean_voxels(
+    clouds: Sequence[Tensor],
+    grid: VoxelGridConfig,
+    multiple: int,
+    *,
+    use_intensity: bool = False,
+    use_lag: bool = False,
+    published: bool = False,
+) -> SparseTensor:
+    """Mean features of each voxel that holds a point.
+
+    The features are: mean offset from the voxel's centre in voxel sizes (3), mean position scaled to the grid (3),
+    logarithm of one plus the number of points (1), and, where asked, mean intensity and mean lag in seconds.
+
+    Args:
+        clouds: Points of each frame: x, y, z (metres), intensity, lag_s; shape (n, 5).
+        grid: The voxel grid.
+        multiple: The network's coarsest stride.
+        use_intensity: Add the mean return strength.
+        use_lag: Add the mean age of the points.
+        published: Mean x, y, z (metres) and intensity only, as SECOND's mean VFE: what imported weights expect.
+    """
+    points = torch.cat(list(clouds))
+    lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
+    batch = torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+    rows, key = voxel_keys(points, batch, grid, multiple)
+    keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
+    shape = grid.shape(multiple)
+    points, count = points[rows], count[:, None].to(points.dtype)
+    centre = voxel_centres_m(keys, grid, multiple).to(points.dtype)
+    values = torch.cat([points[:, :3] - centre[member], points[:, 3:5]], 1)
+    mean = values.new_zeros(len(keys), values.shape[1]).index_add(0, member, values) / count
+    position = centre + mean[:, :3]
+    if published:
+        features = torch.cat([position, mean[:, 3:4]], 1)
+    else:
+        scale = position.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
+        parts = [mean[:, :3] / position.new_tensor(grid.voxel_m), position / scale, torch.log1p(count)]
+        extra = [mean[:, 3:4]] * use_intensity + [mean[:, 4:5]] * use_lag
+        features = torch.cat([*parts, *extra], 1)
+    return SparseTensor(features, keys, shape, len(clouds))
+
+
+def voxel_centres_m(keys: Tensor, grid: VoxelGridConfig, multiple: int) -> Tensor:
+    """Centres x, y, z of voxels in metres, shape (n, 3), float32."""
+    _, iz, ix, iy = decode_keys(keys, grid.shape(multiple)).unbind(1)
+    dx, dy, dz = grid.voxel_m
+    return torch.stack([(ix + 0.5) * dx, (iy + 0.5) * dy + grid.y_min_m(multiple), (iz + 0.5) * dz + grid.z_min_m], 1)

@@ -1,0 +1,1 @@
+"""One experiment is one YAML file."""

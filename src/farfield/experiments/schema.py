@@ -1,0 +1,107 @@
+"""One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
+
+from farfield.detectors import detector_classes
+from farfield.detectors.contract import DetectorConfig
+from farfield.errors import ConfigError
+from farfield.training.config import AugmentationConfig, TrainingConfig
+
+
+class SimulationConfig(BaseModel):
+    """A simulated data set that is made where ``data.path`` does not exist yet."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    preset: str
+    sequences: int = Field(ge=1)
+    frames: int = Field(ge=1, description="frames of each sequence")
+    seed: int = 0
+    sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
+    stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
+
+
+class DataConfig(BaseModel):
+    """What to train on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    path: Path
+    split: str | None = Field(None, description="train, val, test, or nothing for all frames")
+    clouds: tuple[str, ...] = Field(("gaussian", "uniform"), min_length=1)
+    sweeps: int = Field(
+        1, ge=1, le=100, description="clouds a frame: those of the frames before it, moved by the poses"
+    )
+    aliases: dict[str, str] = Field(default_factory=dict, description="classes renamed before training")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the data set's reader")
+    simulate: SimulationConfig | None = None
+
+
+class Experiment(BaseModel):
+    """Everything that decides the outcome of a training."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    data: DataConfig
+    detector: SerializeAsAny[DetectorConfig] = Field({"name": "pointpillars"}, validate_default=True)
+    augmentation: AugmentationConfig = AugmentationConfig()
+    training: TrainingConfig = TrainingConfig()
+
+    @field_validator("detector", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: Any) -> Any:
+        """The settings of the detector that ``name`` names; PointPillars if it names none."""
+        if not isinstance(value, dict):
+            return value
+        try:
+            kind = detector_classes(str(value.get("name", "pointpillars")))[1]
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return kind.model_validate(value)
+
+
+def load_experiment(path: Path, overrides: list[str] | None = None) -> Experiment:
+    """Read an experiment and apply overrides such as ``training.steps=500``.
+
+    Raises:
+        ConfigError: If the file cannot be read, or a key or value is not one of those possible.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: expected an experiment's YAML file, found nothing.") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: expected YAML, found {error}.") from error
+    if not isinstance(tree, dict):
+        raise ConfigError(
+            f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}."
+        )
+    for override in overrides or []:
+        _override(tree, override)
+    try:
+        return Experiment.model_validate(tree)
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        raise ConfigError(f"{path}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    path, separator, value = override.partition("=")
+    if not separator or not path:
+        raise ConfigError(f"Expected an override of the form key.key=value, got {override!r}.")
+    *parents, last = path.split(".")
+    for key in parents:
+        tree = tree.setdefault(key, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"Expected {key!r} in {override!r} to be a group of settings; it is a value.")
+    tree[last] = yaml.safe_load(value)
+
+
+def dump_experiment(experiment: Experiment) -> str:
+    """The resolved experiment as YAML: every setting, defaults included."""
+    return yaml.safe_dump(experiment.model_dump(mode="json"), sort_keys=False)

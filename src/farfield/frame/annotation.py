@@ -1,0 +1,124 @@
+"""What was annotated in a frame: boxes and all that is known of each of them, cut together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraField:
+    """The part of a frame that was annotated, where it is what a camera sees.
+
+    Args:
+        camera: The camera with the size of its image; its pose refers to the frame's coordinates.
+        name: The camera's name, for messages.
+
+    Raises:
+        ValueError: If the size of the image is not known.
+    """
+
+    camera: Camera
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.camera.width_px < 1 or self.camera.height_px < 1:
+            raise ValueError(f"CameraField: expected the size of {self.name}'s image, got none")
+
+    def __str__(self) -> str:
+        return f"the field of {self.name}"
+
+    def contains(self, points_m: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Whether each point, in the frame's coordinates, lies in the field, shape (n,)."""
+        return self.camera.project(points_m)[2]
+
+    def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "CameraField":
+        """The field in other coordinates."""
+        pose = self.camera.camera_T_lidar @ invert(target_T_frame)
+        return replace(self, camera=replace(self.camera, camera_T_lidar=pose))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Annotation:
+    """The annotated boxes of a frame, and what is known of each.
+
+    Args:
+        boxes: n boxes in the frame's coordinates.
+        visibility: Which sensor sees each box (K-Radar's ``R``, ``L``, ``L1``), length n.
+        moving: Whether each moves, shape (n,).
+        original_label: Class of each as the data set spells it, length n.
+        extent: Whether a box is the whole body (``"full"``) or the part that the sensor sees (``"visible"``).
+        full_boxes: The whole bodies of boxes of visible parts, where they are known, n boxes.
+        details: Further rows by name, each of length n: ``truncation``, ``occlusion``, ``box_px``...
+        unboxed: What was annotated without a box: ``dontcare_px`` (image regions), ``from_above`` (footprints).
+        region: Where was annotated; None for all around.
+        version: The annotation's release, where there are several.
+
+    Raises:
+        ValueError: If something has another length than the boxes.
+    """
+
+    boxes: Boxes
+    visibility: Sequence[str] | None = None
+    moving: Bool[np.ndarray, " n"] | None = None
+    original_label: Sequence[str] | None = None
+    extent: Literal["full", "visible"] = "full"
+    full_boxes: Boxes | None = None
+    details: Mapping[str, Shaped[np.ndarray, "n *rest"]] = field(default_factory=dict)
+    unboxed: Mapping[str, Any] = field(default_factory=dict)
+    region: CameraField | None = None
+    version: str = ""
+
+    def __post_init__(self) -> None:
+        for name, rows in self._rows().items():
+            if rows is not None and len(rows) != len(self.boxes):
+                raise ValueError(f"Annotation.{name}: expected {len(self.boxes)} rows, one a box, got {len(rows)}")
+
+    def _rows(self) -> dict[str, Any]:
+        named = ("visibility", "moving", "original_label", "full_boxes")
+        return {name: getattr(self, name) for name in named} | dict(self.details)
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def __getitem__(self, rows: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | Sequence[int]) -> "Annotation":
+        """Some of the boxes with all that is known of them: by slice, mask or indices."""
+        index = np.arange(len(self))[rows if isinstance(rows, slice) else _index(rows)]
+        return replace(
+            self,
+            boxes=self.boxes[index],
+            visibility=None if self.visibility is None else tuple(self.visibility[i] for i in index),
+            moving=None if self.moving is None else self.moving[index],
+            original_label=None if self.original_label is None else tuple(self.original_label[i] for i in index),
+            full_boxes=None if self.full_boxes is None else self.full_boxes[index],
+            details={name: values[index] for name, values in self.details.items()},
+        )
+
+    def replaced(self, boxes: Boxes) -> "Annotation":
+        """The same with other values of the same boxes, such as another count of points."""
+        return replace(self, boxes=boxes)
+
+    def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Annotation":
+        """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region."""
+        unboxed = {
+            name: value.transform(target_T_frame) if isinstance(value, Boxes) else value
+            for name, value in self.unboxed.items()
+        }
+        return replace(
+            self,
+            boxes=self.boxes.transform(target_T_frame),
+            full_boxes=None if self.full_boxes is None else self.full_boxes.transform(target_T_frame),
+            unboxed=unboxed,
+            region=None if self.region is None else self.region.moved(target_T_frame),
+        )
+
+
+def _index(rows: Any) -> np.ndarray:
+    index = np.asarray(rows)
+    return index.astype(np.intp) if index.size == 0 and index.dtype != bool else index

@@ -1,0 +1,48 @@
+"""Where figures come from: versions, processor, commit, and whether frames were simulated."""
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+SIMULATION_FILE = "simulation.json"
+"""The settings that ``farfield simulate`` leaves beside its frames."""
+
+
+def is_simulated(root: Path) -> bool:
+    """Whether ``farfield simulate`` wrote a data set: its settings file lies in the folder or above it."""
+    return any((folder / SIMULATION_FILE).is_file() for folder in (root, root.parent))
+
+
+def environment() -> dict[str, Any]:
+    """Versions, processor and, in a git checkout, the commit of the code that runs."""
+    packages = {}
+    for name in ("farfield", "numpy", "scipy", "torch"):
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            packages[name] = "absent"
+    return {
+        "versions": packages,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "commit": git_commit(),
+    }
+
+
+def git_commit() -> str | None:
+    """Commit of the source tree this package runs from, "-dirty" appended if it was changed; None outside one."""
+    here = Path(__file__).resolve().parent
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],  # noqa: S607
+            cwd=here,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return described.stdout.strip() or None if described.returncode == 0 else None

@@ -1,0 +1,176 @@
+"""What the clouds and boxes hold: columns, units, intensity, classes by range, suspicious boxes."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from farfield.datasets.cirrus import Cirrus
+from farfield.frame import Boxes
+from farfield.inspection.doctor.evidence import count_points
+from farfield.inspection.doctor.findings import Finding, counted
+from farfield.inspection.doctor.ground import ground_height_m
+from farfield.inspection.doctor.survey import Survey
+from farfield.vocabulary.classes import normalised_class
+
+RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)
+_LARGEST_M = {  # length, width, height of the largest plausible objects, sorted; smaller ones may be partly seen
+    "vehicle": (9.0, 3.5, 3.8),
+    "large_vehicle": (32.0, 5.0, 5.5),
+    "trailer": (32.0, 5.0, 5.5),
+    "pedestrian": (2.6, 2.2, 2.0),
+    "wheeled_pedestrian": (3.0, 2.2, 2.0),
+    "bicycle": (3.5, 2.5, 1.8),
+    "motorcycle": (3.8, 2.5, 1.8),
+    "animal": (4.0, 3.0, 2.0),
+}
+
+
+def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Tell columns, points a sweep, reach and intensity of each pattern."""
+    for name in found.sensors:
+        read = [sample.clouds[name] for sample in found.samples if name in sample.clouds]
+        if not read:
+            continue
+        points = np.concatenate([cloud.points_m for cloud in read])
+        reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
+        per_sweep = sorted(len(cloud) for cloud in read)
+        strength = np.concatenate([cloud.intensity for cloud in read])
+        scale = _scale_text(found, name)
+        columns = ["x", "y", "z", "intensity", *read[0].extra]
+        facts.setdefault("clouds", {})[name] = {
+            "points": per_sweep[len(per_sweep) // 2],
+            "reach_m": round(reach, 1),
+            "columns": columns,
+            "intensity": [float(strength.min(initial=1.0)), float(strength.max(initial=0.0))],
+        }
+        what = (
+            f"{len(columns)} columns ({', '.join(columns)}), {per_sweep[0]}..{per_sweep[-1]} points a sweep, reach "
+            f"{reach:.0f} m, intensity {strength.min(initial=1.0):.3f}..{strength.max(initial=0.0):.3f}{scale}"
+        )
+        yield Finding(severity="ok", topic=f"cloud {name}", what=what)
+        if not strength.any():
+            mend = "A detector trained with intensity will not work here: name the right column in the mapping."
+            yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
+        yield from _units_of_points(name, reach)
+
+
+def _scale_text(found: Survey, name: str) -> str:
+    if not isinstance(found.dataset, Cirrus) or name not in found.dataset.intensity_scale:
+        return ""
+    decided = "decided from the data" if found.dataset.mapping.xyz.intensity_scale == "auto" else "given"
+    return f" of full scale {found.dataset.intensity_scale[name]:g} ({decided})"
+
+
+def _units_of_points(name: str, reach_m: float) -> Iterator[Finding]:
+    unit = "millimetres" if reach_m > 20_000 else "centimetres" if reach_m > 1_500 else ""
+    unit = "kilometres or another large unit" if reach_m < 1.0 else unit
+    if unit:
+        what = f"the farthest point lies at {reach_m:.3g}: the cloud seems to be in {unit}"
+        yield Finding(severity="fail", topic="units", what=what, where=name, mend="Bring the points to metres.")
+
+
+def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Count classes by range, and tell names that the vocabulary lacks."""
+    boxes = found.all_boxes()
+    table: dict[str, dict[str, int]] = {}
+    names = [f"{low:g}-{high:g} m" if high < np.inf else f"{low:g}+ m" for low, high in _bins()]
+    for label in sorted(set(np.asarray(boxes.label).tolist())):
+        ranges = boxes.range_m[np.asarray(boxes.label) == label]
+        counts = [int(((ranges >= low) & (ranges < high)).sum()) for low, high in _bins()]
+        table[label] = dict(zip(names, counts, strict=True))
+    facts["classes_by_range"] = table
+    for label, row in table.items():
+        shown = ", ".join(f"{count} at {name}" for name, count in row.items() if count)
+        yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
+    if not isinstance(found.dataset, Cirrus):
+        return
+    aliases = found.dataset.mapping.labels.aliases
+    strange = {
+        name: count
+        for name, count in found.raw_labels.items()
+        if normalised_class(name, aliases) == "unknown" and name.strip().lower() != "unknown"
+    }
+    if strange:
+        most = sum(strange.values()) > 0.5 * max(len(boxes), 1)
+        shown = ", ".join(f"{name!r} ({count})" for name, count in list(strange.items())[:8])
+        yield Finding(
+            severity="fail" if most else "warn",
+            topic="class names",
+            what=f"not in the vocabulary, read as unknown: {shown}",
+            mend="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}.",
+        )
+
+
+def _bins() -> list[tuple[float, float]]:
+    return list(pairwise(RANGE_BINS_M))
+
+
+def sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Check the unit of the sizes and find implausible ones."""
+    boxes = found.all_boxes()
+    if not len(boxes):
+        return
+    longest = float(np.median(boxes.size_m.max(axis=1)))
+    facts["median_longest_side_m"] = round(longest, 3)
+    unit = "millimetres" if longest > 1500 else "centimetres" if longest > 35 else ""
+    unit = "kilometres or another large unit" if longest < 0.05 else unit
+    if unit:
+        what = f"the median box is {longest:.3g} long: sizes seem to be in {unit}"
+        yield Finding(severity="fail", topic="units", what=what, mend="Bring sizes and positions to metres.")
+        return
+    limits = np.array([_LARGEST_M.get(label, (60.0, 20.0, 20.0)) for label in np.asarray(boxes.label).tolist()])
+    large = (-np.sort(-boxes.size_m, axis=1) > limits).any(axis=1)
+    small = boxes.size_m.max(axis=1) < 0.1
+    share = float((large | small).mean())
+    what = f"{int(large.sum())} too large for their class, {int(small.sum())} below 0.1 m, of {len(boxes)}"
+    mend = "Look at them: a wrong class or a slip of the hand." if share else ""
+    severity = "fail" if share > 0.5 and len(boxes) >= 10 else "warn" if share else "ok"
+    yield Finding(severity=severity, topic="box sizes", what=what, mend=mend)  # type: ignore[arg-type]
+
+
+def suspicious(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Find empty, doubled and underground boxes in the frames whose clouds were read."""
+    total = near = empty = near_empty = doubled = buried = 0
+    for sample, boxes in found.annotated_samples():
+        points = sample.points_m
+        count = count_points(points, boxes, ())[:, 0]
+        close = boxes.range_m < 70.0
+        total, near = total + len(boxes), near + int(close.sum())
+        empty, near_empty = empty + int((count == 0).sum()), near_empty + int((count[close] == 0).sum())
+        doubled += _doubled(boxes)
+        ground = ground_height_m(points, boxes.centre_m[:, :2])
+        buried += int((boxes.centre_m[:, 2] + boxes.size_m[:, 2] / 2 < ground).sum())
+    if total == 0:
+        return
+    facts["points_in_boxes"] = {"boxes": total, "empty": empty, "near": near, "near_empty": near_empty}
+    yield _overlap(total, empty, near, near_empty)
+    if doubled:
+        mend = "Two boxes of one class share a place: remove one, or every detection of it counts once as missed."
+        what = f"{doubled} of {total} boxes stand in another of their class"
+        yield Finding(severity="warn", topic="doubled boxes", what=what, mend=mend)
+    if buried:
+        what = f"{buried} of {total} boxes end below the ground round them"
+        severity = "fail" if buried > 0.5 * total and total >= 10 else "warn"
+        mend = "Check the height of the boxes (position_is in the mapping) and the pose of the sensor."
+        yield Finding(severity=severity, topic="underground", what=what, mend=mend)  # type: ignore[arg-type]
+
+
+def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
+    what = (
+        f"{total - empty} of {total} boxes hold points above the ground; nearer than 70 m {near - near_empty} of {near}"
+    )
+    if total >= 3 and (empty > 0.9 * total or (near >= 10 and near_empty > 0.75 * near)):
+        mend = "Boxes and points do not belong together: check pairing, axes, units and the order of the sizes."
+        return Finding(severity="fail", topic="points in boxes", what=what, mend=mend)
+    many = empty > 0.3 * total
+    mend = "Train and score with min_points 1 to leave empty boxes out." if many else ""
+    return Finding(severity="warn" if many else "ok", topic="points in boxes", what=what, mend=mend)
+
+
+def _doubled(boxes: Boxes) -> int:
+    gap = np.linalg.norm(boxes.centre_m[:, None] - boxes.centre_m[None], axis=2)
+    label = np.asarray(boxes.label)
+    same = (label[:, None] == label[None]) & (gap < 0.25 * boxes.size_m[:, :2].min(axis=1)[:, None])
+    return int(np.triu(same, 1).any(axis=0).sum())

@@ -1,0 +1,214 @@
+"""What a K-Radar tree holds by modality and sequence, and what its annotations show of their version, units and yaw."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from farfield.datasets.kradar import KRadar
+from farfield.datasets.kradar.conditions import PUBLISHED
+from farfield.datasets.kradar.index import find_labels, numbered_files, spellings
+from farfield.datasets.kradar.label_table import DEFECTS, LabelTable
+from farfield.datasets.kradar.layout import (
+    CAMERAS,
+    LABEL_TREES,
+    LIDARS,
+    RADAR_PRODUCTS,
+    SPLIT_FOLDER,
+)
+from farfield.datasets.kradar.sequence import SequenceFacts
+from farfield.errors import FarfieldError
+from farfield.inspection.doctor.findings import Finding, Severity, counted
+from farfield.inspection.doctor.survey import Survey
+
+_LOOK_AT = {  # defects that are left as they are; the others are read as they were meant
+    "odd_size": "Look at them in the pictures; leave them out of training.",
+    "doubled_track": "Two objects share a track: a tracker's scores will count one as wrong.",
+    "odd_index": "Header and name disagree about the frame: trust the name, which the split files use.",
+    "without_height": "They have no height and are no boxes; metadata['from_above'] has them.",
+}
+_SEDAN_LENGTH_M = (3.0, 6.5)
+_LEAST_BOXES = 200
+_ALONG_DEG = 30.0
+
+
+def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Tell what is there of each modality, which annotations there are, and what is wrong with them."""
+    dataset = found.dataset
+    if not isinstance(dataset, KRadar):
+        return
+    names = list(dict.fromkeys(dataset.sequences))
+    known = facts.setdefault("kradar", {"sequences": len(names)})
+    yield from _modalities(dataset, names, known)
+    yield from _sequence_files(dataset, names, known)
+    yield from _versions(dataset, names, known)
+    table = dataset.label_table()
+    if not len(table.stem):
+        return
+    yield from _defects(table, known)
+    yield from _published(dataset, table, known)
+    yield from _units(table, known)
+
+
+def _modalities(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
+    frames = Counter(dataset.sequences)
+    known["files"] = {}
+    for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS):
+        per = {name: count for name in names if (count := _count(dataset, product, name))}
+        known["files"][product] = per
+        topic = f"radar {product}" if product in RADAR_PRODUCTS else product
+        if not per:
+            yield Finding(severity="ok", topic=topic, what="none")
+            continue
+        what = f"{counted(sum(per.values()), 'file')} in {_of(per, names)}"
+        short = {name: count for name, count in per.items() if count < frames[name]}
+        if short:
+            what += f"; fewer than frames in {_listed(short)}"
+        lacks = [name for name in names if name not in per]
+        what += f"; missing in {_listed(lacks)}" if lacks else ""
+        mend = "Frames lack what their sequence lacks: download the rest or select() the others." if short else ""
+        yield Finding(severity="warn" if short else "ok", topic=topic, what=what, mend=mend)
+
+
+def _count(dataset: KRadar, product: str, sequence: str) -> int:
+    examples = spellings(product, sequence, 0)
+    found = {n for root in dataset.roots for path in examples for n in numbered_files(root / path.parent, path)}
+    return len(found)
+
+
+def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
+    shared: dict[str, SequenceFacts] = {}
+    for name in names:
+        try:
+            shared[name] = dataset.of_sequence(name)
+        except FarfieldError as error:
+            mend = "Mend or remove the file: no frame of the sequence can be read."
+            yield Finding(severity="fail", topic="damaged", what=str(error), where=f"sequence {name}", mend=mend)
+    there = {
+        "description": [n for n, one in shared.items() if one.conditions_from == "description.txt"],
+        "published conditions": [n for n, one in shared.items() if one.conditions_from == "published table"],
+        "radar calibration": [n for n in names if dataset.calibrated(n)],
+        "time files": [n for n, one in shared.items() if one.times_ns],
+        "camera calibration": [n for n, one in shared.items() if one.cameras],
+        "odometry": [n for n, one in shared.items() if one.poses is not None],
+        "GPS": [n for n, one in shared.items() if {"gps", "gps_local"} & set(one.motion)],
+        "IMU": [n for n, one in shared.items() if "imu" in one.motion],
+        "dash video": [n for n, one in shared.items() if one.video is not None],
+    }
+    known["sequence_files"] = there
+    for topic, having in there.items():
+        lacks = [name for name in names if name not in having]
+        what = "none" if not having else f"in {_of(having, names)}"
+        what += f"; missing in {_listed(lacks)}" if having and lacks else ""
+        yield Finding(severity="ok", topic=topic, what=what + _standing_in(topic, having, lacks))
+    told = set(there["description"]) | set(there["published conditions"])
+    silent = [name for name in names if name not in told]
+    if silent:
+        mend = "Scores by weather leave them out. Add description.txt: road,time,weather."
+        yield Finding(severity="warn", topic="conditions", what=f"unknown in {_listed(silent)}", mend=mend)
+    lists = [part for part in ("train", "test") if (dataset.root / SPLIT_FOLDER / f"{part}.txt").is_file()]
+    what = f"official lists {', '.join(lists)}" if lists else "no official lists: quarters are cut as they cut them"
+    yield Finding(severity="ok", topic="splits", what=what)
+
+
+def _standing_in(topic: str, having: Sequence[str], lacks: Sequence[str]) -> str:
+    if topic == "radar calibration" and lacks:
+        return "; there the published offset 2.54, -0.3, -0.7 m stands in"
+    return " (the supplement's Table 5)" if topic == "published conditions" and having else ""
+
+
+def _versions(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
+    read = Counter(entry.version for entry in dataset.entries if entry.label is not None)
+    there = {version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES}
+    known["label_versions"] = {version: len(having) for version, having in there.items()}
+    shown = ", ".join(f"{version} in {_of(having, names)}" for version, having in there.items() if having)
+    if not shown:
+        yield Finding(severity="ok", topic="label versions", what="none")
+        return
+    used = ", ".join(f"{version} ({counted(number, 'frame')})" for version, number in read.most_common())
+    mixed = len(read) > 1
+    mend = "Scores of different versions must not be mixed: give --labels or labels=." if mixed else ""
+    severity: Severity = "warn" if mixed else "ok"
+    yield Finding(severity=severity, topic="label versions", what=f"{shown}; read: {used}", mend=mend)
+
+
+def _defects(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+    known["defects"] = dict(table.defects) | {"damaged": len(table.damaged)}
+    for name, count in table.defects.items():
+        if count:
+            mend = _LOOK_AT.get(name, "")
+            what = f"{count} {DEFECTS[name]}" + ("" if mend else "; read as they are meant")
+            yield Finding(severity="warn" if mend else "ok", topic="label defects", what=what, mend=mend)
+    if not any(table.defects.values()):
+        yield Finding(severity="ok", topic="label defects", what="none of those that K-Radar is known for")
+
+
+def _published(dataset: KRadar, table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+    """Compare numbers of frames with the published ones, and the frames' names with the calibration."""
+    frames = Counter(table.sequence.tolist())
+    short = [name for name, count in frames.items() if name in PUBLISHED and count != PUBLISHED[name].frames]
+    known["as_published"] = len(frames) - len(short)
+    what = f"{len(frames) - len(short)} of {counted(len(frames), 'sequence')} have as many frames as published"
+    yield Finding(severity="ok", topic="completeness", what=what + (f"; not {_listed(short)}" if short else ""))
+    stems = np.array([stem.split("_") for stem in table.stem.tolist()], dtype=np.int64)
+    expected = np.array([dataset.frame_difference(name) for name in table.sequence.tolist()])
+    off = dict.fromkeys(table.sequence[stems[:, 0] - stems[:, 1] != expected].tolist())
+    what = "the frames' names differ from it in " + _listed(off) if off else "radar minus LiDAR index is as calibrated"
+    mend = "Radar and LiDAR would not be of the same moment: check info_calib." if off else ""
+    yield Finding(severity="warn" if off else "ok", topic="frame difference", what=what, mend=mend)
+
+
+def _units(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+    """Decide half or full sizes and degrees or radians, and whether headings follow the road."""
+    sedan = table.name == "Sedan"
+    if sedan.sum() < _LEAST_BOXES:
+        what = f"{counted(int(sedan.sum()), 'Sedan')}: too few to decide units and yaw"
+        yield Finding(severity="ok", topic="label units", what=what)
+        return
+    length = float(np.median(table.size_m[sedan, 0]))
+    known["median_sedan_length_m"] = round(length, 3)
+    good = _SEDAN_LENGTH_M[0] <= length <= _SEDAN_LENGTH_M[1]
+    what = f"half lengths: twice the median of Sedans is {length:.2f} m"
+    mend = "" if good else "The files seem to hold full lengths: halve them, as K-Radar does."
+    yield Finding(severity="ok" if good else "fail", topic="label units", what=what, mend=mend)
+    most = float(np.abs(table.yaw_deg).max())
+    known["largest_yaw"] = round(most, 2)
+    degrees = most > 2.1 * np.pi
+    what = f"yaw is in degrees: the largest is {most:.1f}" if degrees else f"no yaw is beyond {most:.2f}: radians?"
+    mend = "" if degrees else "K-Radar writes degrees: multiply by 180 / pi."
+    yield Finding(severity="ok" if degrees else "fail", topic="label yaw", what=what, mend=mend)
+    if degrees:
+        yield _headings(table.yaw_deg[sedan], known)
+
+
+def _headings(yaw_deg: np.ndarray, known: dict[str, Any]) -> Finding:
+    away = np.abs(np.mod(yaw_deg + 90.0, 180.0) - 90.0)  # from the x axis, 0 to 90
+    along, across = float((away < _ALONG_DEG).mean()), float((away > 90.0 - _ALONG_DEG).mean())
+    known["sedans_along_x"], known["sedans_across_x"] = round(along, 3), round(across, 3)
+    what = f"{along:.0%} of Sedans lie within {_ALONG_DEG:g} degrees of the vehicle's own axis, {across:.0%} across"
+    turned = across > along
+    mend = "They seem to be turned by 90 degrees: length and width, or the axis of yaw, are mixed up." if turned else ""
+    return Finding(severity="fail" if turned else "ok", topic="label yaw", what=what, mend=mend)
+
+
+def _of(some: Iterable[str], names: Sequence[str]) -> str:
+    number = len(list(some))
+    return f"all {counted(len(names), 'sequence')}" if number == len(names) else f"{number} of {len(names)} sequences"
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Sequences as runs of numbers.
+
+    >>> _listed(["1", "2", "3", "7"])
+    'sequences 1 to 3, 7'
+    """
+    runs: list[list[int]] = []
+    for number in sorted(map(int, names)):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    shown = [f"{a}" if a == b else f"{a} to {b}" if b > a + 1 else f"{a}, {b}" for a, b in runs]
+    single = len(runs) == 1 and runs[0][0] == runs[0][1]
+    return f"sequence{'' if single else 's'} " + ", ".join(shown[:12]) + (", ..." if len(shown) > 12 else "")

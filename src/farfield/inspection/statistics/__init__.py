@@ -1,0 +1,170 @@
+"""Statistics of a data set in one pass over its frames: what ``farfield compare`` sets side by side.
+
+Counts, not frames, are kept, plus one short row for every annotated box, so that memory does not grow with the clouds.
+Two parts of a data set that were counted apart can be merged.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from farfield.frame import Frame
+from farfield.geometry.poses import invert, transform_points
+from farfield.inspection.statistics.clouds import FOCUS_DEG, CloudTally
+from farfield.inspection.statistics.objects import ObjectRows
+from farfield.inspection.statistics.radar import RadarTally, box_excess, map_statistics, power_map_db
+
+__all__ = ["CloudTally", "ObjectRows", "RadarTally", "Statistics", "gather", "map_statistics", "power_map_db"]
+
+CONDITIONS = ("weather", "road", "time")
+
+
+@dataclass(kw_only=True)
+class Statistics:
+    """What was counted over some frames; :meth:`add` one more, :meth:`merge` another count.
+
+    Args:
+        focus_deg: Elevation about which the shares are also counted, where a Gaussian pattern has its focus.
+        vehicle_labels: Classes that count as vehicles.
+        shots: Shots a frame by cloud, where the frames' own ``metadata["shots"]`` does not say.
+    """
+
+    focus_deg: float = FOCUS_DEG
+    vehicle_labels: tuple[str, ...] = ("vehicle",)
+    shots: Mapping[str, int] = field(default_factory=dict)
+    frames: int = 0
+    sequences: set[str] = field(default_factory=set)
+    conditions: dict[str, Counter[str]] = field(default_factory=lambda: {name: Counter() for name in CONDITIONS})
+    protocols: Counter[str] = field(default_factory=Counter)
+    marked_simulated: Counter[str] = field(default_factory=Counter)
+    clouds: dict[str, CloudTally] = field(default_factory=dict)
+    objects: ObjectRows = field(default_factory=ObjectRows)
+    radar: RadarTally = field(default_factory=RadarTally)
+
+    def add(self, frame: Frame) -> None:
+        """Count one frame; its clouds, boxes and radar are read here."""
+        self.frames += 1
+        self.sequences.add(frame.sequence)
+        for name, counter in self.conditions.items():
+            if name in frame.conditions:
+                counter[str(frame.conditions[name])] += 1
+        simulated = frame.metadata.get("simulated", frame.conditions.get("simulated"))
+        self.marked_simulated[str(simulated).lower() if simulated is not None else "unmarked"] += 1
+        if "box_protocol" in frame.metadata:
+            self.protocols[str(frame.metadata["box_protocol"])] += 1
+        shots = {**self.shots, **frame.metadata.get("shots", {})}
+        loaded = {name: frame.cloud(name) for name in frame.clouds}
+        for name, cloud in loaded.items():
+            tally = self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg))
+            tally.add(cloud.points_m, shots=shots.get(name))
+        heard = self.radar.add(frame.radar)
+        if frame.boxes is not None:
+            excess = None if heard is None else self._excess(frame, *heard)
+            weather = frame.conditions.get("weather", "unknown")
+            self.objects.add(frame.boxes, loaded, weather=weather, radar_excess=excess)
+
+    @staticmethod
+    def _excess(frame: Frame, power_db: np.ndarray, floor_db: float) -> np.ndarray | None:
+        """Radar excess at each box, where the frame says where its radar stands."""
+        pose = frame.metadata.get("os2_T_radar", frame.metadata.get("lidar_T_radar"))
+        if pose is None or frame.boxes is None:
+            return None
+        return box_excess(power_db, transform_points(invert(pose), frame.boxes.centre_m), floor_db)
+
+    def merge(self, other: "Statistics") -> None:
+        """Take in what was counted over other frames.
+
+        Raises:
+            ValueError: If the two were counted about another focus or with other vehicle classes.
+        """
+        if (self.focus_deg, self.vehicle_labels) != (other.focus_deg, other.vehicle_labels):
+            raise ValueError("merge: expected counts about the same focus and of the same vehicle classes")
+        self.frames += other.frames
+        self.sequences |= other.sequences
+        for name, counter in self.conditions.items():
+            counter.update(other.conditions[name])
+        self.protocols.update(other.protocols)
+        self.marked_simulated.update(other.marked_simulated)
+        for name, tally in other.clouds.items():
+            self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg)).merge(tally)
+        self.objects.merge(other.objects)
+        self.radar.merge(other.radar)
+
+    @property
+    def simulated(self) -> bool | None:
+        """Whether the frames call themselves simulated; None where they say nothing or disagree."""
+        words = set(self.marked_simulated)
+        return {frozenset({"true"}): True, frozenset({"false"}): False}.get(frozenset(words))
+
+    @property
+    def missing(self) -> list[str]:
+        """What no frame had, in words, so that a comparison can say why it leaves something out."""
+        lacks = []
+        if not self.clouds:
+            lacks.append("no point cloud: no elevation, range or return rate")
+        if not self.objects.frames:
+            lacks.append("no annotated frame: no points in boxes, distances, classes or sizes")
+        elif not self.objects.vehicles(self.vehicle_labels).any():
+            lacks.append(f"no box of class {' or '.join(self.vehicle_labels)}: no points in vehicle boxes")
+        if not self.radar.frames:
+            lacks.append("no radar tensor or polar map: no floor, side lobes, leakage or roll-off")
+        unknown = [name for name, counter in self.conditions.items() if not counter]
+        if unknown:
+            lacks.append(f"no {', '.join(unknown)} recorded with the frames")
+        return lacks
+
+    def summary(self) -> dict[str, Any]:
+        """Every figure as plain numbers, lists and mappings that JSON takes."""
+        return {
+            "frames": self.frames,
+            "sequences": len(self.sequences),
+            "simulated": self.simulated,
+            "box_protocol": ", ".join(sorted(self.protocols)) or None,
+            "conditions": {
+                name: {key: count / counter.total() for key, count in counter.most_common()}
+                for name, counter in self.conditions.items()
+            },
+            "clouds": {
+                name: tally.summary() | self.objects.points_summary(name, self.vehicle_labels)
+                for name, tally in self.clouds.items()
+            },
+            "pattern_ratio_beyond_50_m": self.objects.pattern_ratio(self.vehicle_labels),
+            "boxes": self.objects.summary(self.vehicle_labels),
+            "radar": self.radar.summary(),
+            "radar_survival": self.objects.radar_summary(self.vehicle_labels),
+            "missing": self.missing,
+        }
+
+    def arrays(self) -> dict[str, dict[str, np.ndarray]]:
+        """Arrays that figures draw: ``range_m`` and ``count`` of every vehicle box by cloud, and the radar's."""
+        mine = self.objects.vehicles(self.vehicle_labels)
+        found = {
+            f"points/{name}": {"range_m": self.objects.range_m[mine], "count": counts[mine]}
+            for name, counts in self.objects.counts.items()
+            if name in self.clouds
+        }
+        return found | ({"radar": self.radar.arrays()} if self.radar.frames else {})
+
+
+def gather(
+    frames: Iterable[Frame],
+    *,
+    focus_deg: float = FOCUS_DEG,
+    vehicle_labels: tuple[str, ...] = ("vehicle",),
+    shots: Mapping[str, int] | None = None,
+) -> Statistics:
+    """Count over frames, one at a time.
+
+    Args:
+        frames: Such as a data set, or some of it.
+        focus_deg: As in :class:`Statistics`.
+        vehicle_labels: As in :class:`Statistics`.
+        shots: As in :class:`Statistics`.
+    """
+    statistics = Statistics(focus_deg=focus_deg, vehicle_labels=vehicle_labels, shots=shots or {})
+    for frame in frames:
+        statistics.add(frame)
+    return statistics

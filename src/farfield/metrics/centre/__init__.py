@@ -1,0 +1,1 @@
+"""Scores by centre distance: DDS, wDDS and nuScenes."""

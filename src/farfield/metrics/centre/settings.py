@@ -1,0 +1,157 @@
+"""Every choice that a score by centre distance depends on, with the choices possible.
+
+The Cirrus paper leaves them open, so each is an option, and the chosen setting stands beside every result. Row numbers
+are those of the list of ambiguities in ``docs/metrics.md``.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from typing import Any, ClassVar, Literal
+
+from farfield.errors import ConfigError
+from farfield.metrics.bootstrap import Bootstrap
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "distance": ("3d", "bev"),
+    "omega_range": ("gt", "pred"),
+    "match": ("nearest", "nearest_normalised"),
+    "ap": ("nuscenes", "interp101", "area", "voc"),
+    "aiou": ("yaw", "scale", "bev"),
+    "aiou_mean": ("nuscenes", "tp_mean"),
+    "range_assign": ("filter", "match_then_bin"),
+    "region": ("window", "range", "none"),
+    "ties": ("stable", "later_first"),
+    "scores": ("rank", "raw", "sigmoid", "auto"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CentreSettings:
+    """Options of the scores that match boxes by the distance of their centres (DDS, wDDS, nuScenes).
+
+    Args:
+        label: The class that is scored (row 5: classes are never averaged).
+        relabel: Class names that stand for another (row 12: Cirrus' vehicle includes large_vehicle).
+        ignore: Classes whose annotated boxes are neither right nor wrong to find (row 13).
+        thresholds_m: Distance thresholds whose AP is averaged.
+        epsilons: Values of epsilon in omega = exp(epsilon d); 0 is plain DDS.
+        distance: Between centres in ``"3d"`` or in the x-y plane, ``"bev"`` (row 1).
+        omega_range: d is the 2D range of the annotated (``"gt"``) or predicted box (``"pred"``) (row 2).
+        match: The nearest free box by distance, or by distance over omega (row 3).
+        ap: Area under the curve (row 4), see :func:`farfield.metrics.curves.average_precision`.
+        aiou: Aligned IoU with yaw kept, of sizes alone, or in the x-y plane with yaw (row 6).
+        aiou_threshold_m: Matches whose aIoU and errors are taken: a threshold, or ``"all"`` for the mean over
+            ``thresholds_m`` (row 7). Omega widens it too.
+        aiou_mean: nuScenes' recall-averaged running mean, or the plain mean over matches (row 8).
+        range_bins_m: Edges of the half-open range bins, 2D range (row 9).
+        range_assign: Cut annotated and predicted boxes by their own range and match inside each bin, or match first
+            and then count matches where the annotated box is and false positives where they are (row 9).
+        region: ``"window"``: ``window_m`` and the outermost bin edges; ``"range"``: the outermost bin edges;
+            ``"none"``: everything (rows 10 and 11). The overall score is one pooled evaluation of the region.
+        window_m: x from, x to, y from, y to, both ends included.
+        min_points: Annotated boxes known to hold fewer points are removed (row 14).
+        max_boxes: Only so many predictions a frame count, the best of all classes (row 15).
+        ties: Order of equal scores (row 15), see :func:`farfield.metrics.centre.matching.rank_predictions`.
+        scores: Confidence used for resampling (row 17): dense rank in (0, 1], as given, logistic, or ``"auto"``:
+            logistic if any score lies outside [0, 1], else as given.
+        bootstrap: How intervals are drawn.
+
+    Raises:
+        ConfigError: If an option is not one of those possible.
+    """
+
+    with_aiou: ClassVar[bool] = True  # whether aligned IoU, and with it DDS, is among the figures
+
+    label: str = "vehicle"
+    relabel: Mapping[str, str] = field(default_factory=lambda: {"large_vehicle": "vehicle"})
+    ignore: tuple[str, ...] = ("unknown",)
+    thresholds_m: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
+    epsilons: tuple[float, ...] = (0.0, 0.003, 0.006, 0.009)
+    distance: Literal["3d", "bev"] = "3d"
+    omega_range: Literal["gt", "pred"] = "gt"
+    match: Literal["nearest", "nearest_normalised"] = "nearest"
+    ap: Literal["nuscenes", "interp101", "area", "voc"] = "nuscenes"
+    aiou: Literal["yaw", "scale", "bev"] = "yaw"
+    aiou_threshold_m: float | Literal["all"] = 2.0
+    aiou_mean: Literal["nuscenes", "tp_mean"] = "nuscenes"
+    range_bins_m: tuple[float, ...] = (0.0, 70.0, 150.0, 250.0)
+    range_assign: Literal["filter", "match_then_bin"] = "filter"
+    region: Literal["window", "range", "none"] = "window"
+    window_m: tuple[float, float, float, float] = (0.0, 250.0, -50.0, 50.0)
+    min_points: int = 0
+    max_boxes: int = 500
+    ties: Literal["stable", "later_first"] = "stable"
+    scores: Literal["rank", "raw", "sigmoid", "auto"] = "rank"
+    bootstrap: Bootstrap = field(default_factory=Bootstrap)
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ConfigError(f"{name}: expected one of {', '.join(choices)}, got {getattr(self, name)!r}")
+        check_range_bins(self.range_bins_m)
+        if not self.thresholds_m or min(self.thresholds_m) <= 0 or len(set(self.thresholds_m)) < len(self.thresholds_m):
+            raise ConfigError(f"thresholds_m: expected different positive distances, got {self.thresholds_m}")
+        if not self.epsilons or min(self.epsilons) < 0 or len(set(self.epsilons)) < len(self.epsilons):
+            raise ConfigError(f"epsilons: expected different values from 0 on, got {self.epsilons}")
+        aiou_m = self.aiou_threshold_m
+        if not (aiou_m == "all" or (isinstance(aiou_m, int | float) and aiou_m > 0)):
+            raise ConfigError(f"aiou_threshold_m: expected a positive distance or 'all', got {aiou_m!r}")
+        if self.max_boxes < 1 or self.min_points < 0:
+            found = f"{self.max_boxes} and {self.min_points}"
+            raise ConfigError(f"expected max_boxes of at least 1 and min_points of at least 0, got {found}")
+        if self.label in self.ignore:
+            raise ConfigError(f"label: {self.label!r} is also ignored; take it out of ignore to score it")
+
+    @property
+    def bins_m(self) -> tuple[tuple[float, float], ...]:
+        """The half-open range bins as (low, high)."""
+        return tuple(pairwise(self.range_bins_m))
+
+    @property
+    def error_thresholds_m(self) -> tuple[float, ...]:
+        """Thresholds at whose matches aIoU and errors are taken."""
+        return self.thresholds_m if self.aiou_threshold_m == "all" else (float(self.aiou_threshold_m),)
+
+    def to_json(self) -> dict[str, Any]:
+        """All options as JSON values."""
+        return json_options(asdict(self))
+
+    def convention(self) -> str:
+        """The chosen options in one line of ``name=value`` pairs."""
+        shown = {name: value for name, value in self.to_json().items() if name not in ("bootstrap", "label")}
+        if self.region != "window":
+            del shown["window_m"]
+        return option_text(shown)
+
+
+def check_range_bins(edges_m: tuple[float, ...]) -> None:
+    """Raise ConfigError unless these are edges of range bins."""
+    rising = all(low < high for low, high in pairwise(edges_m))
+    if len(edges_m) < 2 or not rising or edges_m[0] < 0:
+        raise ConfigError(f"range_bins_m: expected two or more rising edges from 0 on, got {edges_m}")
+
+
+def json_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as JSON values; JSON has no infinity, so an open edge becomes the word ``inf``."""
+
+    def plain(value: Any) -> Any:
+        return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+    return {
+        name: [plain(v) for v in value] if isinstance(value, tuple) else plain(value) for name, value in options.items()
+    }
+
+
+def option_text(options: Mapping[str, Any]) -> str:
+    """Options as one line of ``name=value`` pairs."""
+    return "; ".join(f"{name}={_text(value)}" for name, value in options.items())
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ",".join(f"{a}->{b}" for a, b in value.items()) or "nothing"
+    if isinstance(value, list):
+        return ",".join(f"{v:g}" if isinstance(v, float) else str(v) for v in value) or "nothing"
+    return f"{value:g}" if isinstance(value, float) else str(value)

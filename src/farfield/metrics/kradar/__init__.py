@@ -1,0 +1,1 @@
+"""K-Radar's average precision, as published, as its kit computes it, and corrected."""

@@ -1,0 +1,114 @@
+"""K-Radar's conditions: weather, road and time of day of each sequence, and the files that tell them."""
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from farfield.errors import ConfigError, FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.metrics.centre.scene import Key
+
+CONDITIONS: dict[str, tuple[str, ...]] = {
+    "weather": ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"),
+    "road": ("urban", "highway", "suburban", "alleyway", "parking_lot", "shoulder", "mountain", "university"),
+    "time": ("day", "night"),
+}
+"""The values by kind, in the order of K-Radar's tables: with the whole set 18 subsets."""
+
+_ALIASES = {"countryside": "suburban", "parkinglots": "parking_lot", "parkinglot": "parking_lot"} | {
+    "lightsnow": "light_snow",
+    "heavysnow": "heavy_snow",
+}
+_MAX_BYTES = 1 << 24
+_COLUMNS = ("sequence", "road", "time", "weather")
+
+
+def condition_name(text: str) -> str:
+    """Our name of a road, time or weather in any spelling.
+
+    >>> condition_name("lightsnow"), condition_name("Parking Lot"), condition_name("countryside")
+    ('light_snow', 'parking_lot', 'suburban')
+    """
+    plain = "_".join(text.strip().lower().replace("-", " ").replace("_", " ").split())
+    return _ALIASES.get(plain, plain)
+
+
+def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str, str]]:
+    """Conditions of frames, from a table or a K-Radar tree.
+
+    Args:
+        path: A CSV with the columns sequence, road, time, weather; or a folder of ``<sequence>/description.txt``, each
+            with one line ``road,time,weather``.
+        keys: (sequence, frame) of the frames.
+
+    Returns:
+        Conditions by frame; frames of sequences that are not told of are absent.
+
+    Raises:
+        ConfigError: If there is no such file or folder, or no sequence of the frames is told of.
+        FileFormatError: If a file is not of that form.
+    """
+    path, keys = Path(path), list(keys)
+    sequences = sorted({sequence for sequence, _ in keys})
+    if path.is_dir():
+        found = {name: _description(path / name / "description.txt") for name in sequences if _is_folder(path, name)}
+    elif path.is_file():
+        found = _table(path)
+    else:
+        raise ConfigError(f"conditions: expected a CSV file or a folder of sequences, found nothing at {path}")
+    if keys and not set(found) & set(sequences):
+        raise ConfigError(
+            f"conditions: expected the sequences of the labels ({', '.join(sequences[:5])}...) in {path}, got "
+            f"{', '.join(sorted(found)[:5]) or 'none'}"
+        )
+    return {key: found[key[0]] for key in keys if key[0] in found}
+
+
+def _is_folder(path: Path, name: str) -> bool:
+    return Path(name).name == name and (path / name / "description.txt").is_file()
+
+
+def _description(path: Path) -> dict[str, str]:
+    words = [word.strip() for word in _text(path).strip().split(",")]
+    if len(words) != 3 or not all(words):
+        raise FileFormatError(path, where="line 1", expected="road,time,weather", found=repr(",".join(words))[:100])
+    return {kind: condition_name(word) for kind, word in zip(("road", "time", "weather"), words, strict=True)}
+
+
+def _table(path: Path) -> dict[str, dict[str, str]]:
+    rows = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
+    found: dict[str, dict[str, str]] = {}
+    try:
+        header = [name.strip().lower() for name in next(rows, [])]
+        if sorted(header) != sorted(_COLUMNS):
+            expected = f"a header with the columns {', '.join(_COLUMNS)}"
+            raise FileFormatError(path, where="line 1", expected=expected, found=repr(",".join(header))[:100])
+        for row in rows:
+            if not row:
+                continue
+            cells = dict(zip(header, (cell.strip() for cell in row), strict=False))
+            name = cells.pop("sequence", "")
+            if len(row) != len(header) or not all([name, *cells.values()]) or name in found:
+                expected = "four filled cells, each sequence once"
+                raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, found=repr(row)[:100])
+            found[name] = {kind: condition_name(word) for kind, word in cells.items()}
+    except csv.Error as error:
+        raise FileFormatError(
+            path, where=f"line {rows.line_num}", expected="comma-separated text", found=str(error)
+        ) from None
+    return found
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"byte 0x{error.object[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=found) from None
+
+
+def group_conditions(conditions: Mapping[Key, Mapping[str, str]], kind: str) -> tuple[str, ...]:
+    """Values of one kind of condition: K-Radar's, and then whatever else occurs."""
+    present = {condition_name(values[kind]) for values in conditions.values() if kind in values}
+    return (*CONDITIONS[kind], *sorted(present - set(CONDITIONS[kind])))

@@ -1,0 +1,1 @@
+"""Simulated and converted frames in bulk."""

@@ -1,0 +1,121 @@
+"""Names to things, with a door for other packages: built in, by decorator, by entry point, asked in this order."""
+
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar
+
+from farfield.errors import ConfigError, FarfieldError
+
+T = TypeVar("T")
+Registered = TypeVar("Registered")
+
+
+class PluginError(FarfieldError):
+    """What another package registered cannot be used: it fails to import, or two packages use one name."""
+
+
+class Registry(Generic[T]):
+    """What goes by a name: data sets, detectors, protocols.
+
+    A name is looked up among the built-in ones, then among those that a decorator registered in this process, then
+    among the entry points of installed packages. Nothing is imported before it is asked for, and entry points are read
+    only where a name is found nowhere else or names are listed.
+
+    Args:
+        group: Group of the entry points, such as ``"farfield.detectors"``.
+        what: What a name stands for, for messages: ``"detector"``.
+        builtin: Name to ``"module:attribute"``.
+    """
+
+    def __init__(self, group: str, what: str, builtin: Mapping[str, str]) -> None:
+        self.group, self.what, self.builtin = group, what, dict(builtin)
+        self._registered: dict[str, T] = {}
+        self._loaded: dict[str, T] = {}
+
+    def __getitem__(self, name: str) -> T:
+        """What goes by a name.
+
+        Raises:
+            ConfigError: If nothing does; the message lists the names there are.
+            PluginError: If another package's cannot be imported, or several packages use the name.
+        """
+        if name in self._registered:
+            return self._registered[name]
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name)
+        return self._loaded[name]
+
+    def _load(self, name: str) -> T:
+        if name in self.builtin:
+            module, _, attribute = self.builtin[name].partition(":")
+            loaded: T = getattr(import_module(module), attribute)
+            return loaded
+        points = [point for point in self._points() if point.name == name]
+        if not points:
+            known = ", ".join(self.names())
+            raise ConfigError(f"Expected a {self.what}, one of {known}; got {name!r}.")
+        if len(points) > 1:
+            packages = " and ".join(sorted(_package(point) for point in points))
+            raise PluginError(f"{self.what} {name!r}: registered by {packages}; uninstall one of them.")
+        try:
+            found: T = points[0].load()
+        except Exception as error:
+            raise PluginError(
+                f"{self.what} {name!r} of the package {_package(points[0])} cannot be used: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.builtin or name in self._registered or any(p.name == name for p in self._points())
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names())
+
+    def names(self) -> tuple[str, ...]:
+        """All names: the built-in ones first, then those registered here, then those of other packages."""
+        return tuple(dict.fromkeys([*self.builtin, *self._registered, *sorted(p.name for p in self._points())]))
+
+    def origin(self, name: str) -> str:
+        """Where a name comes from: ``"farfield"``, ``"registered here"``, or the packages that have it."""
+        if name in self.builtin:
+            return "farfield"
+        if name in self._registered:
+            return "registered here"
+        return " and ".join(sorted(_package(point) for point in self._points() if point.name == name))
+
+    def broken(self, name: str) -> str:
+        """Why a name cannot be used; empty where it can."""
+        try:
+            self[name]
+        except PluginError as error:
+            return str(error)
+        return ""
+
+    def register(self, name: str) -> Callable[[Registered], Registered]:
+        """A decorator that registers what it decorates in this process, as a notebook does; run again, it replaces it.
+
+        Raises:
+            ConfigError: If the name is a built-in one.
+        """
+        if name in self.builtin:
+            raise ConfigError(f"{self.what} {name!r} is built in; choose another name.")
+
+        def keep(thing: Registered) -> Registered:
+            self._registered[name] = thing  # type: ignore[assignment]
+            return thing
+
+        return keep
+
+    def _points(self) -> list[EntryPoint]:
+        """Entry points of other packages, each once, though a distribution may be found twice on the path."""
+        unique: dict[tuple[str, str, str], EntryPoint] = {}
+        for point in entry_points(group=self.group):
+            if point.name not in self.builtin:
+                unique[point.name, point.value, _package(point)] = point
+        return list(unique.values())
+
+
+def _package(point: EntryPoint) -> Any:
+    return point.dist.name if point.dist is not None else point.value.partition(":")[0]

@@ -1,1 +1,0 @@
-"""The browser application: view, annotate, calibrate, infer."""

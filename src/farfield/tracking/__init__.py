@@ -1,1 +1,0 @@
-"""Boxes over time."""
