@@ -13,10 +13,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from _report import ROOT, header
+from _report import header
 
 from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector
+from farfield.experiments.catalogue import find
 from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud
 from farfield.simulation import simulate_sequence
@@ -64,7 +65,7 @@ def milliseconds(detector: Detector, cloud: Cloud, frames: int, *, warm: int = 3
 def untrained(experiment: str, overrides: Sequence[str], precision: str) -> Detector:
     """The network of an experiment with random weights."""
     changed = [f"detector.{override}" for override in overrides]
-    config = load_experiment(ROOT / "experiments" / f"{experiment}.yaml", changed).detector
+    config = load_experiment(find(experiment), changed).detector
     return Detector(build_detector(config, seed=0), precision=precision, device="cpu")
 
 

@@ -22,11 +22,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from _report import ROOT, header
+from _report import header
 
 from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights
+from farfield.experiments.catalogue import find
 from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud, Frame
 from farfield.radar.axes import KRADAR_ORIGIN_M
@@ -68,7 +69,7 @@ def cloud_of(frame: Frame, kind: str, region: str, rate: float | None, over: Ove
 
 def detector(experiment: str, runs: Path, execution: str = "", precision: str = "bf16") -> Detector:
     """The detector of an experiment, trained if there is a run of that name."""
-    config = load_experiment(ROOT / "experiments" / f"{experiment}.yaml").detector
+    config = load_experiment(find(experiment)).detector
     weights = runs / experiment.replace("_", "-") / "weights.safetensors"
     trained = weights.is_file()
     network = load_weights(weights)[0] if trained else build_detector(config, seed=0)

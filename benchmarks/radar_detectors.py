@@ -3,7 +3,7 @@
 usage: python benchmarks/radar_detectors.py [--runs RUN ...] [--against A B] [--data DATA] [--seed SEED]
                                             [--drives N] [--frames N] [--weather WEATHER]
 
-A RUN is the folder of a finished training: ``farfield train experiments/NAME_kradar_sim.yaml`` makes the default ones,
+A RUN is the folder of a finished training: ``farfield train NAME-kradar-sim`` makes the default ones,
 others have one setting more (``-o training.seed=1``, ``-o detector.positions=metres``), as their lines say. Drives of
 seed 11 are learnt from, those of seed 12 (58 drives, 348 frames) served to choose settings, and by default a run is
 scored on those of seed 13, which chose nothing. ``--weather sleet --seed 14 --drives 232 --frames 464`` scores on

@@ -144,13 +144,13 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.recording.writing import _locked, sweep_out
+    from farfield.recording.writing import locked, sweep_out
 
     (tmp_path / ".unfinished-1").mkdir()
     code = f"""
 import sys, pathlib
-from farfield.recording.writing import _locked
-with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
+from farfield.recording.writing import locked
+with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -159,7 +159,7 @@ with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        with _locked(tmp_path, shared=True):  # two commands write frames side by side
+        with locked(tmp_path, shared=True):  # two commands write frames side by side
             sweep_out(tmp_path)
         assert len(list(tmp_path.iterdir())) == 1
         other.kill()
@@ -169,14 +169,14 @@ with _locked(pathlib.Path({str(tmp_path)!r}), shared=True):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.recording import writing as _simulating
+    from farfield.recording import writing
 
     def refuse(*_: object) -> None:
         raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")
 
-    monkeypatch.setattr(_simulating.fcntl, "flock", refuse)
+    monkeypatch.setattr(writing.fcntl, "flock", refuse)
     (tmp_path / ".unfinished-1").mkdir()
-    _simulating.sweep_out(tmp_path)
+    writing.sweep_out(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

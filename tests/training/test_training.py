@@ -19,6 +19,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.sweeps import stack_sweeps
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
+from farfield.experiments.catalogue import shipped
 from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.geometry.points import count_points_in_boxes
@@ -286,9 +287,7 @@ def test_damaged_checkpoints_are_refused(tmp_path, content):
         load_checkpoint(tmp_path / "checkpoint.pt")
 
 
-@pytest.mark.parametrize(
-    "path", sorted((Path(__file__).parents[2] / "experiments").glob("*.yaml")), ids=lambda p: p.stem
-)
+@pytest.mark.parametrize("path", [entry.path for entry in shipped()], ids=lambda p: p.stem)
 def test_shipped_experiments_are_valid(path):
     from farfield.detectors import build_detector
 

@@ -14,7 +14,8 @@ VERBS = {
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",
-    "train": "train a detector from one YAML file; resumes by itself",
+    "experiments": "list the experiments that ship, or print one as YAML",
+    "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
     "import-weights": "turn an OpenPCDet checkpoint into a weights file",
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
@@ -34,7 +35,7 @@ def overview() -> str:
         "  farfield demo\n"
         "  farfield doctor Cirrus_dataset1\n"
         "  farfield simulate cirrus-sim data/sim --frames 100\n"
-        "  farfield train experiments/pointpillars_cirrus.yaml -o training.steps=500\n"
+        "  farfield train pointpillars-cirrus-sim -o training.steps=500\n"
         "  farfield score predictions.csv labels.csv --protocol dds --json scores.json\n\n"
         f"verbs (farfield VERB --help tells more):\n{verbs}\n"
     )

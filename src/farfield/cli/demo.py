@@ -1,7 +1,10 @@
 """``farfield demo``."""
 
 import time
+from functools import partial
 from pathlib import Path
+
+from farfield.cli._progress import bar
 
 
 def run(*, out: Path = Path("farfield-demo"), sequences: int = 4, frames: int = 20, seed: int = 2026) -> int:
@@ -21,12 +24,14 @@ def run(*, out: Path = Path("farfield-demo"), sequences: int = 4, frames: int = 
         frames: Number of frames in all.
         seed: Another seed gives other roads and traffic.
     """
-    from farfield.cli import doctor, evaluate, simulate
+    from farfield.cli import doctor, evaluate
+    from farfield.recording import record
 
     began = time.monotonic()
     data = out / f"simulated-{seed}-{sequences}x{frames}"
     print("1/3 simulating", flush=True)
-    simulate.run("cirrus-sim", data, frames=frames, sequences=sequences, seed=seed)
+    simulating = partial(bar, what="simulating", transient=True)
+    record("cirrus-sim", data, frames=frames, sequences=sequences, seed=seed, progress=simulating, report=print)
     print("\n2/3 checking the files", flush=True)
     status = doctor.run(data)
     print("\n3/3 detecting, scoring, drawing", flush=True)

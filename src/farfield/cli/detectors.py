@@ -61,7 +61,7 @@ def run(
             + ("" if measure else f"speed: {known['points']}, {known['machine']}, {known['precision']}\n")
             + f"recorded {known['date']} at commit {known['commit']}"
         )
-    print("train one: farfield train experiments/NAME_cirrus_sim.yaml, for radar NAME*_kradar_sim.yaml")
+    print("train one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
     print("use one: farfield predict WEIGHTS DATA")
     if json_out is not None:
         write_text(json_out, json.dumps({**known, "detectors": [asdict(entry) for entry in entries]}, indent=1))

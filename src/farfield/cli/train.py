@@ -4,37 +4,41 @@ import os
 import time
 from collections.abc import Callable
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from farfield.cli._progress import bar
+from farfield.errors import ConfigError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from farfield.experiments.schema import DataConfig
     from farfield.training.loop import Training
 
 
 def run(
-    experiment: tyro.conf.Positional[Path],
+    experiment: tyro.conf.Positional[str],
     override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     out: Path = Path("runs"),
 ) -> int:
-    """Train a detector from one YAML file; run the same command again to resume.
+    """Train a detector: a shipped experiment, or one YAML file; run the same command again to resume.
 
     examples:
-      farfield train experiments/pointpillars_cirrus_sim.yaml
-      farfield train experiments/pointpillars_cirrus_sim.yaml -o training.steps=500 -o name=short
-      farfield train experiments/pointpillars_cirrus.yaml -o data.path=/data/Cirrus_dataset1
-      torchrun --nproc-per-node 2 -m farfield.cli train experiments/pointpillars_cirrus_sim.yaml
+      farfield train pointpillars-cirrus-sim
+      farfield train pointpillars-cirrus-sim -o training.steps=500 -o name=short
+      farfield train pointpillars-cirrus -o data.path=/data/Cirrus_dataset1
+      farfield train mine.yaml
+      torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
     weights.safetensors. A killed run resumes from its checkpoint to the same weights. Several processes, torchrun's or
     those of training.devices, share each batch and follow the course of one.
 
     Args:
-        experiment: The experiment's YAML file.
+        experiment: Name of a shipped experiment (farfield experiments lists them), or a YAML file.
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
     """
@@ -44,14 +48,22 @@ def run(
     from rich.progress import track
 
     from farfield.api import prepare_training
+    from farfield.experiments.catalogue import find
     from farfield.experiments.schema import dump_experiment, load_experiment
     from farfield.files.atomic import write_text
+    from farfield.recording import ensure
 
     first = _is_first_process()
     console = Console(stderr=True, quiet=not first)
-    settings = load_experiment(experiment, override)
+    settings = load_experiment(find(experiment), override)
     if first:
-        _simulate_if_absent(settings.data)  # other processes wait for this one in prepare_training
+        simulating = partial(bar, what="simulating", transient=True)
+        ensure(settings.data.simulate, settings.data.path, simulating, print)  # the others wait in prepare_training
+    if not settings.data.path.exists():
+        raise ConfigError(
+            f"{settings.data.path}: expected a data set's folder, found nothing. Name it: farfield train {experiment} -o "
+            "data.path=FOLDER"
+        )
     folder = out / settings.name
     training = prepare_training(
         settings, folder, progress=lambda items: track(list(items), "reading frames", console=console)
@@ -68,27 +80,6 @@ def run(
 def _is_first_process() -> bool:
     """Whether this is the process that prints and writes, by what torchrun or Lightning Fabric tell the others."""
     return os.environ.get("RANK", os.environ.get("LOCAL_RANK", "0")) == "0"
-
-
-def _simulate_if_absent(data: "DataConfig") -> None:
-    """Make the simulated data set that the experiment describes, where its path holds nothing yet."""
-    begun = (data.path / "simulation.json").is_file()  # then the rest is simulated, or nothing is missing
-    if data.simulate is None or (data.path.exists() and not begun):
-        return
-    from farfield.cli import simulate
-
-    wanted = data.simulate
-    frames = wanted.sequences * wanted.frames
-    simulate.run(
-        wanted.preset,
-        data.path,
-        frames=frames,
-        sequences=wanted.sequences,
-        sensors=wanted.sensors,
-        seed=wanted.seed,
-        stride_s=wanted.stride_s,
-        cache=wanted.preset.startswith("cirrus"),
-    )
 
 
 def _train(training: "Training", console: "Console") -> Path:

@@ -9,20 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 from farfield.detectors import detector_classes
 from farfield.detectors.contract import DetectorConfig
 from farfield.errors import ConfigError
+from farfield.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
-
-
-class SimulationConfig(BaseModel):
-    """A simulated data set that is made where ``data.path`` does not exist yet."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    preset: str
-    sequences: int = Field(ge=1)
-    frames: int = Field(ge=1, description="frames of each sequence")
-    seed: int = 0
-    sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
-    stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
 
 
 class DataConfig(BaseModel):

@@ -1,0 +1,92 @@
+"""The experiments that ship with the package, and how they are called."""
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from farfield.errors import ConfigError
+
+FOLDER = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shipped:
+    """One shipped experiment.
+
+    Args:
+        name: What it is called, by its field ``name``.
+        title: What it is: the first comment line of its file.
+        path: Its file.
+        detector: The detector it trains.
+        data: Where its data are, as its file says; simulated ones are made there.
+        simulated: Preset of the data that are simulated where they are absent; empty for a real data set.
+        steps: Training steps.
+    """
+
+    name: str
+    title: str
+    path: Path
+    detector: str
+    data: str
+    simulated: str
+    steps: int
+
+
+def shipped() -> tuple[Shipped, ...]:
+    """All shipped experiments, by name."""
+    return tuple(sorted((_shipped(path) for path in FOLDER.glob("*.yaml")), key=_name))
+
+
+def names() -> tuple[str, ...]:
+    """Names of the shipped experiments."""
+    return tuple(entry.name for entry in shipped())
+
+
+def find(name_or_path: str | Path) -> Path:
+    """The file of an experiment: a file's path, or a shipped experiment's name.
+
+    A path to a file wins. A name is that in the experiment or that of its file, with or without the suffix; ``-`` and
+    ``_`` are alike.
+
+    Raises:
+        ConfigError: If there is neither such a file nor such an experiment.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    known = {_plain(entry.name): entry for entry in shipped()}
+    known |= {_plain(entry.path.name): entry for entry in known.values()}
+    if len(path.parts) == 1 and _plain(path.name) in known:
+        return known[_plain(path.name)].path
+    close = dict.fromkeys(known[word].name for word in get_close_matches(_plain(path.name), known, n=4))
+    hint = f"Did you mean {' or '.join(close)}? " if close else ""
+    raise ConfigError(
+        f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found neither. {hint}"
+        "farfield experiments lists those that ship."
+    )
+
+
+def _shipped(path: Path) -> Shipped:
+    text = path.read_text(encoding="utf-8")
+    tree: dict[str, Any] = yaml.safe_load(text)
+    simulate = tree["data"].get("simulate") or {}
+    return Shipped(
+        name=tree["name"],
+        title=text.partition("\n")[0].lstrip("# "),
+        path=path,
+        detector=tree["detector"]["name"],
+        data=tree["data"]["path"],
+        simulated=simulate.get("preset", ""),
+        steps=tree["training"]["steps"],
+    )
+
+
+def _name(entry: Shipped) -> str:
+    return entry.name
+
+
+def _plain(name: str) -> str:
+    return name.removesuffix(".yaml").replace("_", "-").lower()

@@ -1,0 +1,164 @@
+"""Simulate a data set and write it in a real data set's layout: resumable, with several processes."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from farfield.errors import ConfigError
+from farfield.recording.frames import Job, check_disk, missing_jobs, simulate_job
+from farfield.recording.planning import MAX_STRIDE_S, frames_of_sequences
+from farfield.recording.pool import work
+from farfield.recording.rigs import files_of, writer_for
+from farfield.recording.settings import Recording, claim
+from farfield.recording.words import announced, concluded
+from farfield.recording.writing import sweep_out
+
+if TYPE_CHECKING:
+    from farfield.simulation import Preset
+
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
+"""Passes through what it iterates over, and may show how far it is; what it gets has a length."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a recording wrote.
+
+    Args:
+        recording: What was asked for, with all defaults resolved.
+        verdicts: One a frame that was written now: "written", or for a frozen split "identical", "equivalent" or
+            "different".
+    """
+
+    recording: Recording
+    verdicts: tuple[str, ...]
+
+    @property
+    def out(self) -> Path:
+        """The folder of the data set."""
+        return self.recording.out
+
+    @property
+    def different(self) -> int:
+        """How many frames of a frozen split are not the recorded ones."""
+        return self.verdicts.count("different")
+
+
+def record(
+    preset: str,
+    out: Path | str,
+    *,
+    frames: int | None = None,
+    sequences: int | None = None,
+    sensors: str | Sequence[str] | None = None,
+    weather: str | None = None,
+    time: str | None = None,
+    seed: int | None = None,
+    stride_s: float | None = None,
+    uniform_offset_ms: float | None = None,
+    workers: int = 0,
+    cache: bool = False,
+    progress: Progress = iter,
+    report: Callable[[str], object] | None = None,
+) -> Recorded:
+    """Write a simulated data set in the layout of Cirrus or of K-Radar.
+
+    Called again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
+    the number of workers.
+
+    Args:
+        preset: Name of what to simulate.
+        out: Folder to write into; made if absent.
+        frames: Number of frames in all, spread evenly over the sequences; the preset's own if None.
+        sequences: Number of sequences; the preset's own if None.
+        sensors: What to write, as names or as one text with commas; the preset's own if None.
+        weather: Put every sequence into this weather.
+        time: Put every sequence into this time of day, "day" or "night".
+        seed: The preset's own if None.
+        stride_s: Seconds between frames of a sequence, at most 1; the preset's own if None.
+        uniform_offset_ms: How much later the uniform pattern is taken, in every sequence.
+        workers: Processes; 0 takes as many as there are cores.
+        cache: Also write the binary cache that makes reading fast.
+        progress: Called with the frames to write, as they are written.
+        report: Called with each line of what is going to be done and what was done.
+
+    Raises:
+        ConfigError: If there is no such preset, sensor or weather, or the settings do not go together.
+        DatasetError: If the folder holds something else, the disk has no room, or a worker was killed.
+    """
+    changes: dict[str, Any] = {"weather": weather, "time": time, "stride_s": stride_s}
+    if uniform_offset_ms is not None:
+        changes["uniform_offset_ms"] = (uniform_offset_ms, uniform_offset_ms)
+    changes = {name: value for name, value in changes.items() if value is not None}
+    chosen, frozen = _chosen(preset, changes, sensors, seed, cache=cache)
+    recording = Recording(
+        preset=chosen,
+        seed=chosen.seed if seed is None else seed,
+        sensors=_sensors(chosen, sensors),
+        plan=frames_of_sequences(chosen, frames, sequences, frozen=frozen),
+        out=Path(out),
+        cache=cache,
+        frozen=frozen,
+    )
+    return _run(recording, workers, progress, report or _silent)
+
+
+def _chosen(
+    preset: str, changes: dict[str, Any], sensors: str | Sequence[str] | None, seed: int | None, *, cache: bool
+) -> tuple["Preset", bool]:
+    """The preset with its changes, and whether it is frozen."""
+    from farfield.simulation import find_preset
+    from farfield.simulation.frozen import FROZEN
+
+    chosen, frozen = find_preset(preset, **changes), preset in FROZEN
+    if frozen and (changes or sensors or seed not in (None, chosen.seed)):
+        raise ConfigError(f"{preset} is frozen: expected its own seed and settings. Use cirrus-sim for others.")
+    if chosen.stride_s > MAX_STRIDE_S or chosen.stride_s <= 0:
+        raise ConfigError(f"--stride-s: expected more than 0 and at most {MAX_STRIDE_S:g} s, got {chosen.stride_s:g}")
+    if cache and not files_of(chosen).caches:
+        raise ConfigError("--cache: expected a Cirrus preset; K-Radar's files have no such cache")
+    return chosen, frozen
+
+
+def _sensors(preset: "Preset", sensors: str | Sequence[str] | None) -> tuple[str, ...]:
+    from farfield.simulation.presets import check_sensors
+
+    if isinstance(sensors, str):
+        sensors = sensors.replace(" ", "").split(",") if sensors else None
+    return check_sensors(preset, tuple(sensors) if sensors else preset.sensors)
+
+
+def _run(recording: Recording, workers: int, progress: Progress, report: Callable[[str], object]) -> Recorded:
+    claim(recording)
+    sweep_out(recording.out)
+    jobs = tuple(missing_jobs(recording))
+    left = _Left(jobs, min(workers if workers > 0 else os.cpu_count() or 1, max(len(jobs), 1)))
+    for line in announced(recording, len(left), left.processes):
+        report(line)
+    check_disk(recording, len(left))
+    verdicts = tuple(progress(left))
+    if files_of(recording.preset).finishes:  # calibration, times, splits, odometry
+        writer_for(recording.preset, recording.out).finish()
+    for line in concluded(recording, verdicts):
+        report(line)
+    return Recorded(recording=recording, verdicts=verdicts)
+
+
+@dataclass(frozen=True)
+class _Left:
+    """The frames still to write, each written when it is iterated over."""
+
+    jobs: tuple[Job, ...]
+    processes: int
+
+    def __len__(self) -> int:
+        return sum(len(job.indices) for job in self.jobs)
+
+    def __iter__(self) -> Iterator[str]:
+        return work(simulate_job, self.jobs, self.processes)
+
+
+def _silent(line: str) -> None:
+    """Say nothing."""

@@ -1,0 +1,62 @@
+"""Simulate where the data are absent or begun: what an experiment that describes its own data needs."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from farfield.frame.provenance import SIMULATION_FILE
+from farfield.recording.rigs import files_of
+from farfield.recording.simulated import Progress, Recorded, record
+
+
+class SimulationConfig(BaseModel):
+    """A simulated data set that is made where ``data.path`` does not exist yet."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    preset: str
+    sequences: int = Field(ge=1)
+    frames: int = Field(ge=1, description="frames of each sequence")
+    seed: int = 0
+    sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
+    stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
+
+
+def ensure(
+    wanted: SimulationConfig | None,
+    path: Path,
+    progress: Progress = iter,
+    report: Callable[[str], object] | None = None,
+) -> Recorded | None:
+    """Simulate a data set where there is none yet, or go on with one that was begun; leave other data as they are.
+
+    Args:
+        wanted: What to simulate; None leaves everything as it is.
+        path: Where the data set stands or is going to stand; a relative path starts at the current folder.
+        progress: As of ``record``.
+        report: As of ``record``.
+
+    Returns:
+        What was recorded; None if nothing had to be simulated.
+
+    Raises:
+        ConfigError, DatasetError: As of ``record``.
+    """
+    from farfield.simulation import find_preset
+
+    begun = (path / SIMULATION_FILE).is_file()  # then the rest is simulated, or nothing is missing
+    if wanted is None or (path.exists() and not begun):
+        return None
+    return record(
+        wanted.preset,
+        path,
+        frames=wanted.sequences * wanted.frames,
+        sequences=wanted.sequences,
+        sensors=wanted.sensors,
+        seed=wanted.seed,
+        stride_s=wanted.stride_s,
+        cache=files_of(find_preset(wanted.preset)).caches,
+        progress=progress,
+        report=report,
+    )
