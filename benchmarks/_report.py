@@ -1,15 +1,25 @@
-"""What every benchmark prints first: command, machine, date, commit."""
+"""What every benchmark prints first: command, machine, date, commit; and progress on the error stream."""
 
 import os
 import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_REAL = ROOT.parent / "shared" / "real"  # real frames beside the project, where there are any
+
+
+def progress(items: Iterable[Any], what: str) -> Iterable[Any]:
+    """Iterate with a progress bar on the error stream."""
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(items, what, console=Console(stderr=True), transient=True)
 
 
 def header() -> str:
@@ -18,16 +28,17 @@ def header() -> str:
     command = [Path(sys.argv[0]).name, *sys.argv[1:]]
     lines = {
         "command": f"python benchmarks/{shlex.join(command)}",
-        "machine": f"{_processor()}, {os.cpu_count()} cores, {_memory_gib():.0f} GiB, {platform.system()}",
+        "machine": f"{processor()}, {os.cpu_count()} cores, {_memory_gib():.0f} GiB, {platform.system()}",
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "python": f"{platform.python_version()}, {_versions('numpy', 'scipy', 'torch')}",
-        "commit": _git(root, "rev-parse", "--short", "HEAD")
-        + (" (dirty)" if _git(root, "status", "--porcelain", "--untracked-files=no") else ""),
+        "commit": git(root, "rev-parse", "--short", "HEAD")
+        + (" (dirty)" if git(root, "status", "--porcelain", "--untracked-files=no") else ""),
     }
     return "\n".join(f"{name:<8} {value}" for name, value in lines.items())
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -50,6 +61,7 @@ def _versions(*packages: str) -> str:
     return ", ".join(found)
 
 
-def _git(root: Path, *arguments: str) -> str:
+def git(root: Path, *arguments: str) -> str:
+    """What git says; ``unknown`` outside a checkout."""
     done = subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True, check=False)
     return done.stdout.strip() if done.returncode == 0 else "unknown"

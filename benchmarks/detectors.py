@@ -12,21 +12,21 @@ import hashlib
 import json
 import platform
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, _git, _processor, header
+from _report import ROOT, git, header, processor, progress
 from detector_speed import busy_cloud, milliseconds
 
 from farfield.api import load_detector, open_dataset
-from farfield.cli import simulate
-from farfield.cli._progress import bar
 from farfield.detectors.weights import bundled_weights, resolve_weights
 from farfield.evaluation import detect_all
 from farfield.files.atomic import write_text
 from farfield.metrics import score
+from farfield.recording import record
 
 SPLIT = "cirrus-sim-val-v2"
 EPSILONS = (0.0, 0.003, 0.006, 0.009)
@@ -48,7 +48,7 @@ def evaluated(run: str, data: Any) -> dict[str, Any]:
     detector = load_detector(run)
     results: dict[str, Any] = {"weights_sha256": digest, "precision": detector.precision, "clouds": {}}
     for cloud in CLOUDS:
-        (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=bar)
+        (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=progress)
         found = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
         results["clouds"][cloud] = {**found.to_json(), "convention": str(found.convention), "frame_ms": taken}
     write_text(kept, json.dumps(results))
@@ -123,7 +123,7 @@ def main() -> None:
     options = parser.parse_args()
     print(header(), "\n", sep="")
     if not options.data.exists():
-        simulate.run(SPLIT, options.data, cache=True)
+        record(SPLIT, options.data, cache=True, progress=partial(progress, what="simulating"), report=print)
     data = open_dataset(options.data)
     frozen = json.loads((ROOT / "src" / "farfield" / "simulation" / f"{SPLIT}.json").read_text())
     print(f"{SPLIT}: {len(data)} frames, sha256 {frozen['sha256']}, fingerprint {data.fingerprint()[:16]}\n")
@@ -149,16 +149,16 @@ def main() -> None:
         "budget": budget,
         "points": f"{options.points} points in 250 m x 100 m, points to boxes, median",
         "precision": "bf16 and fp32",
-        "machine": f"{_processor()}, {torch.get_num_threads()} threads, {platform.system()}",
+        "machine": f"{processor()}, {torch.get_num_threads()} threads, {platform.system()}",
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
-        "commit": _git(ROOT, "rev-parse", "--short", "HEAD"),
+        "commit": git(ROOT, "rev-parse", "--short", "HEAD"),
         "detectors": records,
     }
     write_text(FIGURES, json.dumps(stored, indent=1) + "\n")
     print("\nspeed, points to boxes:")
-    for name, record in records.items():
-        times = ", ".join(f"{key} {value:.0f} ms" for key, value in record["frame_ms"].items())
-        print(f"{name:<14} {record['parameters'] / 1e6:6.2f} M parameters   {times}")
+    for name, kept in records.items():
+        times = ", ".join(f"{key} {value:.0f} ms" for key, value in kept["frame_ms"].items())
+        print(f"{name:<14} {kept['parameters'] / 1e6:6.2f} M parameters   {times}")
 
 
 if __name__ == "__main__":

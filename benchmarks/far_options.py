@@ -10,11 +10,10 @@ are trained as docs/detectors.md tells; those that are absent are left out.
 import argparse
 from typing import Any
 
-from _report import ROOT, header
+from _report import ROOT, header, progress
 from simulated_detection import EPSILONS, rows_of
 
 from farfield.api import as_trained, load_detector, open_dataset
-from farfield.cli._progress import bar
 from farfield.evaluation import detect_all
 from farfield.metrics import score
 
@@ -33,7 +32,9 @@ def report(title: str, run: str, data: Any) -> None:
         print(f" {title}: {run} is not trained here")
         return
     detector = load_detector(folder)
-    (predictions, annotations, *_), _ = detect_all(detector, as_trained(data, detector), cloud="gaussian", progress=bar)
+    (predictions, annotations, *_), _ = detect_all(
+        detector, as_trained(data, detector), cloud="gaussian", progress=progress
+    )
     result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
     training = detector.provenance["experiment"]["training"]
     print(f" {title}: {training['steps']} steps of {training['batch_size']}, seed {training['seed']}")

@@ -16,23 +16,22 @@ difference would have been, had other drives been drawn, the same ones for both.
 """
 
 import argparse
-import contextlib
 import hashlib
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, header
+from _report import ROOT, header, progress
 
 from farfield.api import as_trained, load_detector, open_dataset
-from farfield.cli import simulate
-from farfield.cli._progress import bar
 from farfield.detectors.weights import resolve_weights
 from farfield.evaluation import Detected, detect_all
 from farfield.files.atomic import write_text
 from farfield.metrics.bootstrap import Bootstrap, replicate_weights
+from farfield.recording import record
 
 WEATHERS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
 PROTOCOLS = ("kradar", "kradar-compat:rtnh_narrow")
@@ -62,7 +61,7 @@ def evaluated(run: str, data: Any, fingerprint: str, *, draws: bool) -> dict[str
             return dict(known)
     detector = load_detector(run)
     cloud = detector.provenance["experiment"]["data"]["clouds"][0]
-    found, _ = detect_all(detector, as_trained(data, detector), cloud=cloud, progress=bar)
+    found, _ = detect_all(detector, as_trained(data, detector), cloud=cloud, progress=progress)
     results: dict[str, Any] = {"key": key, "cloud": cloud, "precision": detector.precision}
     for protocol in PROTOCOLS:
         ours: dict[str, Any] = {"region": "narrow", "classes": ("vehicle",)} if protocol == "kradar" else {}
@@ -175,17 +174,18 @@ def main() -> None:
     print(header(), "\n", sep="")
     folder = options.data or ROOT / "data" / f"kradar-sim-{options.weather or 'test'}"
     if options.data is None:
-        with contextlib.redirect_stdout(sys.stderr):  # it names folders of this machine
-            simulate.run(
-                *("kradar-sim", folder),
-                sequences=options.drives,
-                frames=options.frames,
-                weather=options.weather,
-                stride_s=1.0,
-                seed=options.seed,
-                sensors="os2-64,cells",
-                workers=options.workers,
-            )
+        record(
+            *("kradar-sim", folder),
+            sequences=options.drives,
+            frames=options.frames,
+            weather=options.weather,
+            stride_s=1.0,
+            seed=options.seed,
+            sensors="os2-64,cells",
+            workers=options.workers,
+            progress=partial(progress, what="simulating"),
+            report=partial(print, file=sys.stderr),  # it names folders of this machine
+        )
     data = open_dataset(folder)
     fingerprint = data.fingerprint()
     print(f"{folder.name}: {len(data)} frames of {len(set(data.sequences))} drives, fingerprint {fingerprint[:16]}")

@@ -51,7 +51,7 @@ def compare(model: LidarModel, window: Window, repeat: int) -> tuple[float, floa
     tracer = window.bodies[0].tracer
     ours, embrees = [], []
     for _ in range(repeat):
-        embrees.append(seconds(lambda: tracer._scene.run(origins, directions, output=1)))
+        embrees.append(seconds(lambda: tracer.scene.run(origins, directions, output=1)))
         ours.append(seconds(lambda: tracer.cast_anchored(origins, directions)))
     ratio = float(np.median(np.array(embrees) / np.array(ours)))
     return len(directions) / min(ours), len(directions) / min(embrees), ratio

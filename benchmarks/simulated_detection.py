@@ -8,15 +8,15 @@ Trained and scored on simulation only.
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 
-from _report import ROOT, header
+from _report import ROOT, header, progress
 
 from farfield.api import load_detector, open_dataset
-from farfield.cli import simulate
-from farfield.cli._progress import bar
 from farfield.evaluation import detect_all
 from farfield.metrics import score
+from farfield.recording import record
 
 EPSILONS = (0.0, 0.003, 0.006, 0.009)
 
@@ -44,7 +44,8 @@ def main() -> None:
     options = parser.parse_args()
     print(header(), "\n", sep="")
     if not options.data.exists():
-        simulate.run("cirrus-sim-val-v2", options.data, cache=True)
+        simulating = partial(progress, what="simulating")
+        record("cirrus-sim-val-v2", options.data, cache=True, progress=simulating, report=print)
     data = open_dataset(options.data)
     print(f"{options.data.name}: {len(data)} frames, fingerprint {data.fingerprint()[:16]}")
     found = {}
@@ -54,7 +55,7 @@ def main() -> None:
         clouds, steps = (trained.get(group, {}).get(key) for group, key in (("data", "clouds"), ("training", "steps")))
         print(f"\n{model}: trained on {clouds}, {steps} steps")
         for cloud in ("gaussian", "uniform"):
-            (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=bar)
+            (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=progress)
             result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
             found[f"{model}/{cloud}"] = result.to_json()
             print(f" {cloud}: {taken:.0f} ms a frame ({detector.precision})")

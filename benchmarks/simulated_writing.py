@@ -9,8 +9,6 @@ command takes a frame, all included, worlds and start-up too. Exit status 1 over
 """
 
 import argparse
-import contextlib
-import io
 import os
 import resource
 import subprocess
@@ -30,7 +28,7 @@ MEMORY_GB = 2.5
 
 def one_process(preset: str, frames: int) -> str:
     """Seconds a frame and peak memory of this process; run in a process of its own."""
-    from farfield.recording.writing import write_whole
+    from farfield.recording import write_whole
     from farfield.simulation import find_preset, simulate_frame
 
     chosen = find_preset(preset)
@@ -49,11 +47,11 @@ def one_process(preset: str, frames: int) -> str:
 
 def two_processes(preset: str, frames: int) -> float:
     """Seconds a frame of the whole command."""
-    from farfield.cli import simulate
+    from farfield.recording import record
 
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+    with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        simulate.run(preset, Path(folder) / "out", frames=2 * frames, sequences=2, workers=2)
+        record(preset, Path(folder) / "out", frames=2 * frames, sequences=2, workers=2)
         return (time.perf_counter() - start) / (2 * frames)
 
 

@@ -2,19 +2,18 @@
 
     python benchmarks/validation.py [--only 6 7] [--output benchmarks/results/validation.txt]
 
-Scenes and brute-force oracles are those of the tests in tests/simulation; docs/validation.md says what is independent
-and what is assumed. Exit status 1 where a figure misses its tolerance. Rows marked "shown" carry no verdict.
+Scenes and the brute-force radar are those of farfield.simulation.stage and radar.response; docs/validation.md says what
+is independent and what is assumed. Exit status 1 where a figure misses its tolerance. Rows marked "shown" carry no
+verdict.
 """
 
 import argparse
 import dataclasses
-import importlib
 import re
-import sys
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 from _report import ROOT, header
@@ -22,14 +21,18 @@ from scipy.optimize import brentq
 from scipy.special import spherical_jn, spherical_yn
 
 from farfield.files.atomic import write_text
+from farfield.geometry.poses import pose_from_yaw
+from farfield.radar.axes import RadarAxes
+from farfield.simulation import stage
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.camera.render import radiance
+from farfield.simulation.camera.rig import ZED_2I, Mount
 from farfield.simulation.camera.sky import make_sky
 from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, PATTERNS, Beams, line_elevations_deg
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import sweep
+from farfield.simulation.lidar.sweep import Sweep, sweep
 from farfield.simulation.radar.echoes import Scatterers
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.radar.propagation import (
@@ -40,6 +43,7 @@ from farfield.simulation.radar.propagation import (
     water_permittivity,
 )
 from farfield.simulation.radar.rcs import corner_reflector_m2, vehicle_pattern_dbsm
+from farfield.simulation.radar.response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 from farfield.simulation.trace import Tracer
 from farfield.simulation.weather.beam import Beam
@@ -47,10 +51,33 @@ from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_wea
 from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
+from farfield.simulation.world.scene import Window
 
 RESULTS = ROOT / "benchmarks" / "results"
 DETECTORS = RESULTS / "simulated_detection_v1.txt"
 SEED = 20260101
+WEATHERS = {
+    "normal": Weather(),
+    "rain": Weather("rain", rain_mm_h=5.0, mor_m=8000.0, water_mm=0.8, film_mm=0.03, icing=0.03),
+    "light_snow": Weather("light_snow", snow_mm_h=0.6, mor_m=6000.0, snow_cover=0.4, icing=0.05, icing_age_s=600.0),
+    "fog": Weather("fog", mor_m=500.0, icing=0.02),
+    "heavy_snow": Weather("heavy_snow", snow_mm_h=2.0, mor_m=6000.0, icing=0.60, icing_tau_s=300.0, icing_age_s=900.0),
+    "sleet": Weather(
+        "sleet", rain_mm_h=1.0, snow_mm_h=2.5, wet_snow=True, mor_m=6000.0, icing=0.75, icing_age_s=600.0, water_mm=0.7
+    ),
+}
+SMALL_AXES = RadarAxes(
+    range_m=0.5 * np.arange(32),
+    azimuth_deg=np.arange(-50.0, 51.0, 10.0),
+    elevation_deg=np.arange(-10.0, 11.0, 5.0),
+    doppler_m_s=0.06 * np.arange(-8, 8),
+)
+EXACT = RadarModel(
+    axes=SMALL_AXES, azimuth_elements=6, azimuth_slots=12, elevation_elements=3, elevation_slots=4,
+    truncation_db=-np.inf, range_migration=False, leakage_db=(-40.0,) * 8, response_db=(0.0,) * 8,
+)  # fmt: skip
+QUIET = RadarModel(leakage_db=(-40.0,) * 8)
+UNFILTERED = dataclasses.replace(QUIET, high_pass_m=0.0)
 CAR_REAR = {"uniform": {50: 61.0, 100: 15.0, 200: 3.8}, "gaussian": {50: 145.0, 100: 35.0, 200: 8.6}}
 
 
@@ -81,20 +108,11 @@ def between(what: str, reference: str, low: float, high: float, got: float, digi
     return Row(what, reference, f"{low:g} to {high:g}", f"{got:.{digits}f}", low <= got <= high)
 
 
-def oracle(path: str) -> ModuleType:
-    """A module of the tests: their scenes and brute-force references."""
-    file = ROOT / "tests" / "simulation" / path
-    if str(file.parent) not in sys.path:
-        sys.path.insert(0, str(file.parent))
-    return importlib.import_module(file.stem)
-
-
-def lidar_stage() -> ModuleType:
-    return oracle("lidar/lidar_stage.py")
-
-
-def radar_test() -> ModuleType:
-    return oracle("radar/test_radar_synthesis.py")
+def sweep_in(model: LidarModel, window: Window, weather: Weather | None, **seeds: Any) -> Sweep:
+    """One frame of a world, weather included."""
+    rng = np.random.default_rng(3)
+    drawn = Scan.draw(model, rng, pattern="uniform")
+    return sweep(drawn, model, window, stage.HERE, rng, weather=weather, **seeds)
 
 
 def chance(model: LidarModel, range_m: float, reflectance: float, extinction_per_m: float = 0.0) -> float:
@@ -112,7 +130,7 @@ def half_range_m(model: LidarModel, reflectance: float, extinction_per_m: float 
 
 def radar_peaks_db() -> tuple[np.ndarray, np.ndarray]:
     """Ranges, and the best cell's signal over noise of 10 m2 there ahead of the high-pass filter."""
-    model = radar_test().UNFILTERED
+    model = UNFILTERED
     bins = np.array([22, 43, 108, 216])
     peaks = []
     for index in bins:
@@ -136,7 +154,7 @@ def range_equation() -> Rows:
 
 def counted_chance() -> float:
     """Share of shots at a 10 % plate at 200 m that come back, dropout included."""
-    stage, rng = lidar_stage(), np.random.default_rng(SEED)
+    rng = np.random.default_rng(SEED)
     model = dataclasses.replace(LUMINAR_H2, texture=0.0)
     scan = Scan.draw(model, rng)
     target = stage.frozen(stage.body(stage.plate(0.1, width_m=40, height_m=40), 200, 0, 0))
@@ -164,13 +182,12 @@ def lidar_reference() -> Rows:
 
 def fitted_mor_m(mor_m: float) -> float:
     """Optical range at 550 nm from the fall of the returned intensity over distance."""
-    stage, weather_test = lidar_stage(), oracle("lidar/test_lidar_weather.py")
     model, shown = stage.quiet(LUMINAR_H2, sub_rays=1), []
     ranges = min(mor_m / 4, 80.0) / np.array([8.0, 4.0, 2.0, 1.0])
     for range_m in ranges:
         wall = stage.plate(1.0, width_m=range_m, height_m=range_m / 3)
         window = stage.frozen(stage.body(wall, range_m, 0, 0))
-        cloud = weather_test.drive(model, window, Weather("fog", mor_m=mor_m)).cloud
+        cloud = sweep_in(model, window, Weather("fog", mor_m=mor_m)).cloud
         mine = cloud.points_m[:, 0] > range_m - 1
         straight = mine & (np.abs(cloud.points_m[:, 1:] / cloud.points_m[:, :1]).max(axis=1) < 0.1)
         shown.append(np.log(cloud.intensity[straight].astype(np.float64)).mean())
@@ -182,11 +199,11 @@ def fitted_mor_m(mor_m: float) -> float:
 
 def contrast_at(mor_m: float) -> float:
     """Contrast of a black wall at the optical range, its own light taken out."""
-    stage = oracle("camera/test_camera.py")
-    camera = stage.SMALL.camera(np.eye(4))
-    weather = dataclasses.replace(stage.OVERCAST, condition="fog", mor_m=mor_m)
+    lens = dataclasses.replace(ZED_2I, matrix=(142.0, 144.0, 157.0, 92.0), width_px=320, height_px=180)
+    camera = Mount(lens, (0.0, 0.0, 1.45)).camera(np.eye(4))
+    weather = Weather("fog", cloud_cover=1.0, mor_m=mor_m)
     black = stage.painted(box([1.0, 60.0, 60.0], [0.5, 0.0, 0.0], int(Material.TYRE)))
-    window = stage.still((black, stage.at(mor_m, 0.0)))
+    window = stage.on_asphalt((black, pose_from_yaw(0.0, (mor_m, 0.0, 0.0))))
     horizon = make_sky(weather).horizon_rgb
     airs = weather, dataclasses.replace(weather, mor_m=1e9)
     seen, clear = (radiance(window, camera, np.eye(4), air)[0][92, 157] for air in airs)
@@ -270,10 +287,9 @@ def rain_and_fog() -> Rows:
 
 
 def point_spread() -> Rows:
-    stage = radar_test()
     for axis in ("range", "doppler"):
         offsets = np.concatenate([[0.0, 0.5], np.linspace(0.40, 0.48, 9), np.linspace(1.36, 1.50, 15)])
-        level = stage.cut_through(offsets, axis)
+        level = point_spread_db(offsets, axis, QUIET)
         half = float(np.interp(10 * np.log10(2), -level[2:11], offsets[2:11]))
         fourier = "Dirichlet kernel in closed form"
         yield near(f"{axis}: first side lobe, dB", fourier, -13.26, float(level[11:].max() - level[0]), 0.1, 2)
@@ -283,12 +299,12 @@ def point_spread() -> Rows:
 
 
 def brute_force_error() -> float:
-    stage, rng = radar_test(), np.random.default_rng(SEED)
+    rng = np.random.default_rng(SEED)
     angles = rng.uniform(-45, 45, 5), rng.uniform(-8, 8, 5)
-    five = stage.at(rng.uniform(2, 14, 5), *angles, rng.uniform(-3, 3, 5), 100.0, stage.EXACT)
+    five = scatterers_of_snr(rng.uniform(2, 14, 5), *angles, rng.uniform(-3, 3, 5), 100.0, EXACT)
     phase = rng.uniform(0, 2 * np.pi, 5)
-    found = form_tensor(synthesise(five, stage.EXACT, phase), stage.EXACT) / stage.EXACT.noise_floor
-    want = stage.brute_force(five, stage.EXACT, phase)
+    found = form_tensor(synthesise(five, EXACT, phase), EXACT) / EXACT.noise_floor
+    want = sampled_tensor(five, EXACT, phase)
     return float(np.abs(found - want).max() / want.max())
 
 
@@ -310,12 +326,11 @@ def noise() -> Rows:
 
 
 def doppler() -> Rows:
-    stage = radar_test()
-    axes = stage.QUIET.axes
+    axes = QUIET.axes
     yield near("velocity span, m/s", "64 bins of K-Radar's arr_doppler", 3.8652, float(axes.velocity_span_m_s), 1e-4, 4)
-    bins = [stage.peak_bin(0.72 + folds * axes.velocity_span_m_s)[0] for folds in (0, 1, -2)]
+    bins = [int(doppler_spectrum(0.72 + folds * axes.velocity_span_m_s, QUIET).argmax()) for folds in (0, 1, -2)]
     yield Row("bins of v, v + span, v - 2 span", "sampling theorem", "equal", str(bins), len(set(bins)) == 1)
-    world = float(axes.doppler_m_s[stage.peak_bin(-100 / 3.6)[0]])
+    world = float(axes.doppler_m_s[doppler_spectrum(-100 / 3.6, QUIET).argmax()])
     half_bin = float(axes.doppler_step_m_s / 2)
     yield near("standing world at 100 km/h, m/s", "-27.778 + 7 x 3.8652", -27.7778 + 7 * 3.8652, world, half_bin)
 
@@ -372,7 +387,7 @@ def sphere_error_m(rng: np.random.Generator) -> float:
 
 def box_error_m(rng: np.random.Generator) -> float:
     """Points of a whole sweep on a box against the slab method, in the box's frame; inf where the counts differ."""
-    stage, size = lidar_stage(), np.array([4.6, 1.9, 1.5])
+    size = np.array([4.6, 1.9, 1.5])
     target = stage.body(stage.coloured(box(size.tolist(), [0, 0, 0], Material.SIGN), 50.0), 60, 9, -0.4, yaw_rad=0.7)
     model = stage.quiet(LUMINAR_H2, sub_rays=1)
     shots = Scan.draw(model, rng)
@@ -387,7 +402,7 @@ def box_error_m(rng: np.random.Generator) -> float:
 
 def points_on_rear(pattern: str, range_m: int, rng: np.random.Generator) -> float:
     """Mean number of shots at 1.85 x 1.5 m at the focus, over places and frames."""
-    stage, counts = lidar_stage(), []
+    counts = []
     model, mesh = stage.quiet(LUMINAR_H2, jitter_deg=LUMINAR_H2.jitter_deg, sub_rays=1), stage.plate(50.0)
     scans = [Scan.draw(model, rng, pattern=pattern) for _ in range(4)]
     for index in range(range_m):
@@ -436,10 +451,9 @@ def radar_change_db(condition: str, *metres: float) -> float:
 
 def snow_albedo(model: LidarModel) -> float:
     """Albedo that the median return from snow on the road shows within 12 m."""
-    stage, weather_test = lidar_stage(), oracle("lidar/test_lidar_weather.py")
-    window = weather_test.ground(Material.ASPHALT, reflectance=0.18)
+    window = stage.patch_of_road(Material.ASPHALT, reflectance=0.18)
     still = stage.quiet(model, sub_rays=1)
-    white, dry = (weather_test.drive(still, window, w).cloud for w in (Weather("light_snow", snow_cover=1.0), None))
+    white, dry = (sweep_in(still, window, w).cloud for w in (Weather("light_snow", snow_cover=1.0), None))
     near_by = [cloud[np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1]) < 12] for cloud in (white, dry)]
     x, y, z = near_by[1].points_m.T.astype(np.float64)
     cosine = -z / np.sqrt(x**2 + y**2 + z**2)
@@ -447,10 +461,10 @@ def snow_albedo(model: LidarModel) -> float:
 
 
 def weather() -> Rows:
-    test, hits = oracle("lidar/test_lidar_weather.py"), {}
-    window = test.fleet(np.random.default_rng(SEED))
-    for name, air in test.WEATHERS.items():
-        hits[name] = int((test.drive(OS2_64, window, air, window_seed=test.SEED).actor >= 0).sum())
+    hits = {}
+    window = stage.fleet(np.random.default_rng(SEED))
+    for name, air in WEATHERS.items():
+        hits[name] = int((sweep_in(OS2_64, window, air, window_seed=np.random.SeedSequence(9)).actor >= 0).sum())
     groups = (("normal",), ("rain", "light_snow"), ("fog",), ("heavy_snow", "sleet"))
     falls = all(min(hits[n] for n in more) > max(hits[n] for n in less) for more, less in pairwise(groups))
     shown = ", ".join(f"{name} {hits[name]}" for group in groups for name in group)

@@ -112,6 +112,56 @@ def test_public_names_have_docstrings_and_files_are_small(path: Path) -> None:
     assert "from __future__ import annotations" not in text, "it turns the run-time shape checks off"
 
 
+VERBS_CALLED = {
+    ("demo", "doctor"),
+    ("demo", "evaluate"),
+    ("stats", "compare"),
+}  # until these have a function beneath the verb
+
+
+def _imports(path: Path) -> Iterator[str]:
+    """Dotted names that a file imports, lazily too: modules, and what is taken from them."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_verbs_do_not_call_each_other() -> None:
+    """A verb is arguments and words; what two of them share stands in a room beneath."""
+    verbs = {verb.replace("-", "_") for verb in VERBS}
+    found = {
+        (path.stem, name.split(".")[2])
+        for path in SOURCES
+        if path.parent.name == "cli"
+        for name in _imports(path)
+        if name.startswith("farfield.cli.") and name.split(".")[2] in verbs
+    }
+    assert found <= VERBS_CALLED
+
+
+def _is_private_of_another(node: ast.AST) -> bool:
+    if not isinstance(node, ast.Attribute) or not node.attr.startswith("_") or node.attr.startswith("__"):
+        return False
+    return not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"))
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples"])
+def test_scripts_use_public_names_and_no_test(folder: str) -> None:
+    tests = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests"}
+    for path in (ROOT / folder).rglob("*.py"):
+        names = list(_imports(path))
+        hidden = [n for n in names if n.startswith("farfield.") and any(part.startswith("_") for part in n.split("."))]
+        assert not hidden, f"{path.name}: {', '.join(hidden)}"
+        taken = [name for name in names if name.partition(".")[0] in tests]
+        assert not taken, f"{path.name}: {', '.join(taken)}"
+        text = path.read_text(encoding="utf-8")
+        assert "sys.path" not in text, f"{path.name} changes where modules are found"
+        private = [ast.unparse(node) for node in ast.walk(ast.parse(text)) if _is_private_of_another(node)]
+        assert not private, f"{path.name}: {', '.join(private)}"
+
+
 def test_test_files_are_small_too() -> None:
     long = {p.name: n for p in (ROOT / "tests").rglob("*.py") if (n := len(p.read_text().splitlines())) > LINE_LIMIT}
     assert not long

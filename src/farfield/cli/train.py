@@ -61,8 +61,8 @@ def run(
         ensure(settings.data.simulate, settings.data.path, simulating, print)  # the others wait in prepare_training
     if not settings.data.path.exists():
         raise ConfigError(
-            f"{settings.data.path}: expected a data set's folder, found nothing. Name it: farfield train {experiment} -o "
-            "data.path=FOLDER"
+            f"{settings.data.path}: expected a data set's folder, found nothing. Name it: farfield train {experiment} "
+            "-o data.path=FOLDER"
         )
     folder = out / settings.name
     training = prepare_training(

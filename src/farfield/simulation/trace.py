@@ -54,6 +54,7 @@ class Tracer:
 
     Attributes:
         corners_m: Corners of the mesh's bounding box.
+        scene: Embree's scene of the mesh, with coordinates relative to the anchor.
         level: Which triangles lie flat (within 45 degrees), shape (f,).
 
     Raises:
@@ -63,13 +64,13 @@ class Tracer:
     def __init__(self, mesh: Mesh, *, anchor_m: Float[np.ndarray, " 3"] | None = None) -> None:
         self.mesh = mesh
         self.anchor_m = np.zeros(3) if anchor_m is None else anchor_m
-        self._scene = _embree_scene()
+        self.scene = _embree_scene()
         low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
         self.corners_m: Float[np.ndarray, "8 3"] = np.where(_CORNERS, high, low)
         vertices = (mesh.vertices_m - self.anchor_m).astype(np.float32)
         from embreex.mesh_construction import TriangleMesh
 
-        self._keep = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+        self._keep = TriangleMesh(self.scene, vertices, mesh.faces.astype(np.int32))
         normal = _normals(vertices, mesh.faces)
         length = np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
         self._inverse_normal = np.append(1.0 / length, 0.0).astype(np.float32)  # the last for rays that missed
@@ -99,7 +100,7 @@ class Tracer:
         if len(directions) == 0:
             none = np.zeros(0, dtype=np.float32)
             return Hits(none, np.zeros(0, dtype=np.int32), none)
-        out = self._scene.run(origins_m, directions, output=1)
+        out = self.scene.run(origins_m, directions, output=1)
         face: Int[np.ndarray, " n"] = out["primID"]
         range_m: Float32[np.ndarray, " n"] = out["tfar"]
         range_m[face < 0] = np.inf

@@ -10,13 +10,13 @@ from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
 from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.materials import Material
-from farfield.simulation.bodies.mesh import Mesh, box, quads
+from farfield.simulation.bodies.mesh import box
 from farfield.simulation.camera.cast import place, ray_grid, take_picture
 from farfield.simulation.camera.lens import auto_gain, srgb_curve, window_cover
 from farfield.simulation.camera.render import radiance, render
 from farfield.simulation.camera.rig import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_BASELINE_M, ZED_2I, Mount, rig_cameras
 from farfield.simulation.camera.sky import make_sky, visible_extinction
-from farfield.simulation.trace import Body, Tracer
+from farfield.simulation.stage import on_asphalt, painted
 from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
 from farfield.simulation.world.scene import Window
 
@@ -25,33 +25,6 @@ SMALL = Mount(
     dataclasses.replace(ZED_2I, matrix=(142.0, 144.0, 157.0, 92.0), width_px=320, height_px=180), (0.0, 0.0, HEIGHT_M)
 )
 OVERCAST = Weather("overcast", cloud_cover=1.0)
-
-
-def painted(mesh: Mesh) -> Mesh:
-    return mesh.painted(np.random.default_rng(5))
-
-
-def ground() -> Mesh:
-    corners = np.array([[[-50.0, -200, 0], [400, -200, 0], [400, 200, 0], [-50, 200, 0]]])
-    return painted(quads(corners, int(Material.ASPHALT)))
-
-
-def still(*bodies: tuple[Mesh, np.ndarray], fixed: Mesh | None = None) -> Window:
-    """A window in which nothing moves: the fixed world, then road users at their poses."""
-    actors = [Actor(i, "sedan", (4.5, 1.8, 1.5), np.random.SeedSequence(i)) for i in range(len(bodies))]
-    poses = [world_T_body for _, world_T_body in bodies]
-    return Window(
-        time_s=0.0,
-        knots_s=np.zeros(1),
-        world_T_ego=np.eye(4)[None],
-        bodies=[Body(Tracer(fixed or ground()), np.eye(4)[None])]
-        + [Body(Tracer(mesh), world_T_body[None], row) for row, (mesh, world_T_body) in enumerate(bodies)],
-        actors=actors,
-        bottom_m=np.array([at[:3, 3] for at in poses]).reshape(-1, 3),
-        yaw_rad=np.zeros(len(bodies)),
-        velocity_m_s=np.tile([5.0, 0.0, 0.0], (len(bodies), 1)),
-        ego_velocity_m_s=np.array([20.0, 0.0, 0.0]),
-    )
 
 
 def at(x_m: float, y_m: float, yaw_rad: float = 0.0) -> np.ndarray:
@@ -72,7 +45,7 @@ def pixels_of(window: Window, camera: Camera, body: int) -> np.ndarray:
 def test_a_box_is_seen_where_the_camera_projects_it(place_m: tuple[float, float]) -> None:
     camera = SMALL.camera(np.eye(4))
     mesh = painted(box([0.5, 1.2, 1.0], [0.0, 0.0, 0.9], int(Material.CAR_PAINT)))
-    window = still((mesh, at(*place_m)))
+    window = on_asphalt((mesh, at(*place_m)))
     seen = pixels_of(window, camera, 1)
     projected, _, _ = camera.project(transform_points(at(*place_m), mesh.vertices_m))
     np.testing.assert_allclose(seen.min(axis=0), projected.min(axis=0), atol=1.0)
@@ -86,7 +59,7 @@ def test_stereo_disparity_is_focal_length_times_baseline_over_depth() -> None:
     for side in ("front_left", "front_right"):
         mount = dataclasses.replace(KRADAR_MOUNTS[side], lens=plain)
         mesh = painted(box([0.01, 0.6, 0.6], [0.0, 0.0, 1.4], int(Material.TRIM)))
-        window = still((mesh, at(mount.place_m[0] + depth_m + 0.005, 0.0)))
+        window = on_asphalt((mesh, at(mount.place_m[0] + depth_m + 0.005, 0.0)))
         middles.append(pixels_of(window, mount.camera(np.eye(4)), 1)[:, 0].mean())
     assert middles[0] - middles[1] == pytest.approx(567.72 * STEREO_BASELINE_M / depth_m, abs=0.5)
 
@@ -95,7 +68,7 @@ def test_a_straight_pole_bends_as_the_distortion_says() -> None:
     strong = dataclasses.replace(SMALL.lens, distortion=(-0.2, 0.03, 0.0, 0.0, 0.0))
     camera = dataclasses.replace(SMALL, lens=strong).camera(np.eye(4))
     pole = painted(box([0.12, 0.12, 8.0], [0.0, 0.0, 2.0], int(Material.METAL)))
-    seen = pixels_of(still((pole, at(5.0, 4.5)), fixed=painted(box([1, 1, 1], [-9, 0, 0], 0))), camera, 1)
+    seen = pixels_of(on_asphalt((pole, at(5.0, 4.5)), fixed=painted(box([1, 1, 1], [-9, 0, 0], 0))), camera, 1)
     heights = np.linspace(-0.9, 3.9, 9)
     expected, _, inside = camera.project(np.stack([np.full(9, 5.0), np.full(9, 4.5), heights], axis=1))
     assert inside.all()
@@ -107,7 +80,9 @@ def test_a_straight_pole_bends_as_the_distortion_says() -> None:
 
 def test_pixels_beyond_the_fold_of_the_distortion_stay_black() -> None:
     folding = dataclasses.replace(SMALL.lens, distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
-    image, range_m = radiance(still(), dataclasses.replace(SMALL, lens=folding).camera(np.eye(4)), np.eye(4), OVERCAST)
+    image, range_m = radiance(
+        on_asphalt(), dataclasses.replace(SMALL, lens=folding).camera(np.eye(4)), np.eye(4), OVERCAST
+    )
     assert image[0, 0].max() == image[-1, -1].max() == 0.0
     assert np.isinf(range_m[-1, -1])
     assert image[90, 60:250].min() > 0.0
@@ -121,7 +96,7 @@ def test_contrast_of_a_black_target_is_5_percent_at_the_optical_range() -> None:
         contrasts = []
         for share in (0.5, 1.0):
             black = box([1.0, 60.0, 60.0], [0.5, 0.0, 0.0], int(Material.TYRE))
-            window = still((painted(black), at(share * mor_m, 0.0)))
+            window = on_asphalt((painted(black), at(share * mor_m, 0.0)))
             image, range_m = radiance(window, camera, np.eye(4), weather)
             body = radiance(window, camera, np.eye(4), dataclasses.replace(weather, mor_m=1e9))[0]
             level = image[92, 157]
@@ -150,7 +125,7 @@ def test_fog_pulls_equal_cars_towards_the_airlight_the_farther_the_more() -> Non
     missing = []
     for x in (10.0, 25.0, 50.0, 90.0):
         dark = painted(box([0.5, 3.0, 3.0], [0.25, 0.0, 1.5], int(Material.TYRE)))
-        image, _ = radiance(still((dark, at(x, 0.0))), camera, np.eye(4), weather)
+        image, _ = radiance(on_asphalt((dark, at(x, 0.0))), camera, np.eye(4), weather)
         missing.append(airlight - image[90, 157].mean())
     assert (np.diff(missing) < 0).all()
     assert missing[-1] > 0
@@ -160,7 +135,7 @@ def test_the_shadow_of_a_box_lies_where_the_sun_throws_it() -> None:
     camera = SMALL.camera(np.eye(4))
     weather = Weather(sun_elevation_deg=45.0, sun_azimuth_deg=90.0, cloud_cover=0.0)  # the sun stands to the left
     block = painted(box([3.0, 1.0, 2.0], [0.0, 0.0, 1.0], int(Material.TRIM)))
-    image, _ = radiance(still((block, at(12.0, 0.0))), camera, np.eye(4), weather)
+    image, _ = radiance(on_asphalt((block, at(12.0, 0.0))), camera, np.eye(4), weather)
     spots = np.array(
         [[12.0, -1.5, 0.0], [12.0, -3.2, 0.0], [12.0, 2.0, 0.0]]
     )  # within the shadow, beyond it, sunny side
@@ -174,10 +149,10 @@ def test_a_wet_road_mirrors_a_wall_where_a_plane_mirror_would() -> None:
     """The image of a point stands as far below the road as the point stands above it."""
     camera = SMALL.camera(np.eye(4))
     wall = painted(box([0.2, 8.0, 1.2], [0.0, 0.0, 1.4], int(Material.TYRE)))  # black, from 0.8 m to 2.0 m
-    window = still((wall, at(14.0, 0.0)))
+    window = on_asphalt((wall, at(14.0, 0.0)))
     wet = dataclasses.replace(OVERCAST, water_mm=1.0)
     with_wall, _ = radiance(window, camera, np.eye(4), wet)
-    without, _ = radiance(still(), camera, np.eye(4), wet)
+    without, _ = radiance(on_asphalt(), camera, np.eye(4), wet)
     images = np.array([[14.0, 0.0, -1.2], [14.0, 0.0, -0.4], [14.0, 7.0, -1.4]])  # in the image, above it, beside it
     inside, above, beside = (
         (with_wall[v - 1 : v + 2, u - 6 : u + 7].mean() / without[v - 1 : v + 2, u - 6 : u + 7].mean())
@@ -188,13 +163,15 @@ def test_a_wet_road_mirrors_a_wall_where_a_plane_mirror_would() -> None:
     assert beside > 0.97
     dry, _ = radiance(window, camera, np.eye(4), OVERCAST)
     u, v = np.round(camera.project(images[:1])[0][0]).astype(int)
-    assert dry[v, u].mean() == pytest.approx(radiance(still(), camera, np.eye(4), OVERCAST)[0][v, u].mean(), rel=0.02)
+    assert dry[v, u].mean() == pytest.approx(
+        radiance(on_asphalt(), camera, np.eye(4), OVERCAST)[0][v, u].mean(), rel=0.02
+    )
 
 
 def test_there_is_no_sun_shadow_under_cloud_but_it_is_darker_under_a_car() -> None:
     camera = SMALL.camera(np.eye(4))
     raised = painted(box([4.0, 1.8, 1.0], [0.0, 0.0, 0.9], int(Material.TRIM)))
-    image, _ = radiance(still((raised, at(9.0, 0.0))), camera, np.eye(4), OVERCAST)
+    image, _ = radiance(on_asphalt((raised, at(9.0, 0.0))), camera, np.eye(4), OVERCAST)
     spots = np.array([[7.3, 0.0, 0.0], [9.0, -3.0, 0.0]])
     under, beside = (image[v, u].mean() for u, v in np.round(camera.project(spots)[0]).astype(int))
     assert under < 0.5 * beside
@@ -203,9 +180,11 @@ def test_there_is_no_sun_shadow_under_cloud_but_it_is_darker_under_a_car() -> No
 def test_night_is_darker_than_day_and_the_head_lamps_light_what_is_near() -> None:
     camera = SMALL.camera(np.eye(4))
     night = Weather(time="night", sun_elevation_deg=-20.0)
-    pictures = [render(still(), camera, np.eye(4), weather, np.random.default_rng(1)) for weather in (Weather(), night)]
+    pictures = [
+        render(on_asphalt(), camera, np.eye(4), weather, np.random.default_rng(1)) for weather in (Weather(), night)
+    ]
     assert pictures[1].mean() < 0.5 * pictures[0].mean()
-    image, _ = radiance(still(), camera, np.eye(4), night)
+    image, _ = radiance(on_asphalt(), camera, np.eye(4), night)
     spots = np.array([[12.0, 0.0, 0.0], [60.0, 0.0, 0.0], [12.0, 20.0, 0.0]])
     near, far, aside = (image[v, u].mean() for u, v in np.round(camera.project(spots)[0]).astype(int))
     assert near > 3 * far
@@ -218,12 +197,12 @@ def test_lamps_shine_white_in_front_and_red_behind_at_night_when_moving() -> Non
     car = Actor(0, "sedan", (4.6, 1.85, 1.5), np.random.SeedSequence(4)).build()
     looks = {}
     for name, yaw in (("rear", 0.0), ("front", np.pi)):
-        image, _ = radiance(still((car, at(10.0, 0.0, yaw))), camera, np.eye(4), night)
+        image, _ = radiance(on_asphalt((car, at(10.0, 0.0, yaw))), camera, np.eye(4), night)
         looks[name] = image.reshape(-1, 3)[image.sum(axis=2).argmax()]
     assert looks["front"][2] > 0.5 * looks["front"][0]
     assert looks["front"].sum() > 20
-    lit = radiance(still((car, at(10.0, 0.0))), camera, np.eye(4), night)[0]
-    parked = still((car, at(10.0, 0.0)))
+    lit = radiance(on_asphalt((car, at(10.0, 0.0))), camera, np.eye(4), night)[0]
+    parked = on_asphalt((car, at(10.0, 0.0)))
     dark = radiance(dataclasses.replace(parked, velocity_m_s=np.zeros((1, 3))), camera, np.eye(4), night)[0]
     extra = (lit - dark).reshape(-1, 3)
     strongest = extra[extra[:, 0].argmax()]
@@ -235,7 +214,7 @@ def test_lamps_shine_white_in_front_and_red_behind_at_night_when_moving() -> Non
 def test_every_weather_gives_the_same_bytes_for_the_same_seed(condition: str) -> None:
     camera = SMALL.camera(np.eye(4))
     car = Actor(0, "suv", (4.6, 1.85, 1.7), np.random.SeedSequence(4)).build()
-    window = still((car, at(10.0, 1.0)))
+    window = on_asphalt((car, at(10.0, 1.0)))
     weather = draw_weather(condition, "day", np.random.default_rng(3))
     first, again, other = (render(window, camera, np.eye(4), weather, np.random.default_rng(s)) for s in (1, 1, 2))
     assert first.shape == (180, 320, 3)
@@ -248,7 +227,7 @@ def test_every_weather_gives_the_same_bytes_for_the_same_seed(condition: str) ->
 def test_supersampling_keeps_the_picture_and_its_size() -> None:
     camera = SMALL.camera(np.eye(4))
     car = Actor(0, "suv", (4.6, 1.85, 1.7), np.random.SeedSequence(4)).build()
-    window = still((car, at(10.0, 1.0)))
+    window = on_asphalt((car, at(10.0, 1.0)))
     once, once_m = radiance(window, camera, np.eye(4), OVERCAST)
     twice, twice_m = radiance(window, camera, np.eye(4), OVERCAST, supersample=2)
     assert twice.shape == once.shape

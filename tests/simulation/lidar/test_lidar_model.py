@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lidar_stage import HERE, body, frozen, plate, quiet
 
 from farfield.errors import ConfigError
 from farfield.simulation.bodies.materials import Material, reflectance_at
@@ -21,6 +20,7 @@ from farfield.simulation.lidar.model import (
 from farfield.simulation.lidar.returns import measure, reflectivity
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
+from farfield.simulation.stage import HERE, body, frozen, plate, quiet
 
 QUIET = dataclasses.replace(LUMINAR_H2, texture=0.0, dropout=0.0)
 TRIMS = np.full(2, int(Material.TRIM))

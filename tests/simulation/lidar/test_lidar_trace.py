@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from lidar_stage import HERE, body, coloured, frozen, quiet
 
 from farfield.errors import MissingExtraError
 from farfield.geometry.poses import invert, pose_from_yaw
@@ -14,6 +13,7 @@ from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64, LidarModel
 from farfield.simulation.lidar.rays import Path, block_towards
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
+from farfield.simulation.stage import HERE, body, coloured, frozen, quiet
 from farfield.simulation.trace import Tracer
 
 

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lidar_stage import HERE, body, coloured, frozen, plate, quiet
 
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.bodies.materials import Material
@@ -13,6 +12,7 @@ from farfield.simulation.lidar.air import FOG, PRECIPITATION, SPRAY, SURFACE, sp
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.stage import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.ground import snow_grades
 from farfield.simulation.weather.optics import extinction_per_m
@@ -58,18 +58,6 @@ def test_intensity_over_distance_gives_back_the_visibility(wavelength_nm: float)
     assert np.log(20) / at_550 == pytest.approx(800.0, rel=0.01)
 
 
-def fleet(rng: np.random.Generator) -> Window:
-    """Rear ends of 160 cars within 70 degrees and 20 to 70 m, a log-normal paint each, none behind another."""
-    cars = []
-    for row in range(160):
-        azimuth, range_m = np.radians(-68 + 136 * row / 159), rng.uniform(20, 70)
-        reflectance = float(np.clip(0.25 * np.exp(0.7 * rng.standard_normal()), 0.03, 1))
-        mesh = plate(reflectance, width_m=1.0 * range_m / 50, height_m=1.5)
-        place = range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0.0
-        cars.append(body(mesh, *(float(value) for value in place), yaw_rad=float(azimuth), actor=row))
-    return frozen(*cars)
-
-
 def test_survival_of_cars_falls_in_the_order_of_the_weathers(rng: np.random.Generator) -> None:
     """normal > rain, light snow > fog > heavy snow, sleet: hits on cars by an OS2, beside clear air."""
     window = fleet(rng)
@@ -98,16 +86,11 @@ def test_ice_hides_whole_sectors_and_never_comes_back(rng: np.random.Generator) 
     assert changes < 0.6 * chance
 
 
-def ground(material: Material, *, reflectance: float) -> Window:
-    road = quads(np.array([[[3.0, -30, 0], [40, -30, 0], [40, 30, 0], [3, 30, 0]]]), int(material))
-    return frozen(body(coloured(road, reflectance), 0, 0, -1.9, actor=-1))
-
-
 def test_snow_on_the_ground_is_dark_at_1550_nm_and_bright_at_865_nm() -> None:
     """Albedo 0.10 to 0.16 against more than 0.7."""
     snow = Weather("light_snow", snow_cover=1.0)
     for model, low, high in ((LUMINAR_H2, 0.10, 0.16), (OS2_64, 0.70, 0.95)):
-        window = ground(Material.ASPHALT, reflectance=0.18)
+        window = patch_of_road(Material.ASPHALT, reflectance=0.18)
         still = quiet(model, sub_rays=1)
         white, dry = (drive(still, window, weather).cloud for weather in (snow, None))
         white, dry = (cloud[np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1]) < 12] for cloud in (white, dry))
@@ -122,7 +105,7 @@ def test_snow_on_the_ground_is_dark_at_1550_nm_and_bright_at_865_nm() -> None:
 
 def test_partial_snow_lies_where_the_world_has_it() -> None:
     model = quiet(OS2_64, sub_rays=1)
-    window = ground(Material.GRASS, reflectance=0.30)
+    window = patch_of_road(Material.GRASS, reflectance=0.30)
     dry, patchy = drive(model, window, None).cloud, drive(model, window, Weather("light_snow", snow_cover=0.4)).cloud
     near = [cloud[np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1]) < 20] for cloud in (dry, patchy)]
     assert len(near[0]) == len(near[1]) > 1000

@@ -13,6 +13,7 @@ from farfield.radar.axes import RadarAxes
 from farfield.radar.products import moments
 from farfield.simulation.radar.echoes import Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel, beams, virtual_array
+from farfield.simulation.radar.response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 from farfield.simulation.radar.synthesis import Channels, draw_noise, form_moments, form_tensor, synthesise
 
 SMALL = RadarAxes(
@@ -29,63 +30,29 @@ QUIET = RadarModel(leakage_db=(-40.0,) * 8)
 UNFILTERED = replace(QUIET, high_pass_m=0.0)
 
 
-def at(range_m, azimuth_deg, elevation_deg, velocity_m_s, snr, model) -> Scatterers:
-    """Scatterers that alone give cells of these signal to noise ratios."""
-    azimuth, elevation = np.radians(np.broadcast_to(azimuth_deg, np.shape(range_m))), np.radians(elevation_deg)
-    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-    position = np.asarray(range_m)[:, None] * np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], axis=1)
-    velocity = np.broadcast_to(velocity_m_s, np.shape(range_m)).astype(float)
-    unit = Scatterers.of(position, velocity, np.ones(len(position)))
-    return replace(unit, rcs_m2=snr / cell_snr(unit, model))
-
-
-def brute_force(scatterers: Scatterers, model: RadarModel, phase: np.ndarray, *, walk: bool = False) -> np.ndarray:
-    """Sampled beat signals of every channel, then FFTs over samples and chirps, then beams: power / noise."""
-    axes, array = model.axes, virtual_array(model)
-    samples, chirps = np.arange(len(axes.range_m)), np.arange(len(axes.doppler_m_s))
-    signal = np.zeros((len(samples), len(chirps), model.elevation_elements, model.azimuth_elements), dtype=complex)
-    for i, snr in enumerate(cell_snr(scatterers, model)):
-        direction = scatterers.position_m[i] / scatterers.range_m[i]
-        moved = scatterers.velocity_m_s[i] * model.loop_s * (chirps + 0.5 - len(chirps) / 2) if walk else 0.0 * chirps
-        turns = 1 / (axes.range_step_m * len(samples))
-        from_middle = samples[:, None] - (len(samples) - 1) / 2  # the carrier is the middle of the sweep
-        beat = np.exp(2j * np.pi * turns * (samples[:, None] * scatterers.range_m[i] + from_middle * moved))
-        turn = scatterers.velocity_m_s[i] / axes.velocity_span_m_s - axes.doppler_m_s[0] / axes.velocity_span_m_s
-        rows = np.exp(1j * (np.pi * array.azimuth_slot * direction[1] + array.azimuth_error_rad))
-        columns = np.exp(1j * (np.pi * array.elevation_slot * direction[2] + array.elevation_error_rad))
-        echo = beat * np.exp(2j * np.pi * chirps * turn)
-        level = np.sqrt(snr / model.channels) / array.gain * np.exp(1j * phase[i])
-        signal += level * echo[:, :, None, None] * columns[:, None] * rows
-    cells = np.fft.fft(np.fft.fft(signal, axis=0), axis=1) / (len(samples) * len(chirps))
-    u_az, u_el = np.sin(np.radians(axes.azimuth_deg)), np.sin(np.radians(axes.elevation_deg))
-    rows = np.exp(-1j * np.pi * np.outer(u_az, array.azimuth_slot)) / np.sqrt(model.azimuth_elements)
-    columns = np.exp(-1j * np.pi * np.outer(u_el, array.elevation_slot)) / np.sqrt(model.elevation_elements)
-    return np.abs(np.einsum("qe,ja,rdea->drqj", columns, rows, cells)) ** 2
-
-
 def test_equals_a_brute_force_synthesis_of_the_beat_signal(rng):
-    five = at(
+    five = scatterers_of_snr(
         rng.uniform(2, 14, 5), rng.uniform(-45, 45, 5), rng.uniform(-8, 8, 5), rng.uniform(-3, 3, 5), 100.0, EXACT
     )
     phase = rng.uniform(0, 2 * np.pi, 5)
     found = form_tensor(synthesise(five, EXACT, phase), EXACT) / EXACT.noise_floor
-    want = brute_force(five, EXACT, phase)
+    want = sampled_tensor(five, EXACT, phase)
     assert np.abs(found - want).max() < 1e-4 * want.max()
 
 
 def test_fast_targets_walk_through_range_as_the_sampled_signal_does(rng):
     model = replace(EXACT, range_migration=True, loop_s=1e-3)  # 20 m/s: 0.32 m, two thirds of a bin, in 16 chirps
-    one = at(np.array([8.13]), 10.0, 2.0, -20.0, 100.0, model)
+    one = scatterers_of_snr(np.array([8.13]), 10.0, 2.0, -20.0, 100.0, model)
     found = form_tensor(synthesise(one, model, np.zeros(1)), model) / model.noise_floor
-    want = brute_force(one, model, np.zeros(1), walk=True)
-    still = brute_force(one, model, np.zeros(1))
+    want = sampled_tensor(one, model, np.zeros(1), walk=True)
+    still = sampled_tensor(one, model, np.zeros(1))
     error, ignoring = np.abs(found - want).max(), np.abs(still - want).max()
     assert error < 0.02 * want.max()
     assert error < 0.25 * ignoring
 
 
 def test_the_side_lobes_left_out_are_below_the_noise():
-    one = at(np.array([40.3]), 5.2, 1.0, 0.02, 1000.0, QUIET)
+    one = scatterers_of_snr(np.array([40.3]), 5.2, 1.0, 0.02, 1000.0, QUIET)
     exact = replace(QUIET, truncation_db=-np.inf)
     cut, whole = (synthesise(one, model, np.zeros(1)) for model in (QUIET, exact))
     left = np.hypot(cut.re - whole.re, cut.im - whole.im) * np.sqrt(QUIET.channels) * virtual_array(QUIET).gain
@@ -93,25 +60,11 @@ def test_the_side_lobes_left_out_are_below_the_noise():
     assert np.abs(cut.re).max() == pytest.approx(np.abs(whole.re).max(), rel=1e-5)
 
 
-def cut_through(offset_bins: np.ndarray, axis: str) -> np.ndarray:
-    """Power in one cell, in dB of the peak, as a target moves away from the cell's centre along range or Doppler."""
-    model = replace(QUIET, truncation_db=-np.inf, range_migration=False)
-    axes = model.axes
-    levels = []
-    for offset in offset_bins:
-        range_m = axes.range_m[100] + (offset * axes.range_step_m if axis == "range" else 0.0)
-        speed = offset * axes.doppler_step_m_s if axis == "doppler" else 0.0
-        one = at(np.array([range_m]), 0.0, 0.0, speed, 1.0, model)
-        cell = synthesise(one, model, np.zeros(1))
-        levels.append(np.sum(cell.re[100, 32].astype(float) ** 2 + cell.im[100, 32].astype(float) ** 2))
-    return 10 * np.log10(np.array(levels) * virtual_array(model).gain ** 2)
-
-
 @pytest.mark.parametrize("axis", ["range", "doppler"])
 def test_unwindowed_point_spread(axis):
     """First side lobe -13.26 dB, scalloping 3.92 dB, main lobe 0.886 bin wide: those of an unwindowed transform."""
     offsets = np.array([0.0, 0.5, 0.443, 1.38, 1.43, 1.48])
-    level = cut_through(offsets, axis)
+    level = point_spread_db(offsets, axis, QUIET)
     assert level[0] == pytest.approx(0.0, abs=0.01)
     assert level[1] == pytest.approx(-3.92, abs=0.02)
     assert level[2] == pytest.approx(-3.01, abs=0.02)
@@ -120,7 +73,7 @@ def test_unwindowed_point_spread(axis):
 
 def test_a_hann_window_lowers_side_lobes_and_keeps_the_noise(rng):
     model = replace(QUIET, window="hann", truncation_db=-np.inf)
-    one = at(np.array([model.axes.range_m[100]]), 0.0, 0.0, 0.0, 1e4, model)
+    one = scatterers_of_snr(np.array([model.axes.range_m[100]]), 0.0, 0.0, 0.0, 1e4, model)
     cell = synthesise(one, model, np.zeros(1))
     power = (cell.re**2 + cell.im**2).sum(axis=2)
     assert power[103, 32] < 1e-6 * power[100, 32]
@@ -128,18 +81,12 @@ def test_a_hann_window_lowers_side_lobes_and_keeps_the_noise(rng):
     assert np.var(noise.re) == pytest.approx(0.5, rel=0.01)
 
 
-def peak_bin(velocity_m_s: float) -> tuple[int, np.ndarray]:
-    one = at(np.array([30.0]), 0.0, 0.0, velocity_m_s, 1e3, QUIET)
-    cell = synthesise(one, QUIET, np.zeros(1))
-    spectrum = (cell.re**2 + cell.im**2).sum(axis=(0, 2))
-    return int(spectrum.argmax()), spectrum
-
-
 def test_doppler_folds():
     span = QUIET.axes.velocity_span_m_s
     assert span == pytest.approx(3.8652, abs=1e-4)
-    assert peak_bin(0.72)[0] == peak_bin(0.72 + span)[0] == peak_bin(0.72 - 2 * span)[0]
-    world = peak_bin(-100 / 3.6)[0]
+    peaks = [doppler_spectrum(0.72 + folds * span, QUIET).argmax() for folds in (0, 1, -2)]
+    assert peaks[0] == peaks[1] == peaks[2]
+    world = doppler_spectrum(-100 / 3.6, QUIET).argmax()
     folded = QUIET.axes.doppler_m_s[world]
     assert abs((-100 / 3.6 - folded + span / 2) % span - span / 2) <= QUIET.axes.doppler_step_m_s / 2
 
@@ -177,7 +124,7 @@ STRONG_M = (25.0, 33.5, 42.1, 51.8, 60.2)
 def strong_object(range_m: float, phase: np.ndarray, draw: np.random.Generator) -> Scatterers:
     """A car's worth of scatterers whose peak stands 8.6 dB over the floor of the map, as in the published frame."""
     count = len(phase)
-    one = at(
+    one = scatterers_of_snr(
         range_m + draw.uniform(-0.2, 0.3, count), 1 + draw.uniform(-1, 1, count), draw.uniform(-1.5, 0.5, count),
         1.23, 50.0, QUIET,
     )  # fmt: skip
@@ -270,7 +217,7 @@ def test_same_bytes_with_any_number_of_threads():
 
 
 def test_elevation_and_azimuth_rise_upwards_and_to_the_left():
-    one = at(np.array([40.0]), 20.0, 6.0, 0.0, 1e4, QUIET)
+    one = scatterers_of_snr(np.array([40.0]), 20.0, 6.0, 0.0, 1e4, QUIET)
     power = form_moments(synthesise(one, QUIET, np.zeros(1)), QUIET).mean_power
     _, elevation, azimuth = np.unravel_index(power.argmax(), power.shape)
     assert QUIET.axes.azimuth_deg[azimuth] == pytest.approx(20.0, abs=1.0)
@@ -279,8 +226,9 @@ def test_elevation_and_azimuth_rise_upwards_and_to_the_left():
 
 def test_tdm_phase_acts_on_folded_targets_only():
     both = [replace(QUIET, tdm_phase=on) for on in (False, True)]
+    where = np.array([40.0]), 0.0, 0.0
     slow, fast = (
-        [synthesise(at(np.array([40.0]), 0.0, 0.0, v, 1e3, m), m, np.zeros(1)).re for m in both] for v in (1.0, 9.0)
+        [synthesise(scatterers_of_snr(*where, v, 1e3, m), m, np.zeros(1)).re for m in both] for v in (1.0, 9.0)
     )
     assert np.array_equal(*slow)
     assert not np.allclose(*fast)
