@@ -24,13 +24,13 @@ from farfield.simulation import simulate_sequence
 
 TABLE = [f"runs/{n}-cirrus-sim-table" for n in ("pointpillars", "voxelnet", "second", "pointrcnn", "sparsecentre")]
 PUBLISHED = {  # published widths and voxels, on the window of 250 m x 100 m; untrained
-    "second, published widths": ("second_cirrus_sim", ["middle_out=128", "widths=[128,256]", "neck_width=256"]),
+    "second, published widths": ("second-cirrus-sim", ["middle_out=128", "widths=[128,256]", "neck_width=256"]),
     "second, published widths, 0.05 m": (
-        "second_cirrus_sim",
+        "second-cirrus-sim",
         ["middle_out=128", "widths=[128,256]", "neck_width=256", "grid.voxel_m=[0.05,0.05,0.1]"],
     ),
     "voxelnet, published widths": (
-        "voxelnet_cirrus_sim",
+        "voxelnet-cirrus-sim",
         [
             "vfe_widths=[32,128]",
             "voxel_channels=128",

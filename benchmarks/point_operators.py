@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 import torch
 from _report import header
-from farfield.detectors.blocks import points as ops
 
+from farfield.detectors.pointrcnn import points as ops
 from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig
 from farfield.detectors.runtime import Detector, cloud_tensor
 from farfield.frame import Cloud

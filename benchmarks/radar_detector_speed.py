@@ -36,16 +36,16 @@ from farfield.simulation import simulate_sequence
 
 SEQUENCES = (0, 20, 45)  # urban in clear air, rain, heavy snow on a highway
 DENSITIES = (
-    ("rtnh_kradar", "narrow", "region"),
-    ("rtnh_kradar", "narrow", "all"),
-    ("rtnh_wide_kradar", "wide", "all"),
+    ("rtnh-kradar", "narrow", "region"),
+    ("rtnh-kradar", "narrow", "all"),
+    ("rtnh-wide-kradar", "wide", "all"),
 )
 OTHERS = {
-    "rtnh_kradar": ("RTNH, 10 %", "radar", 0.1),
-    "rtnh_kradar_sim": ("RTNH, simulated, 10 %", "radar", 0.1),
-    "rtn50_kradar": ("RTN-50", "radar", 1),
-    "rtnx101_kradar": ("RTN-X101", "radar", 1),
-    "pointpillars_kradar": ("PointPillars, os2-64", "os2-64", None),
+    "rtnh-kradar": ("RTNH, 10 %", "radar", 0.1),
+    "rtnh-kradar-sim": ("RTNH, simulated, 10 %", "radar", 0.1),
+    "rtn50-kradar": ("RTN-50", "radar", 1),
+    "rtnx101-kradar": ("RTN-X101", "radar", 1),
+    "pointpillars-kradar": ("PointPillars, os2-64", "os2-64", None),
 }
 BACKGROUND_LOGIT = 4.0
 
@@ -70,7 +70,7 @@ def cloud_of(frame: Frame, kind: str, region: str, rate: float | None, over: Ove
 def detector(experiment: str, runs: Path, execution: str = "", precision: str = "bf16") -> Detector:
     """The detector of an experiment, trained if there is a run of that name."""
     config = load_experiment(find(experiment)).detector
-    weights = runs / experiment.replace("_", "-") / "weights.safetensors"
+    weights = runs / experiment / "weights.safetensors"
     trained = weights.is_file()
     network = load_weights(weights)[0] if trained else build_detector(config, seed=0)
     if not trained and hasattr(network.head, "classes"):

@@ -23,6 +23,8 @@ home = Path(farfield.__file__).parent
 assert home.is_relative_to(sys.argv[1]), home
 assert "<html" in render(Evaluation(results={}))
 assert all((files("farfield.simulation") / f"{name}.json").is_file() for name in FROZEN)
+from farfield.experiments.catalogue import find, names
+assert len(names()) >= 24 and find("pointpillars-cirrus-sim").is_relative_to(home), "no experiments"
 assert list(home.glob("detectors/weights_data/*.safetensors")), "no weights"
 """
 
