@@ -1,6 +1,7 @@
 """Small worlds of given bodies, to measure a sensor's model in: it stands or drives among plates, cars, on asphalt."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ HERE = np.eye(4)
 """The pose of a sensor in the origin."""
 
 
-def quiet(model: LidarModel, **changes: object) -> LidarModel:
+def quiet(model: LidarModel, **changes: Any) -> LidarModel:
     """A sensor without noise, losses, texture and jitter."""
     still = {"texture": 0.0, "dropout": 0.0, "range_noise_m": 0.0, "weak_noise_m": 0.0, "jitter_deg": 0.0}
     return dataclasses.replace(model, **(still | changes))
