@@ -26,7 +26,7 @@ from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.camera.render import radiance
 from farfield.simulation.camera.sky import make_sky
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, PATTERNS, Beams, line_elevations_deg
+from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, Beams, line_elevations_deg
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
@@ -43,10 +43,13 @@ from farfield.simulation.radar.rcs import corner_reflector_m2, vehicle_pattern_d
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 from farfield.simulation.trace import Tracer
 from farfield.simulation.weather.beam import Beam
-from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
+from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
+from farfield.vocabulary.conditions import WEATHERS
+from farfield.vocabulary.patterns import PATTERNS
+from farfield.vocabulary.published import SHARES_NEAR_HORIZON
 
 RESULTS = ROOT / "benchmarks" / "results"
 DETECTORS = RESULTS / "simulated_detection_v1.txt"
@@ -331,7 +334,7 @@ def scan() -> Rows:
     for at, side in ((4.6, "above"), (-8.6, "below")):
         yield near(f"the same 6.6 degrees {side} it", normal, 1.0, float(ratio[at]), 0.05)
     coarse = lines("gaussian", 64)
-    for reach, share in ((2, 0.31), (5, 0.68), (10, 0.955)):
+    for reach, share in ((int(reach), float(share)) for reach, share in SHARES_NEAR_HORIZON.items()):
         got = float(np.mean(np.abs(coarse + 2.0) < reach))
         yield near(f"share of lines within {reach} degrees", "real Luminar frames .31/.69/.955", share, got, 0.02)
     uniform = lines("uniform", 64)
@@ -458,7 +461,7 @@ def weather() -> Rows:
         "OS2 hits on 160 cars, 20 to 70 m", "order by extinction and ice (study)", "falls in groups", shown, falls
     )
     claim = "K-Radar's claim; here ITU and a thin film"
-    for condition in CONDITIONS:
+    for condition in WEATHERS:
         got = radar_change_db(condition, 20.0, 50.0, 70.0)
         yield below(f"radar SNR change in {condition}, to 70 m, dB", claim, 3.0, got)
     far = f"{radar_change_db('rain', 100.0):.2f}"

@@ -4,19 +4,18 @@ import json
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.vocabulary.conditions import Time, Weather
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
 
 _SETTINGS_FILE = "simulation.json"
 _MAX_STRIDE_S = 1.0  # readers begin a new segment after a longer pause
-
-Condition = Literal["normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"]
 
 
 def run(
@@ -27,8 +26,8 @@ def run(
     frames: int | None = None,
     sequences: int | None = None,
     sensors: str | None = None,
-    weather: Condition | None = None,
-    time: Literal["day", "night"] | None = None,
+    weather: Weather | None = None,
+    time: Time | None = None,
     seed: int | None = None,
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,

@@ -26,7 +26,8 @@ from farfield.simulation.radar.rcs import (
     surface_rcs_m2_m2,
     vehicle_pattern_dbsm,
 )
-from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
+from farfield.simulation.weather.conditions import Weather, draw_weather
+from farfield.vocabulary.conditions import WEATHERS
 
 MODEL = RadarModel()
 RAIN = Weather("rain", rain_mm_h=10.0)
@@ -83,7 +84,7 @@ def test_a_quarter_wave_film_without_loss_reflects_as_fresnel_says():
     )
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
+@pytest.mark.parametrize("condition", WEATHERS)
 def test_no_weather_costs_the_radar_3_db(condition, rng):
     range_m = np.array([20.0, 50.0, 70.0])
     clear = two_way_loss_db(range_m, Weather(), MODEL)
