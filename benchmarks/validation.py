@@ -259,7 +259,7 @@ def echoed_lidar_ratio_sr(extinction_per_m: float) -> float:
 
 def rain_and_fog() -> Rows:
     optics = np.pi * 8e6 / (4.1e3 * 10**-0.21) ** 3  # Q = 2 over Marshall and Palmer's drops, integrated in closed form
-    sums = "Mie sums, Marshall and Palmer (study)"
+    sums = "Mie sums (miepython), Marshall/Palmer"
     yield near("rain 10 mm/h: alpha, 1e-3 per m", sums, 1.56, 1e3 * rain_extinction_per_m(10.0), 0.05 * 1.56)
     yield near("the same", "geometric optics, Q = 2", 1e3 * optics, 1e3 * rain_extinction_per_m(10.0), 0.05 * 1.56)
     drops = 1e3 * rain_drops(10.0, 865.0).extinction_per_m
@@ -426,7 +426,7 @@ def cross_sections() -> Rows:
     yield near(what, "SNR_0, from the real frame", 30.0, float(peaks[2]), 0.7, 2)
     yield near("from 50 to 100 m, dB", "R^-4", fall, float(peaks[3] - peaks[2]), 0.3, 2)
     film = film_loss_db(0.1, water_permittivity(76.5, 0.0), 76.5e9)
-    yield near("0.1 mm of water at 0 C, one way, dB", "transfer matrix (study)", 5.0, film, 0.3, 2)
+    yield near("0.1 mm of water at 0 C, one way, dB", "transfer matrix, apart", 5.0, film, 0.3, 2)
 
 
 def radar_change_db(condition: str, *metres: float) -> float:
@@ -457,16 +457,14 @@ def weather() -> Rows:
     groups = (("normal",), ("rain", "light_snow"), ("fog",), ("heavy_snow", "sleet"))
     falls = all(min(hits[n] for n in more) > max(hits[n] for n in less) for more, less in pairwise(groups))
     shown = ", ".join(f"{name} {hits[name]}" for group in groups for name in group)
-    yield Row(
-        "OS2 hits on 160 cars, 20 to 70 m", "order by extinction and ice (study)", "falls in groups", shown, falls
-    )
+    yield Row("OS2 hits on 160 cars, 20 to 70 m", "order by extinction and ice", "falls in groups", shown, falls)
     claim = "K-Radar's claim; here ITU and a thin film"
     for condition in WEATHERS:
         got = radar_change_db(condition, 20.0, 50.0, 70.0)
         yield below(f"radar SNR change in {condition}, to 70 m, dB", claim, 3.0, got)
     far = f"{radar_change_db('rain', 100.0):.2f}"
     yield Row("the same in rain at 100 m, dB", "to 70 m is our choice", "-", far, None)
-    grains = "Mie + asymptotic theory (study)"
+    grains = "Mie + asymptotic theory"
     yield between("snow on the ground, albedo at 1550 nm", grains, 0.10, 0.16, snow_albedo(LUMINAR_H2))
     yield between("snow on the ground, albedo at 865 nm", grains, 0.70, 0.95, snow_albedo(OS2_64))
     yield from detectors()

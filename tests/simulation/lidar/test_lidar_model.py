@@ -158,7 +158,7 @@ def test_ten_per_cent_target_at_200_m_is_detected_nine_times_of_ten(
 CAR_REAR = {"uniform": {50: 61, 100: 15, 200: 3.8}, "gaussian": {50: 145, 100: 35, 200: 8.6}}
 
 
-@pytest.mark.parametrize("pattern")
+@pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("range_m", [50, 100, 200])
 def test_points_on_a_car_rear(pattern: str, range_m: int, rng: np.random.Generator) -> None:
     """Shots whose middle meets 1.85 x 1.5 m at the focus: within 10 % of the count by solid angle."""
