@@ -21,6 +21,7 @@ from farfield.datasets.kradar.record import read_record
 from farfield.datasets.kradar.splits import read_split_list
 from farfield.errors import FileFormatError
 from farfield.files import mat, npy, radar_cells, radiate, view_of_delft
+from farfield.files.description import read_description
 from farfield.files.mat_stream import open_mat
 from farfield.frame import Boxes
 
@@ -50,7 +51,7 @@ def radar_targets(folder: Path) -> dict[str, Recipe]:
     times = "os2-64_00001.pcd, 1643292946.710046076\nos2-64_00002.pcd, 1643292946.810046076\n"
     plain: dict[str, tuple[Callable[[Path], Any], str]] = {
         "kradar times": (texts.read_times, times),
-        "kradar description": (texts.read_description, "urban,night,normal\n"),
+        "kradar description": (read_description, "urban,night,normal\n"),
         "kradar calib": (texts.read_radar_calibration, "frame difference,x,y\n32,-2.54,0.3\n"),
         "kradar camera": (texts.read_camera, camera_yaml()),
         "kradar odometry": (texts.read_odometry, f"{pose}\n{pose}"),

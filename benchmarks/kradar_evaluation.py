@@ -229,7 +229,7 @@ def _compat(predictions: ByFrame, annotations: ByFrame) -> KRadarResult:
 
 
 def _conditions(annotations: ByFrame) -> dict[tuple[str, str], dict[str, str]]:
-    from farfield.datasets.kradar.conditions import published_conditions
+    from farfield.vocabulary.kradar import published_conditions
 
     return {key: published_conditions(key[0]) for key in annotations}
 

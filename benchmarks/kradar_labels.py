@@ -23,9 +23,9 @@ from _report import SHARED_REAL, header
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.conditions import PUBLISHED
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable
 from farfield.files.atomic import write_text
+from farfield.vocabulary.kradar import SEQUENCES
 
 FRAMES, EMPTY, OBJECTS = 34_994, 4_307, 115_229
 CLASSES = {  # objects, tracks, R, L, L1; the slips LL and l count as L, LR as L1
@@ -81,14 +81,14 @@ def counts(dataset: KRadar, table: LabelTable) -> tuple[list[str], bool]:
     for kind in ("weather", "road", "time"):
         found = Counter(conditions[name][kind] for name in table.sequence.tolist())
         published: Counter[str] = Counter()
-        for one in PUBLISHED.values():
+        for one in SEQUENCES.values():
             published[one.conditions[kind]] += one.frames
         for name, count in found.most_common():
             compare(f"frames, {kind} {name}", count, published[name])
             if kind == "weather":
                 good &= count == WEATHER[name]
     frames = Counter(table.sequence.tolist())
-    compare("sequences as long as published", sum(frames[n] == one.frames for n, one in PUBLISHED.items()), 58)
+    compare("sequences as long as published", sum(frames[n] == one.frames for n, one in SEQUENCES.items()), 58)
     return lines, good
 
 

@@ -15,11 +15,11 @@ from _report import header
 from rich.progress import track
 
 from farfield.inspection.statistics.radar import map_statistics
-from farfield.reports.comparison import PUBLISHED
 from farfield.simulation.presets import find_preset
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.rigs.drive import drive_of
 from farfield.simulation.rigs.kradar import KRadarMoment
+from farfield.vocabulary.published import RAISED_SHARES
 
 
 def shares(high_pass_m: float, sequences: int, seed: int) -> np.ndarray:
@@ -39,8 +39,8 @@ def main() -> None:
     parser.add_argument("--high-pass", type=float, nargs="+", default=[0.0, 30.0, 60.0, 100.0, 200.0])
     options = parser.parse_args()
     print(header(), "\n", sep="")
-    real = np.array([float(share) for share in PUBLISHED["raised_share"].values()])
-    bands = "".join(f"{band:>8}" for band in PUBLISHED["raised_share"])
+    real = np.array([float(share) for share in RAISED_SHARES.values()])
+    bands = "".join(f"{band:>8}" for band in RAISED_SHARES)
     print(f"{'cells 2 dB above the floor, per cent, by metres':<48}{bands}")
     print(f"{'real, one map':<48}" + "".join(f"{100 * share:8.1f}" for share in real))
     for high_pass_m in options.high_pass:

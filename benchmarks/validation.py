@@ -29,7 +29,7 @@ from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.camera.render import radiance
 from farfield.simulation.camera.rig import ZED_2I, Mount
 from farfield.simulation.camera.sky import make_sky
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, PATTERNS, Beams, line_elevations_deg
+from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, Beams, line_elevations_deg
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
@@ -47,16 +47,19 @@ from farfield.simulation.radar.response import doppler_spectrum, point_spread_db
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 from farfield.simulation.trace import Tracer
 from farfield.simulation.weather.beam import Beam
-from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
+from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
 from farfield.simulation.world.scene import Window
+from farfield.vocabulary.conditions import WEATHERS
+from farfield.vocabulary.patterns import PATTERNS
+from farfield.vocabulary.published import SHARES_NEAR_HORIZON
 
 RESULTS = ROOT / "benchmarks" / "results"
 DETECTORS = RESULTS / "simulated_detection_v1.txt"
 SEED = 20260101
-WEATHERS = {
+AIRS = {
     "normal": Weather(),
     "rain": Weather("rain", rain_mm_h=5.0, mor_m=8000.0, water_mm=0.8, film_mm=0.03, icing=0.03),
     "light_snow": Weather("light_snow", snow_mm_h=0.6, mor_m=6000.0, snow_cover=0.4, icing=0.05, icing_age_s=600.0),
@@ -273,7 +276,7 @@ def echoed_lidar_ratio_sr(extinction_per_m: float) -> float:
 
 def rain_and_fog() -> Rows:
     optics = np.pi * 8e6 / (4.1e3 * 10**-0.21) ** 3  # Q = 2 over Marshall and Palmer's drops, integrated in closed form
-    sums = "Mie sums, Marshall and Palmer (study)"
+    sums = "Mie sums (miepython), Marshall/Palmer"
     yield near("rain 10 mm/h: alpha, 1e-3 per m", sums, 1.56, 1e3 * rain_extinction_per_m(10.0), 0.05 * 1.56)
     yield near("the same", "geometric optics, Q = 2", 1e3 * optics, 1e3 * rain_extinction_per_m(10.0), 0.05 * 1.56)
     drops = 1e3 * rain_drops(10.0, 865.0).extinction_per_m
@@ -346,7 +349,7 @@ def scan() -> Rows:
     for at, side in ((4.6, "above"), (-8.6, "below")):
         yield near(f"the same 6.6 degrees {side} it", normal, 1.0, float(ratio[at]), 0.05)
     coarse = lines("gaussian", 64)
-    for reach, share in ((2, 0.31), (5, 0.68), (10, 0.955)):
+    for reach, share in ((int(reach), float(share)) for reach, share in SHARES_NEAR_HORIZON.items()):
         got = float(np.mean(np.abs(coarse + 2.0) < reach))
         yield near(f"share of lines within {reach} degrees", "real Luminar frames .31/.69/.955", share, got, 0.02)
     uniform = lines("uniform", 64)
@@ -438,7 +441,7 @@ def cross_sections() -> Rows:
     yield near(what, "SNR_0, from the real frame", 30.0, float(peaks[2]), 0.7, 2)
     yield near("from 50 to 100 m, dB", "R^-4", fall, float(peaks[3] - peaks[2]), 0.3, 2)
     film = film_loss_db(0.1, water_permittivity(76.5, 0.0), 76.5e9)
-    yield near("0.1 mm of water at 0 C, one way, dB", "transfer matrix (study)", 5.0, film, 0.3, 2)
+    yield near("0.1 mm of water at 0 C, one way, dB", "transfer matrix, apart", 5.0, film, 0.3, 2)
 
 
 def radar_change_db(condition: str, *metres: float) -> float:
@@ -463,21 +466,19 @@ def snow_albedo(model: LidarModel) -> float:
 def weather() -> Rows:
     hits = {}
     window = stage.fleet(np.random.default_rng(SEED))
-    for name, air in WEATHERS.items():
+    for name, air in AIRS.items():
         hits[name] = int((sweep_in(OS2_64, window, air, window_seed=np.random.SeedSequence(9)).actor >= 0).sum())
     groups = (("normal",), ("rain", "light_snow"), ("fog",), ("heavy_snow", "sleet"))
     falls = all(min(hits[n] for n in more) > max(hits[n] for n in less) for more, less in pairwise(groups))
     shown = ", ".join(f"{name} {hits[name]}" for group in groups for name in group)
-    yield Row(
-        "OS2 hits on 160 cars, 20 to 70 m", "order by extinction and ice (study)", "falls in groups", shown, falls
-    )
+    yield Row("OS2 hits on 160 cars, 20 to 70 m", "order by extinction and ice", "falls in groups", shown, falls)
     claim = "K-Radar's claim; here ITU and a thin film"
-    for condition in CONDITIONS:
+    for condition in WEATHERS:
         got = radar_change_db(condition, 20.0, 50.0, 70.0)
         yield below(f"radar SNR change in {condition}, to 70 m, dB", claim, 3.0, got)
     far = f"{radar_change_db('rain', 100.0):.2f}"
     yield Row("the same in rain at 100 m, dB", "to 70 m is our choice", "-", far, None)
-    grains = "Mie + asymptotic theory (study)"
+    grains = "Mie + asymptotic theory"
     yield between("snow on the ground, albedo at 1550 nm", grains, 0.10, 0.16, snow_albedo(LUMINAR_H2))
     yield between("snow on the ground, albedo at 865 nm", grains, 0.70, 0.95, snow_albedo(OS2_64))
     yield from detectors()

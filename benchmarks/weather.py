@@ -19,8 +19,8 @@ from farfield.files.atomic import write_text
 from farfield.simulation import find_preset
 from farfield.simulation.rigs.drive import drive_of
 from farfield.simulation.rigs.kradar import KRadarMoment
-from farfield.simulation.weather.conditions import CONDITIONS
 from farfield.simulation.world.scene import ROADS
+from farfield.vocabulary.conditions import WEATHERS
 
 
 def look(weather: str, number: int) -> tuple[dict[int, int], dict[int, float]]:
@@ -55,7 +55,7 @@ def main() -> int:
     hits: dict[str, int] = {}
     change: dict[str, float] = {}
     clear = [look("normal", number) for number in range(options.moments)]
-    for weather in CONDITIONS:
+    for weather in WEATHERS:
         seen = [look(weather, number) for number in range(options.moments)]
         hits[weather] = sum(sum(found.values()) for found, _ in seen)
         differences = [
@@ -70,7 +70,7 @@ def main() -> int:
     lines += ["weather      os2-64 hits on cars   of normal   radar signal over noise, median change"]
     lines += [
         f"{weather:<12} {hits[weather]:19,}  {hits[weather] / hits['normal']:9.2f}  {change[weather]:+8.2f} dB"
-        for weather in CONDITIONS
+        for weather in WEATHERS
     ]
     groups = [("normal",), ("rain", "light_snow"), ("fog",), ("heavy_snow", "sleet")]
     ordered = all(

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from farfield.frame import Frame
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.simulation import simulate_frame
-from farfield.simulation.weather.conditions import CONDITIONS
 from farfield.simulation.world.scene import ROADS
+from farfield.vocabulary.conditions import WEATHERS
 
 IMAGES = Path(__file__).parent / "images" / "weather"
 SENSORS = ("os2-64", "cam-front", "polar3d")
@@ -72,9 +72,9 @@ def draw_boxes(axes: Any, frame: Frame) -> None:
 
 def sheet(road: str, seed: int) -> Path:
     """All weathers of one road."""
-    figure = Figure(figsize=(13, 2.6 * len(CONDITIONS)), layout="constrained")
-    grid = figure.subplots(len(CONDITIONS), 3, gridspec_kw={"width_ratios": [1.2, 1, 1]})
-    for row, weather in enumerate(CONDITIONS):
+    figure = Figure(figsize=(13, 2.6 * len(WEATHERS)), layout="constrained")
+    grid = figure.subplots(len(WEATHERS), 3, gridspec_kw={"width_ratios": [1.2, 1, 1]})
+    for row, weather in enumerate(WEATHERS):
         time = "night" if (row + ROADS.index(road)) % 3 == 2 else "day"
         frame = moment(road, weather, time, seed)
         draw_row(grid[row], frame, "\n".join(wrap(f"{road}, {frame.metadata['weather'].describe()}", 84)))

@@ -10,17 +10,16 @@ from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError
 from farfield.frame import Boxes
 from farfield.frame.provenance import environment
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.metrics import Result, score
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
+from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
 
 Progress = Callable[[Iterable[int], str], Iterable[int]]
-_MARGIN_M = 0.05  # annotators leave a little room, and range noise takes some
-_PATTERNS = {"gaussian", "uniform"}
 Key = tuple[str, str]
 Predictions = dict[Key, Boxes]
 
@@ -73,7 +72,7 @@ def detect_all(
         began = time.perf_counter()
         found.predictions[frame.key] = reading(points)
         taken_ms.append(1e3 * (time.perf_counter() - began))
-        inside = count_points_in_boxes(points.points_m, frame.boxes, margin_m=_MARGIN_M)
+        inside = count_points_in_boxes(points.points_m, frame.boxes, margin_m=BOX_MARGIN_M)
         # of this cloud: patterns share their boxes
         found.annotations[frame.key] = frame.boxes.replace(point_count=inside)
         found.conditions[frame.key] = frame.conditions
@@ -159,7 +158,7 @@ def suitable_clouds(provenance: Mapping[str, Any], present: tuple[str, ...]) -> 
     (('radar',), ('gaussian', 'uniform'))
     """
     learnt = set(provenance.get("experiment", {}).get("data", {}).get("clouds", ()))
-    learnt |= _PATTERNS if learnt & _PATTERNS else set()
+    learnt |= set(PATTERNS) if learnt & set(PATTERNS) else set()
     return tuple(name for name in present if name in learnt) or present
 
 

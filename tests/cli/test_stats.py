@@ -47,7 +47,7 @@ def test_annotations_alone_make_a_page(tmp_path, capsys):
     assert content["sensors"] is None
     assert content["notes"] == [
         "annotations: v2.1 in 9 frames",
-        "conditions are told by: published table in 3 sequences",
+        "conditions come from: published table in 3 sequences",
     ]
     page = (out / "statistics.html").read_text()
     drawn = sorted(path.stem for path in (out / "figures").glob("*.png"))

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset
-from farfield.datasets.kitti.boxes import camera_from_lidar, lidar_from_camera
 from farfield.datasets.kitti.object import Kitti, boxes_from_objects, image_boxes, objects_from_boxes
 from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
 from farfield.errors import DatasetError
 from farfield.files.kitti import read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
+from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.geometry.poses import pose, rotation_from_quaternion
 
 CALIB = "\n".join(

@@ -11,7 +11,7 @@ from farfield.inspection.statistics import Statistics, gather, map_statistics, p
 from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
 from farfield.inspection.statistics.radar import exponential_ratio
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
-from farfield.reports.comparison import PUBLISHED
+from farfield.vocabulary.published import RAISED_SHARES
 
 
 def cloud_at(elevation_deg, range_m=50.0):
@@ -181,7 +181,7 @@ def test_a_real_radar_map_has_its_published_figures(shared_real):
     assert found["rolloff_db"] == pytest.approx(-5.0, abs=0.5)
     assert found["dip_db"] == pytest.approx(-2.0, abs=1.0)
     assert found["leakage_db"] > 35.0
-    for within, published in PUBLISHED["raised_share"].items():
+    for within, published in RAISED_SHARES.items():
         assert found["raised_share"][within] == pytest.approx(float(published), abs=0.0006)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError, FarfieldError, FileFormatError
-from farfield.metrics.kradar.conditions import CONDITIONS, condition_name, read_conditions
+from farfield.metrics.kradar.conditions import read_conditions
+from farfield.vocabulary.conditions import CONDITIONS, condition_name
 
 KEYS = [("1", "00033_00001"), ("1", "00034_00002"), ("58", "00040_00035")]
 TABLE = "sequence,road,time,weather\n1,urban,night,normal\n58,countryside,day,heavysnow\n\n"

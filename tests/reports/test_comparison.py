@@ -6,8 +6,9 @@ import re
 import numpy as np
 import pytest
 
+from farfield.inspection.side import Side
 from farfield.reports import comparison_plots as plots
-from farfield.reports.comparison import Side, pictures, render, table_lines, write_comparison
+from farfield.reports.comparison import pictures, render, table_lines, write_comparison
 
 EDGES_M = [0.0, 20.0, 40.0, 70.0]
 

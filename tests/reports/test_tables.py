@@ -4,7 +4,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.reports import words
 from farfield.reports.evaluation import Evaluation
 from farfield.reports.objects import annotated_objects, found_by, sure
-from farfield.reports.tables import markdown, range_name, rows, score_names
+from farfield.reports.tables import range_name, rows, score_names, score_title
 
 RESULT = {
     "label": "vehicle",
@@ -21,15 +21,15 @@ def _boxes(x_m: list[float], **extra: np.ndarray) -> Boxes:
     return Boxes(centre_m=centre, size_m=np.ones((n, 3)), yaw_rad=np.zeros(n), label="vehicle", **extra)
 
 
-def test_markdown_table_by_hand() -> None:
-    expected = (
-        "| range | data | annotated | DDS | wDDS 0.006 |\n"
-        "|---|---|---:|---:|---:|\n"
-        "| 0 to 70 m | mine | – | – | – |\n"
-        "| 70 to 150 m | mine | 4 | 0.250 | – |\n"
-        "| all ranges | mine | 1200 | 0.500 | 0.625 |\n"
-    )
-    assert markdown({"mine": RESULT}) == expected
+def test_table_by_hand() -> None:
+    names = score_names({"mine": RESULT})
+    assert [score_title(name) for name in names] == ["DDS", "wDDS 0.006"]
+    table = rows({"mine": RESULT}, names)
+    assert [(range_name(row.part), row.annotated, *(row.cells[name].text for name in names)) for row in table] == [
+        ("0 to 70 m", None, "–", "–"),
+        ("70 to 150 m", 4, "0.250", "–"),
+        ("all ranges", 1200, "0.500", "0.625"),
+    ]
 
 
 def test_rows_carry_intervals_and_order() -> None:

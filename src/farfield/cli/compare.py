@@ -1,10 +1,10 @@
 """``farfield compare``: the statistics of two data sets side by side, such as simulated and real."""
 
-import json
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
@@ -12,7 +12,8 @@ from farfield.cli._progress import bar
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
-    from farfield.reports.comparison import Line, Side
+    from farfield.inspection.side import Side
+    from farfield.reports.comparison import Line
 
 
 def run(
@@ -48,6 +49,7 @@ def run(
         out: Folder to write into; runs/compare-A-B unless given.
     """
     from farfield.errors import ConfigError
+    from farfield.inspection.side import side_of
     from farfield.reports.comparison import table_lines, write_comparison
 
     if frames < 0:
@@ -58,7 +60,7 @@ def run(
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
     sides = [
-        side_of(data, name, frames, vehicle_labels=labels, focus_deg=focus_deg)
+        side_of(data, name, frames, progress=partial(bar, what=name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
@@ -87,36 +89,6 @@ def _open(path: Path, mapping: Path | None) -> "Dataset":
     from farfield.datasets import open_dataset
 
     return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
-
-
-def side_of(data: "Dataset", name: str, frames: int, **settings: Any) -> "Side":
-    """Statistics of a data set's clouds, boxes and radar over so many frames, spread evenly; 0 takes all."""
-    from farfield.frame.provenance import is_simulated
-    from farfield.inspection.statistics import Statistics
-    from farfield.reports.comparison import Side
-
-    count = len(data) if frames == 0 else min(frames, len(data))
-    statistics = Statistics(shots=_shots(data.root), **settings)
-    for place in bar(range(count), name):
-        statistics.add(data[place * len(data) // count])
-    summary = statistics.summary()
-    if summary["simulated"] is None and is_simulated(data.root):
-        summary["simulated"] = True
-    return Side(name, summary, statistics.arrays(), str(data.root))
-
-
-def _shots(root: Path) -> dict[str, int]:
-    """Shots a frame by cloud, from the settings that ``farfield simulate`` leaves beside its frames; else nothing."""
-    for folder in (root, root.parent):
-        try:
-            preset = json.loads((folder / "simulation.json").read_text("utf-8"))["preset"]
-            shots = preset.get("lidar", preset)
-            lines, columns = int(shots["lines"]), int(shots["columns"])
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
-            continue
-        rows = {"gaussian": lines, "uniform": lines, "os2-64": 64, "os1-128": 128}
-        return {name: count * columns for name, count in rows.items()}
-    return {}
 
 
 def _print(lines: "Sequence[Line]", sides: "Sequence[Side]") -> None:

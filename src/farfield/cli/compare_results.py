@@ -252,7 +252,7 @@ def _columns(members: list[Entry], figures: tuple[str, ...], by: By) -> list[tup
 
 def _part_columns(trees: list[Tree], figure: str, by: str) -> list[Column]:
     from farfield.errors import ConfigError
-    from farfield.metrics.kradar.conditions import CONDITIONS
+    from farfield.vocabulary.conditions import CONDITIONS
 
     home = {"range": ("ranges",), "visibility": ("visibility",)}.get(by, ("conditions", by))
     present: list[str] = list(CONDITIONS.get(by, ()))

@@ -137,10 +137,10 @@ def _score_kradar(
     from farfield.errors import ConfigError
     from farfield.metrics import kradar_settings, score
     from farfield.metrics.centre.scene import labels_of
-    from farfield.metrics.kradar.settings import CLASS_NAMES
+    from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
 
     if label is not None:
-        chosen = {**chosen, "classes": (chosen.get("relabel", CLASS_NAMES).get(label, label),)}
+        chosen = {**chosen, "classes": (chosen.get("relabel", CIRRUS_FROM_ANY_KRADAR).get(label, label),)}
     settings = kradar_settings(protocol, **chosen)
     found = [name for name, _ in labels_of(inputs.annotations, settings.relabel)]
     if found and not set(found) & set(settings.classes):
@@ -160,7 +160,7 @@ def _conditions(inputs: "ScoreInputs", conditions: str | None) -> dict[tuple[str
     if conditions is None:
         return {}
     if conditions == "published":
-        from farfield.datasets.kradar.conditions import published_conditions
+        from farfield.vocabulary.kradar import published_conditions
 
         told = {key: published_conditions(key[0]) for key in inputs.annotations}
         return {key: values for key, values in told.items() if values}

@@ -2,13 +2,11 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import tyro
 
 from farfield.cli._progress import bar
-
-Condition = Literal["normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"]
+from farfield.vocabulary.conditions import Time, Weather
 
 
 def run(
@@ -19,8 +17,8 @@ def run(
     frames: int | None = None,
     sequences: int | None = None,
     sensors: str | None = None,
-    weather: Condition | None = None,
-    time: Literal["day", "night"] | None = None,
+    weather: Weather | None = None,
+    time: Time | None = None,
     seed: int | None = None,
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,

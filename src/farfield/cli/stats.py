@@ -1,10 +1,13 @@
 """``farfield stats``: the figures and tables of one data set."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
+
+from farfield.cli._progress import bar
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -64,21 +67,24 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "Dataset
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from farfield.cli.compare import side_of
+    from farfield.inspection.side import side_of
     from farfield.inspection.statistics.census import take_census
     from farfield.reports.statistics import DatasetFigures
 
     columns = (TextColumn("annotations"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("annotations", total=len(dataset))
-        census = take_census(dataset, progress=lambda done, _: bar.update(task, completed=done))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as counting:
+        task = counting.add_task("annotations", total=len(dataset))
+        census = take_census(dataset, progress=lambda done, _: counting.update(task, completed=done))
+    sensors = None
+    if sweeps and _has_sensors(dataset):
+        sensors = side_of(dataset, called, sweeps, progress=partial(bar, what=called))
     return DatasetFigures(
         name=called,
         format=dataset.name,
         path=str(path),
         census=census.summary(),
         arrays={"name": census.name, "range_m": census.range_m, "objects": census.objects},
-        sensors=side_of(dataset, called, sweeps) if sweeps and _has_sensors(dataset) else None,
+        sensors=sensors,
         notes=_notes(dataset),
     )
 
@@ -114,8 +120,8 @@ def _notes(dataset: "Dataset") -> tuple[str, ...]:
         except FarfieldError:
             said["a damaged file"] += 1
     shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())
-    told = ", ".join(f"{place} in {count} sequences" for place, count in said.most_common())
-    return f"annotations: {shown}", f"conditions are told by: {told}"
+    places = ", ".join(f"{place} in {count} sequences" for place, count in said.most_common())
+    return f"annotations: {shown}", f"conditions come from: {places}"
 
 
 def _print(found: "DatasetFigures") -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -62,11 +63,7 @@ def parse_header(data: bytes, *, path: Path | str) -> PcdHeader:
     entries, body = _entries(data, path=path)
     lines = {key: line for key, (line, _) in entries.items()}
     values = {key: value for key, (_, value) in entries.items()}
-
-    def fault(key: str, expected: str, *, mend: str = "") -> FileFormatError:
-        where, found = f"line {lines.get(key, lines['DATA'])}", " ".join(values.get(key, ["no such line"]))[:80]
-        return FileFormatError(path, where=where, expected=f"{key} to be {expected}", found=found, mend=mend)
-
+    fault = partial(_fault, path, lines, values)
     names = values.get("FIELDS", [])
     if not names or len({n for n in names if n != "_"}) != len([n for n in names if n != "_"]):
         raise fault("FIELDS", "names that differ from one another")
@@ -92,6 +89,13 @@ def parse_header(data: bytes, *, path: Path | str) -> PcdHeader:
         body=body,
         line=lines["DATA"] + 1,
     )
+
+
+def _fault(
+    path: Path | str, lines: Mapping[str, int], values: Mapping[str, list[str]], key: str, expected: str
+) -> FileFormatError:
+    where, found = f"line {lines.get(key, lines['DATA'])}", " ".join(values.get(key, ["no such line"]))[:80]
+    return FileFormatError(path, where=where, expected=f"{key} to be {expected}", found=found)
 
 
 def _entries(data: bytes, *, path: Path | str) -> tuple[dict[str, tuple[int, list[str]]], int]:

@@ -12,7 +12,7 @@ SIMULATION_FILE = "simulation.json"
 
 def is_simulated(root: Path) -> bool:
     """Whether ``farfield simulate`` wrote a data set: its settings file lies in the folder or above it."""
-    return any((folder / SIMULATION_FILE).is_file() for folder in (root, root.parent))
+    return any((folder / SIMULATION_FILE).is_file() for folder in (root, root.absolute().parent))
 
 
 def environment() -> dict[str, Any]:

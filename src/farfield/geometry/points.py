@@ -5,6 +5,9 @@ from jaxtyping import Bool, Float, Int
 
 from farfield.geometry.boxes import Boxes
 
+BOX_MARGIN_M = 0.05
+"""By how much boxes grow where points are counted: annotators leave little room, and range noise takes some."""
+
 
 def box_coordinates_m(points_m: Float[np.ndarray, "n 3"], boxes: Boxes, index: int) -> Float[np.ndarray, "n 3"]:
     """Express points in the frame of box ``index``: origin at its centre, x along its heading; shape (n, 3)."""

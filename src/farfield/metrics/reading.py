@@ -15,6 +15,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import BoxRows, read_boxes_csv
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.geometry.boxes import Boxes
+from farfield.geometry.kitti import upright_from_camera
 
 Key = tuple[str, str]
 Details = dict[Key, dict[str, np.ndarray]]
@@ -224,17 +225,11 @@ def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, 
 
 
 def kitti_boxes(objects: KittiObjects, *, score: np.ndarray | None = None) -> Boxes:
-    """Turn KITTI's camera axes into ours: x = z, y = -x, z = h/2 - y, yaw = -rotation_y - pi/2.
+    """Boxes of KITTI's objects in our axes, without calibration: :func:`~farfield.geometry.kitti.upright_from_camera`.
 
     Args:
         objects: n objects with 3D boxes.
         score: Scores, shape (n,), or None.
     """
-    x, y, z = objects.bottom_m.T
-    return Boxes(
-        centre_m=np.column_stack([z, -x, objects.size_m[:, 0] / 2 - y]),
-        size_m=objects.size_m[:, ::-1],
-        yaw_rad=-objects.rotation_y_rad - np.pi / 2,
-        label=objects.type,
-        score=score,
-    )
+    centre, size, yaw = upright_from_camera(objects.bottom_m, objects.size_m, objects.rotation_y_rad)
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=objects.type, score=score)

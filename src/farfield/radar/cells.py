@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float32, Int, Int16, Int32, UInt16
 from farfield.errors import ConfigError
 from farfield.radar.axes import POWER_UNIT
 from farfield.radar.products import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE
+from farfield.vocabulary.kradar import REGIONS_M
 
 RATES = (0.0001, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5)
 """Shares of a cube's cells whose quantiles are kept; 1.0 is every cell."""
@@ -70,11 +71,8 @@ class Region:
 
 
 REGIONS = MappingProxyType(
-    {
-        "narrow": Region((0, 72), (-6.4, 6.4), (-2, 6)),
-        "wide": Region((0, 72), (-16, 16), (-2, 7.6)),
-        "cube": Region((-0.2, 99.8), (-80.2, 79.8), (-30.2, 29.8)),
-    }
+    {name: Region(bounds[:2], bounds[2:4], bounds[4:]) for name, bounds in REGIONS_M.items()}
+    | {"cube": Region((-0.2, 99.8), (-80.2, 79.8), (-30.2, 29.8))}
 )
 """K-Radar's regions (kradar devkit: the driving corridor of benchmark v1.0, and that of v2.0), and all there is."""
 

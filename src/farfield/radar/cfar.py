@@ -7,7 +7,7 @@ Situations", IEEE T-AES 19(4), 1983. At the border a cell has fewer training cel
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -158,11 +158,7 @@ def ordered_statistic_factor(false_alarm: float, cells: int, place: int, looks: 
     from scipy.special import betaincinv, betaln, gammainc, gammaincc, gammaincinv, gammaln
 
     if looks == 1:
-        left = cells - np.arange(place)
-
-        def excess(log_factor: float) -> float:
-            return float(np.log(left / (left + np.exp(log_factor))).sum() - np.log(false_alarm))
-
+        excess = partial(_excess_of_one_look, cells - np.arange(place), false_alarm)
     else:
         # exponents of the level over the noise's mean; the order statistic's whole density lies between
         ends = np.log(gammaincinv(looks, betaincinv(place, cells - place + 1, [1e-30, 1.0 - 1e-15])) / looks)
@@ -172,12 +168,27 @@ def ordered_statistic_factor(false_alarm: float, cells: int, place: int, looks: 
             density = (place - 1) * np.log(gammainc(looks, scaled)) + (cells - place) * np.log(gammaincc(looks, scaled))
         density += looks * np.log(scaled) - scaled - gammaln(looks) - betaln(place, cells - place + 1)
         weight = np.exp(density) * (log_level[1] - log_level[0])
-
-        def excess(log_factor: float) -> float:
-            share = weight @ gammaincc(looks, scaled * np.exp(log_factor))
-            return float(np.log(max(share, 1e-300)) - np.log(false_alarm))
-
+        excess = partial(_excess_of_looks, weight, scaled, looks, false_alarm)
     return float(np.exp(brentq(excess, -10.0, 12.0, xtol=1e-12)))
+
+
+def _excess_of_one_look(left: Int[np.ndarray, " k"], false_alarm: float, log_factor: float) -> float:
+    """Logarithm of the probability at a factor, less that of the wanted one."""
+    return float(np.log(left / (left + np.exp(log_factor))).sum() - np.log(false_alarm))
+
+
+def _excess_of_looks(
+    weight: Float[np.ndarray, " m"],
+    scaled: Float[np.ndarray, " m"],
+    looks: float | int,
+    false_alarm: float,
+    log_factor: float,
+) -> float:
+    """The same for several looks; ``weight`` is the level's density, ``scaled`` the level in looks."""
+    from scipy.special import gammaincc
+
+    share = weight @ gammaincc(looks, scaled * np.exp(log_factor))
+    return float(np.log(max(share, 1e-300)) - np.log(false_alarm))
 
 
 def _box_sum(values: Float[np.ndarray, "r a e"], sides: Sides) -> Float64[np.ndarray, "r a e"]:

@@ -2,40 +2,19 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from farfield.files.atomic import write_text
+from farfield.inspection.side import Side
+from farfield.reports import comparison_plots as plots
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
-
-PUBLISHED = {
-    "gaussian": {"2": "0.31", "5": "0.68", "10": "0.955"},
-    "radar": {
-        "floor_db": "109.1",
-        "floor_std_db": "0.30",
-        "leakage_db": "42 to 50",
-        "ring_db": "6 to 8",
-        "dip_db": "-2",
-        "rolloff_db": "-5",
-        "wrap_db": "2 to 6",
-        "cell_median_to_mean": "0.693",
-    },
-    "raised_share": {
-        "6-12": "0.006",
-        "12-20": "0.091",
-        "20-30": "0.002",
-        "30-45": "0.000",
-        "45-75": "0.006",
-        "75-107": "0.004",
-    },
-    "row_quantiles_db": {"5": "0.5", "25": "0.8", "50": "1.2", "75": "2.0", "95": "4.2"},
-}
-"""Figures measured on real data elsewhere: three Luminar sweeps, one plotted K-Radar frame; ln 2 for single looks."""
+from farfield.vocabulary.conditions import CONDITIONS
+from farfield.vocabulary.patterns import PATTERNS
+from farfield.vocabulary.published import RADAR_LEVELS, RAISED_SHARES, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
 _RADAR_WORDS = {
     "floor_db": "noise floor (dB)",
@@ -50,33 +29,6 @@ _RADAR_WORDS = {
     "cell_median_to_mean": "single cells, median over mean",
 }
 NOTHING = "–"
-
-
-@dataclass(frozen=True)
-class Side:
-    """One of the two data sets.
-
-    Args:
-        name: What figures and table call it.
-        summary: Its figures: ``farfield.inspection.statistics.Statistics.summary()``.
-        arrays: Its arrays: ``Statistics.arrays()``.
-        path: Where it was read from.
-    """
-
-    name: str
-    summary: Mapping[str, Any]
-    arrays: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
-    path: str = ""
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the data calls itself simulated."""
-        return bool(self.summary.get("simulated"))
-
-    @property
-    def title(self) -> str:
-        """The name, and "simulated" where that is known."""
-        return f"{self.name} (simulated)" if self.simulated else self.name
 
 
 @dataclass(frozen=True)
@@ -114,16 +66,16 @@ def table_lines(sides: Sequence[Side]) -> list[Line]:
     for axis in ("length_m", "width_m", "height_m"):
         what = f"mean {axis.removesuffix('_m')} of vehicle (m)"
         lines += _line(sides, "boxes", what, "boxes", "classes", "vehicle", axis, "mean")
-    for kind in ("weather", "road", "time"):
+    for kind in CONDITIONS:
         for name in _names(sides, "conditions", kind):
             lines += _line(sides, kind, f"share of frames, {name}", "conditions", kind, name, digits=3)
     for key, words in _RADAR_WORDS.items():
-        published = PUBLISHED["radar"].get(key, "")
+        published = RADAR_LEVELS.get(key, "")
         lines += _line(sides, "radar", words, "radar", key, published=published)
-    for quantile, published in PUBLISHED["row_quantiles_db"].items():
+    for quantile, published in ROW_QUANTILES_DB.items():
         words = f"strongest object's row, {quantile} % quantile (dB)"
         lines += _line(sides, "radar", words, "radar", "row_quantiles_db", quantile, published=published)
-    for within, published in PUBLISHED["raised_share"].items():
+    for within, published in RAISED_SHARES.items():
         words = f"share of cells 2 dB above the floor, {within} m"
         lines += _line(sides, "radar", words, "radar", "raised_share", within, digits=3, published=published)
     for weather in _names(sides, "radar_survival", "weather"):
@@ -150,8 +102,8 @@ def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
         "share_of_focus": f"within {{}}° of {focus:g}°, all returns",
     }
     for key, words in kinds.items():
-        for limit in ("2", "5", "10"):
-            published = PUBLISHED.get(cloud, {}).get(limit, "") if key == "far_share_of_horizon" else ""
+        for limit, share in SHARES_NEAR_HORIZON.items():
+            published = share if cloud == PATTERNS[0] and key == "far_share_of_horizon" else ""
             lines += _line(sides, topic, words.format(limit), *base, key, limit, digits=3, published=published)
     points = (*base, "points_in_vehicles")
     lines += _line(sides, topic, "points in vehicles: slope in log-log", *points, "slope")
@@ -192,8 +144,6 @@ def _said(simulated: bool | None) -> str:
 
 def pictures(sides: Sequence[Side]) -> list[Picture]:
     """Every figure that at least one side has the data for."""
-    from farfield.reports import comparison_plots as plots
-
     found = []
     for draw, heading, caption in (
         (

@@ -6,31 +6,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from farfield.inspection.side import Side
 from farfield.reports.style import INK, MUTED, house_style, new_figure
+from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
+from farfield.vocabulary.patterns import PATTERNS
+from farfield.vocabulary.published import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from farfield.reports.comparison import Side
-
 SIDES = ("#0b6e99", "#d9480f")
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 _MAPS = ("Blues", "Oranges")
-_WEATHER = {
-    "normal": "#5d6b7a",
-    "overcast": "#495057",
-    "fog": "#e67700",
-    "rain": "#0b6e99",
-    "sleet": "#c2255c",
-    "light_snow": "#2b8a3e",
-    "heavy_snow": "#7048e8",
-}
-_SHARES = {"2": 0.31, "5": 0.68, "10": 0.955}
-_QUANTILES = {"5": 0.5, "25": 0.8, "50": 1.2, "75": 2.0, "95": 4.2}
+_SHARES = {limit: float(share) for limit, share in SHARES_NEAR_HORIZON.items()}
+_QUANTILES = {quantile: float(level) for quantile, level in ROW_QUANTILES_DB.items()}
 
 
-def _series(sides: "Sequence[Side]") -> "Iterator[tuple[Side, str, Mapping[str, Any], str, Any]]":
+def _series(sides: Sequence[Side]) -> Iterator[tuple[Side, str, Mapping[str, Any], str, Any]]:
     """Every cloud of every side: side, cloud, its figures, colour (by side) and dashes (by cloud)."""
     names = list(dict.fromkeys(name for side in sides for name in side.summary["clouds"]))
     for side, colour in zip(sides, SIDES, strict=False):
@@ -43,7 +36,7 @@ def _legend(figure: "Figure", axes: "Axes", *, columns: int = 2) -> None:
     figure.legend(handles, names, loc="outside lower center", ncols=columns, handlelength=2.6)
 
 
-def elevation(sides: "Sequence[Side]") -> "Figure | None":
+def elevation(sides: Sequence[Side]) -> "Figure | None":
     """Density of returns over elevation, and the shares near the horizon."""
     series = list(_series(sides))
     if not series:
@@ -61,7 +54,7 @@ def elevation(sides: "Sequence[Side]") -> "Figure | None":
             at = np.arange(3) + (place - (len(series) - 1) / 2) * width
             bars = right.bar(at, shares, width * 0.92, color=colour, alpha=1.0 if dash == "-" else 0.45)
             right.bar_label(bars, [f"{share:.2f}" for share in shares], fontsize=7.5, color=INK, padding=1)
-        if any(name == "gaussian" for _, name, *_ in series):
+        if any(name == PATTERNS[0] for _, name, *_ in series):
             right.plot(np.arange(3), list(_SHARES.values()), ls="none", marker="x", ms=9, mew=2, color=INK)
         right.set_xticks(np.arange(3), [f"within {limit}°" for limit in _SHARES])
         right.set(ylim=(0, 1.1), ylabel="share of returns beyond 8 m")
@@ -73,7 +66,7 @@ def elevation(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def points_in_vehicles(sides: "Sequence[Side]") -> "Figure | None":
+def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
     """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them."""
     drawn = [
         (series, series[0].arrays[f"points/{series[1]}"])
@@ -150,7 +143,7 @@ def _draw_medians(axes: "Axes", fit: Mapping[str, Any], colour: str, dash: Any, 
     axes.plot(ends, fit["level"] * (ends / 50.0) ** fit["slope"], color=colour, lw=1.6, ls=dash, zorder=3, label=label)
 
 
-def ranges(sides: "Sequence[Side]") -> "Figure | None":
+def ranges(sides: Sequence[Side]) -> "Figure | None":
     """Share of returns by range."""
     series = list(_series(sides))
     if not series:
@@ -176,7 +169,7 @@ def ranges(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def objects(sides: "Sequence[Side]") -> "Figure | None":
+def objects(sides: Sequence[Side]) -> "Figure | None":
     """Distances of vehicles and shares of classes."""
     having = [(side, colour) for side, colour in zip(sides, SIDES, strict=False) if side.summary["boxes"]["count"]]
     if not having:
@@ -226,7 +219,7 @@ def _bars(
     axes.set_xlim(0, 112)
 
 
-def sizes(sides: "Sequence[Side]") -> "Figure | None":
+def sizes(sides: Sequence[Side]) -> "Figure | None":
     """Mean and spread of length, width and height by class."""
     tables = [
         {name: each for name, each in side.summary["boxes"]["classes"].items() if each["count"] >= 3} for side in sides
@@ -254,7 +247,7 @@ def sizes(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def survival(sides: "Sequence[Side]") -> "Figure | None":
+def survival(sides: Sequence[Side]) -> "Figure | None":
     """Ratio of points in vehicle boxes to normal weather by distance, a panel a cloud with two weathers or more."""
     drawn = [
         (side, name, cloud["survival"])
@@ -275,7 +268,15 @@ def survival(sides: "Sequence[Side]") -> "Figure | None":
             for weather, row in table["weather"].items():
                 ratio = np.array([np.nan if each is None else each for each in row["ratio"]], dtype=np.float64)
                 word = weather.replace("_", " ")
-                axes.plot(places, ratio, marker="o", ms=4, lw=1.7, color=_weather_colour(weather), label=word)
+                axes.plot(
+                    places,
+                    ratio,
+                    marker="o",
+                    ms=4,
+                    lw=1.7,
+                    color=WEATHER_COLOURS.get(condition_name(weather), INK),
+                    label=word,
+                )
             axes.set_xticks(places, [f"{a:g}-{b:g}" for a, b in pairwise(table["edges_m"])])
             axes.set(xlabel="distance (m)", ylabel="points over normal")
             axes.set_title(f"{side.title}, {name}")
@@ -286,14 +287,9 @@ def survival(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def _weather_colour(weather: str) -> str:
-    squeezed = {name.replace("_", ""): colour for name, colour in _WEATHER.items()}
-    return squeezed.get(weather.replace("_", "").replace(" ", ""), INK)  # K-Radar's files say "heavysnow"
-
-
-def conditions(sides: "Sequence[Side]") -> "Figure | None":
+def conditions(sides: Sequence[Side]) -> "Figure | None":
     """Shares of frames by weather, road and time of day."""
-    kinds = [kind for kind in ("weather", "road", "time") if any(side.summary["conditions"][kind] for side in sides)]
+    kinds = [kind for kind in CONDITIONS if any(side.summary["conditions"][kind] for side in sides)]
     if not kinds:
         return None
     with house_style():
@@ -311,7 +307,7 @@ def conditions(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def radar_maps(sides: "Sequence[Side]") -> "Figure | None":
+def radar_maps(sides: Sequence[Side]) -> "Figure | None":
     """The first range-azimuth map of each side."""
     drawn = [(side, side.arrays["radar"]) for side in sides if side.arrays.get("radar")]
     if not drawn:
@@ -332,7 +328,7 @@ def radar_maps(sides: "Sequence[Side]") -> "Figure | None":
     return figure
 
 
-def radar_levels(sides: "Sequence[Side]") -> "Figure | None":
+def radar_levels(sides: Sequence[Side]) -> "Figure | None":
     """Range profile above the floor, and quantiles of the strongest object's row."""
     drawn = [(s, c, s.arrays["radar"]) for s, c in zip(sides, SIDES, strict=False) if s.arrays.get("radar")]
     if not drawn:

@@ -5,8 +5,8 @@ from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
-from farfield.metrics.kradar.conditions import CONDITIONS
 from farfield.metrics.result import table
+from farfield.vocabulary.conditions import CONDITIONS
 
 Results = Mapping[str, Mapping[str, Any]]
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.files.atomic import write_bytes, write_text
+from farfield.inspection.side import Side
 from farfield.reports import statistics_plots as plots
-from farfield.reports.comparison import Line, Side, table_lines
+from farfield.reports.comparison import Line, table_lines
 from farfield.reports.comparison import pictures as sensor_pictures
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_bytes, figure_uri

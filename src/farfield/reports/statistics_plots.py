@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.reports.style import INK, MUTED, PAPER, PATTERNS, house_style, new_figure
+from farfield.vocabulary.conditions import TIME_COLOURS, WEATHER_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,18 +15,7 @@ if TYPE_CHECKING:
 Summary = Mapping[str, Any]
 Table = Mapping[str, Mapping[str, int]]
 
-WEATHER = {
-    "normal": "#8a97a5",
-    "overcast": "#495057",
-    "fog": "#e67700",
-    "rain": "#0b6e99",
-    "sleet": "#c2255c",
-    "light_snow": "#2b8a3e",
-    "heavy_snow": "#7048e8",
-    "unknown": "#d8dee5",
-}
 _SIGHT = ("#0b6e99", "#e67700", "#adb5bd", "#dee2e6")  # seen well, seen in part, hardly, not known
-_TIMES = {"day": "#f2b84b", "night": "#2f4b6e"}
 _MOST_CLASSES = 10
 
 
@@ -44,7 +34,8 @@ def frames_by_condition(summary: Summary) -> "Figure | None":
         panels = figure.subplots(1, len(kinds), squeeze=False)[0]
         for axes, (kind, counts) in zip(panels, kinds.items(), strict=True):
             names = list(counts)[::-1]
-            colours = [WEATHER.get(n, MUTED) if kind == "weather" else _TIMES.get(n, PATTERNS[0]) for n in names]
+            known, other = (WEATHER_COLOURS, MUTED) if kind == "weather" else (TIME_COLOURS, PATTERNS[0])
+            colours = [known.get(name, other) for name in names]
             bars = axes.barh([spoken(name) for name in names], [counts[name] for name in names], color=colours)
             shares = [counts[name] / max(summary["frames"], 1) for name in names]
             texts = [f"{counts[name]:,}  ({share:.0%})" for name, share in zip(names, shares, strict=True)]
@@ -65,19 +56,19 @@ def sequences(summary: Summary) -> "Figure | None":
         figure = new_figure(11.0, 3.3)
         axes = figure.subplots()
         at, frames = np.arange(len(rows)), np.array([row["frames"] for row in rows])
-        colours = [WEATHER.get(row["weather"], MUTED) for row in rows]
+        colours = [WEATHER_COLOURS.get(row["weather"], MUTED) for row in rows]
         axes.bar(at, frames, 0.82, color=colours)
         night = np.array([row["time"] == "night" for row in rows])
         foot = 0.03 * frames.max()
-        axes.bar(at[night], np.full(night.sum(), -foot), 0.82, color=_TIMES["night"])
+        axes.bar(at[night], np.full(night.sum(), -foot), 0.82, color=TIME_COLOURS["night"])
         step = max(1, len(rows) // 30)
         axes.set_xticks(at[::step], [row["sequence"] for row in rows][::step], fontsize=7)
         axes.set(xlim=(-0.7, len(rows) - 0.3), ylim=(-1.3 * foot, None), xlabel="sequence", ylabel="frames")
         axes.grid(visible=True, axis="y")
-        names = [name for name in WEATHER if name in {row["weather"] for row in rows}]
-        handles = [axes.bar(0, 0, color=WEATHER[name], label=spoken(name)) for name in names]
+        names = [name for name in WEATHER_COLOURS if name in {row["weather"] for row in rows}]
+        handles = [axes.bar(0, 0, color=WEATHER_COLOURS[name], label=spoken(name)) for name in names]
         if night.any():
-            handles.append(axes.bar(0, 0, color=_TIMES["night"], label="recorded at night"))
+            handles.append(axes.bar(0, 0, color=TIME_COLOURS["night"], label="recorded at night"))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), handlelength=1.0)
     return figure
 
@@ -158,7 +149,9 @@ def visibility_by_weather(summary: Summary) -> "Figure | None":
         left.set_title("How boxes are seen, by weather")
         frames = summary["frames_by"]["weather"]
         means = [sum(table[name].values()) / max(frames[name], 1) for name in names]
-        bars = right.barh([spoken(name) for name in names], means, color=[WEATHER.get(name, MUTED) for name in names])
+        bars = right.barh(
+            [spoken(name) for name in names], means, color=[WEATHER_COLOURS.get(name, MUTED) for name in names]
+        )
         right.bar_label(bars, [f"{mean:.2f}" for mean in means], padding=3, fontsize=8, color=INK)
         right.set(xlim=(0, 1.2 * max(means)), xlabel="boxes in a frame, empty frames included")
         right.set_title("Boxes in a frame, by weather")

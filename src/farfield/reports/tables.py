@@ -1,4 +1,4 @@
-"""Tables of scores as rows of plain values, for the page and as Markdown."""
+"""Tables of scores as rows of plain values, for the page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -97,20 +97,3 @@ def _row(name: str, result: Mapping[str, Any], part: str, names: Sequence[str]) 
     number = counts(result, part=part)
     cells = {each: Cell(figure(result, each, part=part), interval(result, each, part=part)) for each in names}
     return Row(name, part, number.get("annotated"), number.get("predictions"), cells)
-
-
-def markdown(results: Results, names: Sequence[str] | None = None) -> str:
-    """The table by range and result as Markdown, for README files and notes.
-
-    Args:
-        results: Result JSON by name.
-        names: Figures to take; None takes DDS and wDDS.
-    """
-    names = score_names(results) if names is None else names
-    head = ["range", "data", "annotated", *(score_title(name) for name in names)]
-    lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
-    for row in rows(results, names):
-        annotated = NOTHING if row.annotated is None else str(row.annotated)
-        cells = [range_name(row.part), row.result, annotated, *(row.cells[name].text for name in names)]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"

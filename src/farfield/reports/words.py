@@ -5,6 +5,7 @@ from typing import Any
 
 from farfield.reports.results import ap_names, counts, figure, part_names
 from farfield.reports.tables import Results, range_name, score_names, score_title
+from farfield.vocabulary.patterns import PATTERN_NOTES
 
 GLOSSARY = (
     (
@@ -42,11 +43,6 @@ GLOSSARY = (
         "How far the score might move had other drives been recorded: the middle 95 % of scores over resampled drives.",
     ),
 )
-
-_PATTERNS = {
-    "gaussian": "The Gaussian pattern packs its laser lines around the horizon, where far objects are.",
-    "uniform": "The uniform pattern spreads its lines evenly over the field of view.",
-}
 
 
 def headline(results: Results) -> str:
@@ -107,7 +103,7 @@ def origin(provenance: Mapping[str, Any]) -> tuple[str, str]:
 
 def pattern_note(name: str) -> str:
     """One sentence on a scan pattern, or nothing."""
-    return _PATTERNS.get(name.lower(), "")
+    return PATTERN_NOTES.get(name.lower(), "")
 
 
 def _short(name: str) -> str:
@@ -117,7 +113,7 @@ def _short(name: str) -> str:
 
 def pattern_title(name: str) -> str:
     """A result's or cloud's name as people read it: ``"gaussian"`` becomes ``"Gaussian pattern"``."""
-    return f"{name.capitalize()} pattern" if name.lower() in _PATTERNS else name
+    return f"{name.capitalize()} pattern" if name.lower() in PATTERN_NOTES else name
 
 
 def _joined(parts: list[str]) -> str:

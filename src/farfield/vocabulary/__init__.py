@@ -1,1 +1,1 @@
-"""Pure facts that every room may use: classes, conditions, sequences, regions, published figures."""
+"""Names and published facts that rooms share which do not import each other, one module a subject."""

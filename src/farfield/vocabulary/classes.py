@@ -54,15 +54,21 @@ KITTI_FROM_CIRRUS = {
     "unknown": "Misc",
 }
 
-CIRRUS_FROM_KRADAR = {
-    "Sedan": "vehicle",
-    "Bus or Truck": "large_vehicle",
-    "Motorcycle": "motorcycle",
-    "Bicycle": "bicycle",
-    "Bicycle Group": "bicycle",
-    "Pedestrian": "pedestrian",
-    "Pedestrian Group": "pedestrian",
-}
+_KRADAR = (  # long, short, ours
+    ("Sedan", "sed", "vehicle"),
+    ("Bus or Truck", "bus", "large_vehicle"),
+    ("Motorcycle", "mot", "motorcycle"),
+    ("Bicycle", "bic", "bicycle"),
+    ("Bicycle Group", "big", "bicycle"),
+    ("Pedestrian", "ped", "pedestrian"),
+    ("Pedestrian Group", "peg", "pedestrian"),
+)
+
+CIRRUS_FROM_KRADAR = {long: ours for long, _, ours in _KRADAR}
+"""Class names of the label files."""
+
+CIRRUS_FROM_ANY_KRADAR = {name: ours for long, short, ours in _KRADAR for name in (long, short)}
+"""The same and the development kit's short names, each beside its long one."""
 
 KRADAR_FROM_CIRRUS = {  # K-Radar annotates neither animals nor what is unknown
     "vehicle": "Sedan",

@@ -12,8 +12,9 @@ import pytest
 from drive import boxes
 
 from farfield.datasets.kradar.labels import KRadarLabels, format_labels, parse_labels
-from farfield.datasets.kradar.layout import INDEX_NAMES, frame_difference
+from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FileFormatError
+from farfield.vocabulary.kradar import frame_difference
 
 HEADER = (
     "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)=00033_00001_00002_00001_00004, timestamp=1643292946.710046076"

@@ -10,13 +10,13 @@ import pytest
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.conditions import PUBLISHED
 from farfield.datasets.kradar.index import Entry
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
 from farfield.datasets.kradar.sequence_files import quarters, whole_sequences
 from farfield.datasets.kradar.splits import WHOLE_SEQUENCES, read_split_list, split_of_sequences
 from farfield.errors import DatasetError, FileFormatError
-from farfield.simulation.presets.kradar_table import KRADAR_SEQUENCES
+from farfield.simulation.presets import PRESETS
+from farfield.vocabulary.kradar import SEQUENCES
 
 HEADER = (
     "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)=00033_00001_00002_00001_00004, timestamp=1643292946.710046076"
@@ -34,11 +34,11 @@ def table_of(tmp_path: Path, *texts: str, version: str = "v2.1") -> LabelTable:
 
 
 def test_the_published_table_is_the_simulator_s_and_sums_to_the_whole() -> None:
-    ours = [(one.frames, one.road, one.weather, one.time) for one in PUBLISHED.values()]
-    assert ours == list(KRADAR_SEQUENCES)
-    assert list(PUBLISHED) == [str(number) for number in range(1, 59)]
+    driven = [(one.name, one.frames, one.road, one.condition, one.time) for one in PRESETS["kradar-sim"].segments]
+    assert driven == [(name, one.frames, one.road, one.weather, one.time) for name, one in SEQUENCES.items()]
+    assert list(SEQUENCES) == [str(number) for number in range(1, 59)]
     frames: Counter[str] = Counter()
-    for one in PUBLISHED.values():
+    for one in SEQUENCES.values():
         frames[one.weather] += one.frames
     assert frames == {  # the supplement's Table 5, summed
         "normal": 12_781,
@@ -52,11 +52,11 @@ def test_the_published_table_is_the_simulator_s_and_sums_to_the_whole() -> None:
 
 
 def test_the_split_of_whole_sequences_is_what_it_says() -> None:
-    frames = {name: one.frames for name, one in PUBLISHED.items()}
-    weather = {name: one.weather for name, one in PUBLISHED.items()}
+    frames = {name: one.frames for name, one in SEQUENCES.items()}
+    weather = {name: one.weather for name, one in SEQUENCES.items()}
     parts = {part: [str(number) for number in numbers] for part, numbers in WHOLE_SEQUENCES.items()}
     assert parts == whole_sequences(frames, weather)
-    assert sorted(name for names in parts.values() for name in names) == sorted(PUBLISHED)
+    assert sorted(name for names in parts.values() for name in names) == sorted(SEQUENCES)
     seen = {part: {weather[name] for name in names} for part, names in parts.items()}
     assert seen["train"] == seen["test"] == set(weather.values())
     assert seen["val"] == set(weather.values()) - {"overcast"}
@@ -175,9 +175,9 @@ def test_the_real_annotations_have_their_published_totals(shared_real: Path, tmp
     assert [table.yaw_deg.min().round(), table.yaw_deg.max().round()] == [-330, 457]
     assert (table.defects["slip"], table.defects["merged_header"]) == (3, 0)
     assert table.defects["yaw_turned"] == pytest.approx(0.028 * 115_229, rel=0.01)
-    assert Counter(table.sequence.tolist()) == {name: one.frames for name, one in PUBLISHED.items()}
+    assert Counter(table.sequence.tolist()) == {name: one.frames for name, one in SEQUENCES.items()}
     official = {name: read_split_list(shared_real / "kradar" / "split" / f"{name}.txt") for name in ("train", "test")}
-    stems = {name: table.stem[table.sequence == name].tolist() for name in PUBLISHED}
+    stems = {name: table.stem[table.sequence == name].tolist() for name in SEQUENCES}
     assert {name: set(keys) for name, keys in quarters(stems).items()} == official
     split = {name: len(dataset.split(name)) for name in ("train", "val", "test")}
     assert sum(split.values()) == 34_994
@@ -230,7 +230,7 @@ def test_the_version_of_a_bare_folder_is_seen_in_its_lines(tmp_path: Path, line:
 def test_a_simulated_sequence_is_not_taken_for_the_published_one(tmp_path: Path) -> None:
     (tmp_path / "7").mkdir()
     (tmp_path / "7" / "00034_00001.txt").write_text(HEADER)
-    assert KRadar(tmp_path)[0].conditions == PUBLISHED["7"].conditions
+    assert KRadar(tmp_path)[0].conditions == SEQUENCES["7"].conditions
     (tmp_path / "simulation.json").write_text("{}")
     frame = KRadar(tmp_path)[0]
     assert (frame.conditions, "conditions_from" in frame.metadata) == ({}, False)

@@ -17,8 +17,9 @@ from farfield.simulation.camera.render import radiance, render
 from farfield.simulation.camera.rig import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_BASELINE_M, ZED_2I, Mount, rig_cameras
 from farfield.simulation.camera.sky import make_sky, visible_extinction
 from farfield.simulation.stage import on_asphalt, painted
-from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
+from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.world.scene import Window
+from farfield.vocabulary.conditions import WEATHERS
 
 HEIGHT_M = 1.45
 SMALL = Mount(
@@ -210,7 +211,7 @@ def test_lamps_shine_white_in_front_and_red_behind_at_night_when_moving() -> Non
     assert strongest[0] > 10 * strongest[2]
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
+@pytest.mark.parametrize("condition", WEATHERS)
 def test_every_weather_gives_the_same_bytes_for_the_same_seed(condition: str) -> None:
     camera = SMALL.camera(np.eye(4))
     car = Actor(0, "suv", (4.6, 1.85, 1.7), np.random.SeedSequence(4)).build()

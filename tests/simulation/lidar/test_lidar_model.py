@@ -7,7 +7,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.simulation.bodies.materials import Material, reflectance_at
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_64_BEAMS, OS2_128_BEAMS, PATTERNS, line_elevations_deg
+from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_64_BEAMS, OS2_128_BEAMS, line_elevations_deg
 from farfield.simulation.lidar.model import (
     LUMINAR_H2,
     OS1_128,
@@ -21,6 +21,7 @@ from farfield.simulation.lidar.returns import measure, reflectivity
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
 from farfield.simulation.stage import HERE, body, frozen, plate, quiet
+from farfield.vocabulary.patterns import PATTERNS
 
 QUIET = dataclasses.replace(LUMINAR_H2, texture=0.0, dropout=0.0)
 TRIMS = np.full(2, int(Material.TRIM))

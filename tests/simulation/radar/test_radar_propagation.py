@@ -16,7 +16,6 @@ from farfield.simulation.radar.propagation import (
     rain_reflectivity_m2_m3,
     two_way_loss_db,
     water_permittivity,
-    wet_snow_permittivity,
 )
 from farfield.simulation.radar.rcs import (
     corner_reflector_m2,
@@ -26,7 +25,8 @@ from farfield.simulation.radar.rcs import (
     surface_rcs_m2_m2,
     vehicle_pattern_dbsm,
 )
-from farfield.simulation.weather.conditions import CONDITIONS, Weather, draw_weather
+from farfield.simulation.weather.conditions import Weather, draw_weather
+from farfield.vocabulary.conditions import WEATHERS
 
 MODEL = RadarModel()
 RAIN = Weather("rain", rain_mm_h=10.0)
@@ -69,7 +69,8 @@ def test_ice_passes_and_wet_snow_does_less():
     ice = complex(3.17, -0.005)
     assert film_loss_db(1.0, ice, 76.5e9) == pytest.approx(0.2, abs=0.1)
     assert film_loss_db(3.0, ice, 76.5e9) == pytest.approx(0.9, abs=0.1)
-    slush = wet_snow_permittivity(76.5, 0.1)
+    dry, water = 1.6 ** (1 / 3), water_permittivity(76.5, 0.0) ** (1 / 3)
+    slush = complex((0.9 * dry + 0.1 * water) ** 3)  # Looyenga's mixture
     assert film_loss_db(1.0, slush, 76.5e9) == pytest.approx(1.9, abs=0.2)
     assert film_loss_db(3.0, slush, 76.5e9) == pytest.approx(5.4, abs=0.3)
 
@@ -83,7 +84,7 @@ def test_a_quarter_wave_film_without_loss_reflects_as_fresnel_says():
     )
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
+@pytest.mark.parametrize("condition", WEATHERS)
 def test_no_weather_costs_the_radar_3_db(condition, rng):
     range_m = np.array([20.0, 50.0, 70.0])
     clear = two_way_loss_db(range_m, Weather(), MODEL)

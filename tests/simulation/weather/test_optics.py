@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.simulation.weather.beam import Beam
-from farfield.simulation.weather.conditions import CONDITIONS, draw_weather
+from farfield.simulation.weather.conditions import draw_weather
 from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import (
     extinction_per_m,
@@ -16,6 +16,7 @@ from farfield.simulation.weather.optics import (
     snow_extinction_per_m,
 )
 from farfield.simulation.weather.precipitation import Particles, rain_drops, snow_flakes, strongest_particle
+from farfield.vocabulary.conditions import WEATHERS
 
 OS2 = Beam(865.0, 72.0, float(np.radians(0.1)))
 REFERENCE = Beam(865.0, 72.0, float(np.radians(0.1)), overlap_m=(1.0, 3.0), overlap_power=1.0)
@@ -67,7 +68,7 @@ def test_conditions_lie_within_their_table() -> None:
         "light_snow": (0.2e-3, 1.7e-3),
         "heavy_snow": (1.3e-3, 6.5e-3),
     }
-    for condition in CONDITIONS:
+    for condition in WEATHERS:
         for seed in range(10):
             alpha = extinction_per_m(draw_weather(condition, "day", np.random.default_rng(seed)), 865.0)
             assert bounds[condition][0] <= alpha <= bounds[condition][1], condition

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.simulation.world.motion import STEP_S
-from farfield.simulation.world.traffic import Drivers, Signal, drive, equilibrium_gap_m
+from farfield.simulation.world.traffic import Drivers, Signal, drive
 
 ALONE = np.full((2, 1), -1)
 
@@ -35,7 +35,6 @@ def test_follower_settles_at_the_equilibrium_gap(pace: float) -> None:
     path = drive(_drivers([100.0, 0.0], [pace, 30.0], [0, 0]), ALONE, steps=6000).progress_m
     gap = path[0, -1] - path[1, -1] - 4.5
     assert gap == pytest.approx((2 + pace * 1.8) / np.sqrt(1 - (pace / 30) ** 4), rel=1e-3)
-    assert gap == pytest.approx(equilibrium_gap_m(pace, 30.0, 1.8, 2.0), rel=1e-3)
     assert (path[1, -1] - path[1, -2]) / STEP_S == pytest.approx(pace, rel=1e-4)
 
 

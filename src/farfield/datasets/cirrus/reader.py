@@ -16,8 +16,7 @@ from farfield.datasets.cloud_files import intensity_scale_of, read_rows
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Camera, Cloud, Frame, Lazy
-
-PATTERNS = ("gaussian", "uniform")
+from farfield.vocabulary.patterns import PATTERNS
 
 
 class Cirrus(Dataset):

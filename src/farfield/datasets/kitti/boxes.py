@@ -1,8 +1,4 @@
-"""KITTI's camera-frame objects to lidar boxes and back (Geiger et al., CVPR 2012, object devkit readme).
-
-KITTI gives the centre of a box's bottom face in rectified camera coordinates (x right, y down, z ahead), sizes as
-height, width, length, and ``rotation_y`` about the camera's y axis, 0 along x.
-"""
+"""KITTI's calibration files as cameras and poses (Geiger et al., CVPR 2012, object devkit readme)."""
 
 from collections.abc import Mapping
 
@@ -11,8 +7,6 @@ from jaxtyping import Float
 
 from farfield.errors import DatasetError
 from farfield.frame import Camera
-from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
-from farfield.geometry.poses import transform_points
 
 
 def camera_from_calib(calib: Mapping[str, np.ndarray]) -> Float[np.ndarray, "4 4"]:
@@ -57,47 +51,3 @@ def camera_of(calib: Mapping[str, np.ndarray], *, width_px: int = 0, height_px: 
         width_px=width_px,
         height_px=height_px,
     )
-
-
-def lidar_from_camera(
-    bottom_m: Float[np.ndarray, "n 3"],
-    size_hwl_m: Float[np.ndarray, "n 3"],
-    rotation_y_rad: Float[np.ndarray, " n"],
-    camera_T_lidar: Float[np.ndarray, "4 4"] = CAMERA_T_LIDAR_AXES,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Convert boxes from the camera's to the lidar's convention.
-
-    Args:
-        bottom_m: Centres of the bottom faces, camera coordinates, shape (n, 3).
-        size_hwl_m: Height, width, length, shape (n, 3).
-        rotation_y_rad: Angle about the camera's y axis, shape (n,).
-        camera_T_lidar: Maps lidar to camera coordinates.
-
-    Returns:
-        Centres in lidar coordinates, sizes as length, width, height, and yaws.
-    """
-    lidar_T_camera = np.linalg.inv(camera_T_lidar)
-    centre_in_camera = bottom_m - np.array([0.0, 0.5, 0.0]) * size_hwl_m[:, :1]
-    zero = np.zeros_like(rotation_y_rad)
-    heading = np.stack([np.cos(rotation_y_rad), zero, -np.sin(rotation_y_rad)], 1) @ lidar_T_camera[:3, :3].T
-    yaw = np.arctan2(heading[:, 1], heading[:, 0])
-    return transform_points(lidar_T_camera, centre_in_camera), size_hwl_m[:, ::-1].copy(), yaw
-
-
-def camera_from_lidar(
-    centre_m: Float[np.ndarray, "n 3"],
-    size_lwh_m: Float[np.ndarray, "n 3"],
-    yaw_rad: Float[np.ndarray, " n"],
-    camera_T_lidar: Float[np.ndarray, "4 4"] = CAMERA_T_LIDAR_AXES,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Convert boxes from the lidar's to the camera's convention: the inverse of :func:`lidar_from_camera`.
-
-    The camera may be tilted by a few degrees: the heading is projected to its x-z plane, exact to second order.
-
-    Returns:
-        Centres of the bottom faces in camera coordinates, sizes as height, width, length, and ``rotation_y``.
-    """
-    centre_in_camera = transform_points(camera_T_lidar, centre_m)
-    bottom = centre_in_camera + np.array([0.0, 0.5, 0.0]) * size_lwh_m[:, 2:]
-    heading = np.stack([np.cos(yaw_rad), np.sin(yaw_rad), np.zeros_like(yaw_rad)], 1) @ camera_T_lidar[:3, :3].T
-    return bottom, size_lwh_m[:, ::-1].copy(), np.arctan2(-heading[:, 2], heading[:, 0])

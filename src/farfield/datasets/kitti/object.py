@@ -15,11 +15,12 @@ from PIL import Image
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
-from farfield.datasets.kitti.boxes import camera_from_calib, camera_from_lidar, camera_of, lidar_from_camera
+from farfield.datasets.kitti.boxes import camera_from_calib, camera_of
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
 from farfield.frame import Boxes, Camera, Frame, Lazy
+from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
 
 _IMAGE_SUFFIXES = (".png", ".jpg")

@@ -10,7 +10,6 @@ from farfield.datasets.kradar.layout import (
     LABEL_TREES,
     LIDARS,
     RADAR_PRODUCTS,
-    frame_difference,
     is_sequence,
     is_stem,
     label_stem,
@@ -18,6 +17,7 @@ from farfield.datasets.kradar.layout import (
 )
 from farfield.datasets.kradar.texts import read_radar_calibration
 from farfield.files.atomic import read_bytes
+from farfield.vocabulary.kradar import frame_difference
 
 
 @dataclass(frozen=True, kw_only=True)

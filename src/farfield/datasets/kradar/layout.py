@@ -10,19 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.radar.axes import KRADAR_ORIGIN_M
+from farfield.vocabulary.kradar import OUSTER_LINES
 
-LIDARS = {"os2-64": 64, "os1-128": 128}  # lines of each
+LIDARS = OUSTER_LINES
 COLUMNS = 2048
 CAMERAS = ("cam-front", "cam-right", "cam-rear", "cam-left")
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 1280, 720  # of one eye
 RIGHT_EYE = "-right"  # image "cam-front" is the left eye, "cam-front-right" the right one
 INDEX_NAMES = ("radar", "os2-64", "cam-front", "os1-128", "cam-lrr")
-
-# Index of the radar's frame minus that of the LiDAR's, sequences 1 to 58, as every label file has it.
-FRAME_DIFFERENCES = (
-    *(32, 30, 30, 41, 31, 34, 33, 31, 23, 26, 33, 36, 39, 33, 37, 38, 35, 35, 37, 33, 4, 2, 2, 3, -1, 5, 4, 3, 0, 5),
-    *(6, 5, 5, 3, 5, 5, 5, 8, 7, 4, 7, 9, 5, 9, 21, 5, 5, 5, 6, 7, 6, 2, 4, 6, 5, 6, 5, 5),
-)
 
 LABEL_TREES = {
     "v2.1": ("kradar_revised_label_v2_1/KRadar_revised_visibility/{seq}", "KRadar_revised_visibility/{seq}"),
@@ -57,12 +52,6 @@ SEQUENCE_SPLIT = Path("splits") / "kradar_v1.json"
 
 _STEM = re.compile(r"\d{5,}_\d{5,}")
 _SEQUENCE = re.compile(r"[1-9]\d{0,2}")
-
-_SPELLINGS = {
-    "road": {"suburban": "countryside", "parking_lot": "parkinglots"},
-    "weather": {"light_snow": "lightsnow", "heavy_snow": "heavysnow"},
-}
-CONDITIONS = ("road", "time", "weather")  # the order in description.txt
 
 
 def product_path(product: str, sequence: str, index: int) -> Path:
@@ -113,31 +102,6 @@ def is_stem(name: str) -> bool:
 def is_sequence(name: str) -> bool:
     """Whether a name is a sequence's: its number without zeros before it."""
     return _SEQUENCE.fullmatch(name) is not None
-
-
-def frame_difference(sequence: str) -> int:
-    """Radar index minus LiDAR index of a published sequence; 0 for any other."""
-    number = int(sequence)
-    return FRAME_DIFFERENCES[number - 1] if number <= len(FRAME_DIFFERENCES) else 0
-
-
-def spelled(kind: str, name: str) -> str:
-    """Our name of a road, time or weather in the spelling of description.txt.
-
-    >>> spelled("road", "suburban"), spelled("weather", "light_snow"), spelled("weather", "fog")
-    ('countryside', 'lightsnow', 'fog')
-    """
-    return _SPELLINGS.get(kind, {}).get(name, name)
-
-
-def our_name(kind: str, spelling: str) -> str:
-    """The inverse of :func:`spelled`.
-
-    >>> our_name("road", "parkinglots")
-    'parking_lot'
-    """
-    names = {there: here for here, there in _SPELLINGS.get(kind, {}).items()}
-    return names.get(spelling, spelling)
 
 
 def os2_T_radar(x_m: float = KRADAR_ORIGIN_M[0], y_m: float = KRADAR_ORIGIN_M[1]) -> Float[np.ndarray, "4 4"]:

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.kradar.conditions import published_conditions
 from farfield.datasets.kradar.index import Files
 from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RIGHT_EYE
 from farfield.datasets.kradar.motion import TimedTable, motion_files, read_gps, read_imu, read_local, read_poses
-from farfield.datasets.kradar.texts import read_camera, read_description, read_times
+from farfield.datasets.kradar.texts import read_camera, read_times
 from farfield.datasets.kradar.video import find_video
+from farfield.files.description import read_description
 from farfield.frame import Camera, Lazy
+from farfield.frame.provenance import is_simulated
+from farfield.vocabulary.kradar import published_conditions
 
 RELEASES = ("v2", "v1")
 """Releases of the camera calibrations: ``calib_seq_v2`` (April 2025), which changes 21 sequences (11 in every camera,
@@ -103,9 +105,8 @@ def read_conditions(files: Files, sequence: str) -> tuple[dict[str, str], str]:
         path = files.find(Path(sequence, name))
         if path is not None:
             return read_description(path), "description.txt"
-    marks = [root / sequence / "frame_record" for root in files.roots]
-    marks += [folder / "simulation.json" for root in files.roots for folder in (root, root.absolute().parent)]
-    known = {} if any(mark.exists() for mark in marks) else published_conditions(sequence)
+    made = any(is_simulated(root) or (root / sequence / "frame_record").exists() for root in files.roots)
+    known = {} if made else published_conditions(sequence)
     return known, "published table" if known else ""
 
 

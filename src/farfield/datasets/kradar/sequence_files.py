@@ -11,7 +11,6 @@ from pathlib import Path
 from farfield.datasets.base import deal_out
 from farfield.datasets.kradar.layout import (
     CAMERAS,
-    CONDITIONS,
     EYES,
     LIDARS,
     RESOURCES,
@@ -25,12 +24,12 @@ from farfield.datasets.kradar.layout import (
 from farfield.datasets.kradar.record import FrameRecord, read_record
 from farfield.datasets.kradar.texts import (
     format_camera,
-    format_description,
     format_odometry,
     format_radar_calibration,
     format_times,
 )
 from farfield.files.atomic import write_text
+from farfield.vocabulary.kradar import DESCRIPTION_ORDER, format_description
 
 PARTS = ("train", "val", "test")
 
@@ -58,7 +57,7 @@ def sequence_files(sequence: str, records: Sequence[FrameRecord]) -> dict[Path, 
             first.indices["radar"] - first.indices["os2-64"]
         )
     }
-    if set(CONDITIONS) <= set(first.conditions):
+    if set(DESCRIPTION_ORDER) <= set(first.conditions):
         texts[Path(sequence, "description.txt")] = format_description(first.conditions)
     for sensor in (*LIDARS, *CAMERAS):
         times = _times(sequence, sensor, records)

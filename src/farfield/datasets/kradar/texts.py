@@ -1,4 +1,4 @@
-"""Small text files of K-Radar: description, radar calibration, camera calibration, times, odometry."""
+"""Small text files of K-Radar: radar calibration, camera calibration, times, odometry."""
 
 import math
 import re
@@ -9,13 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from farfield.datasets.kradar.layout import (
-    CONDITIONS,
-    IMAGE_HEIGHT_PX,
-    IMAGE_WIDTH_PX,
-    our_name,
-    spelled,
-)
+from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
@@ -44,24 +38,6 @@ def numbers_of(cells: Sequence[str]) -> list[float] | None:
     except ValueError:
         return None
     return values if all(abs(value) < _LARGEST for value in values) else None
-
-
-def format_description(conditions: Mapping[str, str]) -> str:
-    """``road,time,weather`` in K-Radar's spelling."""
-    return ",".join(spelled(kind, conditions[kind]) for kind in CONDITIONS) + "\n"
-
-
-def read_description(path: Path) -> dict[str, str]:
-    """Read description.txt with our names of roads and weathers.
-
-    Raises:
-        FileFormatError: If it is no line of three words.
-    """
-    lines = read_lines(path)
-    words = [word.strip() for word in lines[0].split(",")] if lines else []
-    if len(words) != len(CONDITIONS) or not all(words):
-        raise FileFormatError(path, where="line 1", expected="road,time,weather", found=repr(lines[:1])[:100])
-    return {kind: our_name(kind, word) for kind, word in zip(CONDITIONS, words, strict=True)}
 
 
 def format_radar_calibration(difference: int) -> str:

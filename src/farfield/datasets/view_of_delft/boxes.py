@@ -13,7 +13,8 @@ from jaxtyping import Float
 from farfield.files.kitti import KittiObjects
 from farfield.files.view_of_delft import DelftObjects
 from farfield.frame import Boxes
-from farfield.geometry.poses import rotation_from_quaternion, transform_points
+from farfield.geometry.kitti import upright_from_camera
+from farfield.geometry.poses import rotation_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_class
 
 _RADAR_R_LABEL = np.diag([1.0, -1.0, -1.0])  # x forward, y right, z down to x forward, y left, z up
@@ -25,8 +26,7 @@ def boxes_from_labels(
 ) -> Boxes:
     """Convert View-of-Delft's objects to boxes in a sensor's frame: exact for the radar.
 
-    The centre of the bottom face is moved into the sensor's frame; the box stands upright there, and ``rotation_y``
-    turns clockwise about its vertical from the right-hand side.
+    The box stands upright in the sensor's frame, see :func:`~farfield.geometry.kitti.upright_from_camera`.
 
     Args:
         objects: Rows of a label file; the sixteenth column, always 1, is no score.
@@ -34,13 +34,8 @@ def boxes_from_labels(
         classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
     """
     kept = objects[objects.has_box]
-    bottom_m = transform_points(np.linalg.inv(camera_T_sensor), kept.bottom_m)
-    return Boxes(
-        centre_m=bottom_m + np.array([0.0, 0.0, 0.5]) * kept.size_m[:, :1],
-        size_m=kept.size_m[:, ::-1].copy(),
-        yaw_rad=-(kept.rotation_y_rad + np.pi / 2),
-        label=_class_names(kept.type.tolist(), classes),
-    )
+    centre, size, yaw = upright_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_sensor)
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=_class_names(kept.type.tolist(), classes))
 
 
 def boxes_from_objects(objects: DelftObjects, *, classes: str = "cirrus") -> Boxes:

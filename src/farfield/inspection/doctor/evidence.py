@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from farfield.frame import Boxes
+from farfield.geometry.points import BOX_MARGIN_M
 from farfield.geometry.poses import pose_from_yaw
 from farfield.inspection.doctor.ground import above_ground
 
-_MARGIN_M = 0.05
 _MIN_POINTS = 4
 _MIN_VOTES = 4
 _MAJORITY = 0.75
@@ -112,7 +112,7 @@ def count_points(
     if len(boxes) == 0 or len(points_m) == 0:
         return np.zeros((len(boxes), len(sets)), dtype=np.int64)
     points = points_m[above_ground(points_m)]
-    radius = float(np.linalg.norm(boxes.size_m, axis=1).max()) / 2 + 2 * _MARGIN_M
+    radius = float(np.linalg.norm(boxes.size_m, axis=1).max()) / 2 + 2 * BOX_MARGIN_M
     centres = np.unique(np.concatenate([some.centre_m for some in sets]).round(3), axis=0)
     nearest, _ = cKDTree(centres).query(points, distance_upper_bound=radius)
     points = points[np.isfinite(nearest)]
@@ -123,7 +123,7 @@ def count_points(
 
 def _count(points_m: Float[np.ndarray, "n 3"], boxes: Boxes) -> Int[np.ndarray, " m"]:
     """Points inside each of many boxes, all pairs of a box and a point near it at once."""
-    reach = np.hypot(*(boxes.size_m[:, :2].T / 2 + _MARGIN_M))
+    reach = np.hypot(*(boxes.size_m[:, :2].T / 2 + BOX_MARGIN_M))
     near = cKDTree(points_m[:, :2]).query_ball_point(boxes.centre_m[:, :2], reach, return_sorted=False)
     owner = np.repeat(np.arange(len(boxes)), [len(indices) for indices in near])
     if len(owner) == 0:
@@ -131,7 +131,7 @@ def _count(points_m: Float[np.ndarray, "n 3"], boxes: Boxes) -> Int[np.ndarray, 
     offset = points_m[np.concatenate(near).astype(np.intp)] - boxes.centre_m[owner]
     cos, sin = np.cos(boxes.yaw_rad)[owner], np.sin(boxes.yaw_rad)[owner]
     x, y = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
-    half = boxes.size_m[owner] / 2 + _MARGIN_M
+    half = boxes.size_m[owner] / 2 + BOX_MARGIN_M
     inside = (np.abs(x) <= half[:, 0]) & (np.abs(y) <= half[:, 1]) & (np.abs(offset[:, 2]) <= half[:, 2])
     return np.bincount(owner[inside], minlength=len(boxes))
 

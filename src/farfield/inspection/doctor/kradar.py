@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.conditions import PUBLISHED
 from farfield.datasets.kradar.index import find_labels, numbered_files, spellings
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable
 from farfield.datasets.kradar.layout import (
@@ -21,6 +20,7 @@ from farfield.datasets.kradar.sequence import SequenceFacts
 from farfield.errors import FarfieldError
 from farfield.inspection.doctor.findings import Finding, Severity, counted
 from farfield.inspection.doctor.survey import Survey
+from farfield.vocabulary.kradar import SEQUENCES
 
 _LOOK_AT = {  # defects that are left as they are; the others are read as they were meant
     "odd_size": "Look at them in the pictures; leave them out of training.",
@@ -147,7 +147,7 @@ def _defects(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
 def _published(dataset: KRadar, table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
     """Compare numbers of frames with the published ones, and the frames' names with the calibration."""
     frames = Counter(table.sequence.tolist())
-    short = [name for name, count in frames.items() if name in PUBLISHED and count != PUBLISHED[name].frames]
+    short = [name for name, count in frames.items() if name in SEQUENCES and count != SEQUENCES[name].frames]
     known["as_published"] = len(frames) - len(short)
     what = f"{len(frames) - len(short)} of {counted(len(frames), 'sequence')} have as many frames as published"
     yield Finding(severity="ok", topic="completeness", what=what + (f"; not {_listed(short)}" if short else ""))

@@ -16,10 +16,9 @@ from farfield.geometry.poses import invert, transform_points
 from farfield.inspection.statistics.clouds import FOCUS_DEG, CloudTally
 from farfield.inspection.statistics.objects import ObjectRows
 from farfield.inspection.statistics.radar import RadarTally, box_excess, map_statistics, power_map_db
+from farfield.vocabulary.conditions import CONDITIONS
 
 __all__ = ["CloudTally", "ObjectRows", "RadarTally", "Statistics", "gather", "map_statistics", "power_map_db"]
-
-CONDITIONS = ("weather", "road", "time")
 
 
 @dataclass(kw_only=True)

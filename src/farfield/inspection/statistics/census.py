@@ -18,12 +18,11 @@ from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.label_table import LabelTable
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
+from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN
 
 Progress = Callable[[int, int], None]
 
 RANGE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0, 200.0, np.inf)
-CONDITIONS = ("weather", "road", "time")
-UNKNOWN = "unknown"
 _KRADAR_SIGHT = {"R": "seen by the radar", "L": "by the LiDAR only", "L1": "not matched", "": UNKNOWN}
 _KITTI_SIGHT = ("fully visible", "partly hidden", "largely hidden", UNKNOWN)
 _POINTS = ("no point", "1 to 9 points", "10 points or more", UNKNOWN)

@@ -7,31 +7,13 @@ from pathlib import Path
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
+from farfield.files.description import read_description
 from farfield.metrics.centre.scene import Key
+from farfield.vocabulary.conditions import CONDITIONS, condition_name
+from farfield.vocabulary.kradar import DESCRIPTION_ORDER
 
-CONDITIONS: dict[str, tuple[str, ...]] = {
-    "weather": ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"),
-    "road": ("urban", "highway", "suburban", "alleyway", "parking_lot", "shoulder", "mountain", "university"),
-    "time": ("day", "night"),
-}
-"""The values by kind, in the order of K-Radar's tables: with the whole set 18 subsets."""
-
-_ALIASES = {"countryside": "suburban", "parkinglots": "parking_lot", "parkinglot": "parking_lot"} | {
-    "lightsnow": "light_snow",
-    "heavysnow": "heavy_snow",
-}
 _MAX_BYTES = 1 << 24
-_COLUMNS = ("sequence", "road", "time", "weather")
-
-
-def condition_name(text: str) -> str:
-    """Our name of a road, time or weather in any spelling.
-
-    >>> condition_name("lightsnow"), condition_name("Parking Lot"), condition_name("countryside")
-    ('light_snow', 'parking_lot', 'suburban')
-    """
-    plain = "_".join(text.strip().lower().replace("-", " ").replace("_", " ").split())
-    return _ALIASES.get(plain, plain)
+_COLUMNS = ("sequence", *DESCRIPTION_ORDER)
 
 
 def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str, str]]:
@@ -52,7 +34,9 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
     path, keys = Path(path), list(keys)
     sequences = sorted({sequence for sequence, _ in keys})
     if path.is_dir():
-        found = {name: _description(path / name / "description.txt") for name in sequences if _is_folder(path, name)}
+        found = {
+            name: read_description(path / name / "description.txt") for name in sequences if _is_folder(path, name)
+        }
     elif path.is_file():
         found = _table(path)
     else:
@@ -67,13 +51,6 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
 
 def _is_folder(path: Path, name: str) -> bool:
     return Path(name).name == name and (path / name / "description.txt").is_file()
-
-
-def _description(path: Path) -> dict[str, str]:
-    words = [word.strip() for word in _text(path).strip().split(",")]
-    if len(words) != 3 or not all(words):
-        raise FileFormatError(path, where="line 1", expected="road,time,weather", found=repr(",".join(words))[:100])
-    return {kind: condition_name(word) for kind, word in zip(("road", "time", "weather"), words, strict=True)}
 
 
 def _table(path: Path) -> dict[str, dict[str, str]]:

@@ -16,11 +16,12 @@ from jaxtyping import Bool, Float
 from farfield.metrics.bootstrap import Statistics, intervals
 from farfield.metrics.centre.scene import BoxesByFrame, Key
 from farfield.metrics.counts import ThresholdCounts, recall_mean, shifted
-from farfield.metrics.kradar.conditions import CONDITIONS, condition_name, group_conditions
+from farfield.metrics.kradar.conditions import group_conditions
 from farfield.metrics.kradar.counting import MEASURES, Matched, count, match
 from farfield.metrics.kradar.frames import KRadarFrames, Visibility, gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.result import Result, nest, table
+from farfield.vocabulary.conditions import CONDITIONS, condition_name
 
 __all__ = ["KRadarResult", "KRadarSettings", "evaluate_kradar"]
 

@@ -16,31 +16,8 @@ from farfield.metrics.bootstrap import Bootstrap
 from farfield.metrics.centre.settings import check_range_bins, json_options, option_text
 from farfield.metrics.counts import RECALL_POINTS
 from farfield.radar.axes import KRADAR_ORIGIN_M
-
-Bounds = tuple[float, float, float, float, float, float]
-REGIONS: dict[str, Bounds] = {
-    "narrow": (0.0, 72.0, -6.4, 6.4, -2.0, 6.0),
-    "wide": (0.0, 72.0, -16.0, 16.0, -2.0, 7.6),
-}
-"""x, y and z from and to in metres, in the radar's frame, both ends included."""
-
-CLASS_NAMES = {
-    "Sedan": "vehicle",
-    "sed": "vehicle",
-    "Bus or Truck": "large_vehicle",
-    "bus": "large_vehicle",
-    "Motorcycle": "motorcycle",
-    "mot": "motorcycle",
-    "Bicycle": "bicycle",
-    "bic": "bicycle",
-    "Bicycle Group": "bicycle",
-    "big": "bicycle",
-    "Pedestrian": "pedestrian",
-    "ped": "pedestrian",
-    "Pedestrian Group": "pedestrian",
-    "peg": "pedestrian",
-}
-"""K-Radar's class names, long and short, to those of Farfield."""
+from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
+from farfield.vocabulary.kradar import REGIONS_M, Bounds
 
 _CHOICES: dict[str, tuple[object, ...]] = {
     "boxes_in": ("radar", "os2-64"),
@@ -100,7 +77,7 @@ class KRadarSettings:
     """
 
     classes: tuple[str, ...] = ("vehicle", "large_vehicle")
-    relabel: Mapping[str, str] = field(default_factory=lambda: dict(CLASS_NAMES))
+    relabel: Mapping[str, str] = field(default_factory=lambda: dict(CIRRUS_FROM_ANY_KRADAR))
     ious: tuple[float, ...] = (0.3, 0.5, 0.7)
     region: str | tuple[float, ...] = "wide"
     azimuth_deg: float | int | None = 53.0
@@ -172,12 +149,12 @@ class KRadarSettings:
 
 
 def _bounds(region: str | tuple[float, ...]) -> Bounds:
-    return REGIONS[region] if isinstance(region, str) else region  # type: ignore[return-value]
+    return REGIONS_M[region] if isinstance(region, str) else region  # type: ignore[return-value]
 
 
 def _checked_region(region: str | tuple[float, ...]) -> str | tuple[float, ...]:
     if isinstance(region, str):
-        if region in REGIONS or region == "none":
+        if region in REGIONS_M or region == "none":
             return region
         try:
             region = tuple(float(word) for word in region.split(","))

@@ -1,6 +1,7 @@
 """What the air does to a frame: a dirty window, spray, and echoes of drops, flakes and fog that beat the surface's."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -128,11 +129,7 @@ def compete(
     beam, extinction = beam_of(model), extinction_per_m(weather, model.wavelength_nm)
     through = np.ones(len(range_m), dtype=np.float32) if gain is None else gain
 
-    def offer(shots: np.ndarray, at_m: np.ndarray, power: np.ndarray, what: int) -> None:
-        wins = (power > strength[shots]) & (at_m < open_m[shots])
-        chosen = shots[wins]
-        range_m[chosen], strength[chosen], kind[chosen] = at_m[wins], power[wins], what
-
+    offer = partial(_offer, range_m, strength, kind, open_m)
     for particles in falling(weather, model.wavelength_nm):
         law = strongest_particle(particles, beam, extinction)
         power, where = law.strength(rng.random(len(range_m))), rng.random(len(range_m))
@@ -150,6 +147,22 @@ def compete(
     if sprayed is not None:
         offer(np.flatnonzero(sprayed.strength > _WORTH), *_heard(sprayed, through), SPRAY)
     return range_m, strength, kind
+
+
+def _offer(
+    range_m: np.ndarray,
+    strength: np.ndarray,
+    kind: np.ndarray,
+    open_m: np.ndarray,
+    shots: np.ndarray,
+    at_m: np.ndarray,
+    power: np.ndarray,
+    what: int,
+) -> None:
+    """Put echoes of the air in place of the shots' own (the first three arrays) where they are stronger."""
+    wins = (power > strength[shots]) & (at_m < open_m[shots])
+    chosen = shots[wins]
+    range_m[chosen], strength[chosen], kind[chosen] = at_m[wins], power[wins], what
 
 
 def _heard(sprayed: Sprayed, through: Float32[np.ndarray, " shots"]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import ConfigError
-
-PATTERNS = ("gaussian", "uniform")
+from farfield.vocabulary.patterns import PATTERNS
 
 
 @dataclass(frozen=True)

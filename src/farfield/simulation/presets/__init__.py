@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.simulation.presets.kradar_table import KRADAR_SEQUENCES
-from farfield.simulation.weather.conditions import CONDITIONS, TIMES
+from farfield.vocabulary.conditions import TIMES, WEATHERS
+from farfield.vocabulary.kradar import OUSTER_LINES, SEQUENCES
+from farfield.vocabulary.patterns import PATTERNS
 
-CIRRUS_SENSORS = ("gaussian", "uniform", "camera")
+CIRRUS_SENSORS = (*PATTERNS, "camera")
 KRADAR_SENSORS = (
-    "os2-64",
-    "os1-128",
+    *OUSTER_LINES,
     "cam-front",
     "cam-left",
     "cam-right",
@@ -32,7 +32,7 @@ class Segment:
     Args:
         name: Its name; K-Radar numbers its sequences.
         road: One of the simulator's roads.
-        condition: The weather, one of ``CONDITIONS``.
+        condition: The weather, one of ``WEATHERS``.
         time: "day" or "night".
         frames: How many frames are written unless asked otherwise.
         duration_s: How long its traffic lasts.
@@ -124,8 +124,8 @@ def _cirrus(roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s:
 
 def _kradar() -> tuple[Segment, ...]:
     return tuple(
-        Segment(str(i + 1), road, weather, time, frames, duration_s=frames * 0.1 + 1.0)
-        for i, (frames, road, weather, time) in enumerate(KRADAR_SEQUENCES)
+        Segment(name, one.road, one.weather, one.time, one.frames, duration_s=one.frames * 0.1 + 1.0)
+        for name, one in SEQUENCES.items()
     )
 
 
@@ -152,7 +152,7 @@ _VARIED = Mounting(
 )
 _IDEAL = Mounting(uniform_offset_ms=(0.0, 0.0))
 _KRADAR_RIG = Mounting(height_m=(1.55, 1.65))
-_KRADAR_DEFAULT = ("os2-64", "os1-128", "cam-front", "sparse", "cube")
+_KRADAR_DEFAULT = (*OUSTER_LINES, "cam-front", "sparse", "cube")
 
 PRESETS: dict[str, Preset] = {
     preset.name: preset
@@ -165,7 +165,7 @@ PRESETS: dict[str, Preset] = {
             "cirrus-sim-varied",
             "cirrus",
             _cirrus(_MANY, 40),
-            ("gaussian", "uniform"),
+            PATTERNS,
             sizes=("us", "us", "kitti", "korea"),
             mountings=(_IDEAL, _VARIED),
         ),
@@ -173,7 +173,7 @@ PRESETS: dict[str, Preset] = {
             "cirrus-sim-mini",
             "cirrus",
             _cirrus(_BOTH, 2, frames=3, duration_s=10.0),
-            ("gaussian", "uniform"),
+            PATTERNS,
             lines=32,
             columns=235,
         ),
@@ -181,7 +181,7 @@ PRESETS: dict[str, Preset] = {
             "cirrus-sim-val-v2",
             "cirrus",
             _cirrus(_BOTH, 20, duration_s=20.5),
-            ("gaussian", "uniform"),
+            PATTERNS,
             stride_s=1.0,
             seed=731_002,
         ),
@@ -236,7 +236,7 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}; got {name!r}")
     preset = PRESETS[name]
-    for what, value, known in (("weather", weather, CONDITIONS), ("time of day", time, TIMES)):
+    for what, value, known in (("weather", weather, WEATHERS), ("time of day", time, TIMES)):
         if value is not None and value not in known:
             raise ConfigError(f"{what}: expected one of {', '.join(known)}; got {value!r}")
     wanted = {"condition": weather, "time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}

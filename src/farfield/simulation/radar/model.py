@@ -1,7 +1,7 @@
 """A 4D imaging radar like K-Radar's RETINA-4ST: its array, its power budget and its imperfections, all as fields.
 
-"Report" in a source means the project's study of one published range-azimuth map of K-Radar (``plot_tes_ra.png``) and
-of the data set's MATLAB tools; "default" marks a customary figure that no source here measures.
+"Real map" in a source means the one published range-azimuth map of K-Radar (``plot_tes_ra.png`` in its repository),
+digitised, and what the data set's MATLAB tools say; "default" marks a customary figure that no source here measures.
 """
 
 from dataclasses import dataclass, field
@@ -27,37 +27,37 @@ class RadarModel:
         axes: Bins of the tensor (K-Radar's own files).
         carrier_hz: Middle of the sweep (RETINA-4ST data sheet: 76-77 GHz band).
         azimuth_elements: Virtual elements along azimuth. Sparse, so that side lobes are 10 to 13 dB down over all
-            angles as in the real map (report).
+            angles as in the real map.
         azimuth_slots: Half-wavelength slots that they are thinned from; sets the beam of 1.07 degrees.
-        elevation_elements: Virtual elements along elevation; few, for the real floor's deviation of 0.30 dB shows about
-            three independent elevation looks (report).
+        elevation_elements: Virtual elements along elevation; few, for the floor's deviation of 0.30 dB in the real map
+            shows about three independent elevation looks.
         elevation_slots: Half-wavelength slots of those; a beam of 9 degrees.
         array_seed: Draws slots and phase errors; the array is the same in every frame. Of seeds 0 to 9 the one whose
             azimuth side lobes come nearest to the real map's quantiles.
-        phase_error_rad: Standard deviation of each element's uncorrected phase (report).
+        phase_error_rad: Standard deviation of each element's uncorrected phase (real map).
         snr0_db: Signal over noise in the best cell for ``rcs0_m2`` at ``range0_m`` on boresight, from the strongest
-            object of the real map (report).
+            object of the real map.
         rcs0_m2: Radar cross section of the reference target.
         range0_m: Its range.
         azimuth_6db_deg: Angle where one pass through the antenna has lost 6 dB (default).
         elevation_6db_deg: The same for elevation (default).
         antenna_floor_db: Least antenna gain, one pass (default).
-        noise_floor: Mean noise power in a cell, file units: 109.1 dB (report).
+        noise_floor: Mean noise power in a cell, file units: 109.1 dB (real map).
         high_pass_m: Range whose echoes the receiver's high-pass filter halves, 0 for no filter. With 100 m echoes fall
-            by about 20 dB a decade instead of 40. The one real map asks for some filter; of corners from 60 to 200 m
+            by about 20 dB a decade instead of 40. The real map needs some filter; of corners from 60 to 200 m
             it prefers none clearly (benchmarks/radar_near_range.py).
         response_range_m: Ranges at which the receiver's response is given.
-        response_db: Response there: -2 dB at 6-11 m, roll-off of -5 dB at 110-114 m (report).
+        response_db: Response there: -2 dB at 6-11 m, roll-off of -5 dB at 110-114 m (real map).
         leakage_range_m: Ranges at which added power is given.
         leakage_db: Mean added power over the floor there, before the response: transmitter leakage of 42 to 50 dB in
-            bin 0, 6 to 8 dB at 1-5 m, wrap-around of 2 to 6 dB in the last bins (report); -40 stands for none.
+            bin 0, 6 to 8 dB at 1-5 m, wrap-around of 2 to 6 dB in the last bins (real map); -40 stands for none.
         leakage_doppler_bins: Half width at half power of its Lorentzian Doppler spread around standstill (default).
         window: Taper of range and Doppler transforms; K-Radar's tools have none.
         range_migration: Let fast targets walk through range bins during a frame.
         migration_min_m_s: Radial speed from which on they do.
         migration_blocks: Parts of a frame within which a target stands in one range.
         loop_s: Time between two chirps of one transmitter: wavelength over four times the greatest Doppler velocity.
-        transmitters: Time-multiplexed transmitters (report: 12 slots of 42.2 us).
+        transmitters: Time-multiplexed transmitters: 12 slots of 42.2 us share a loop (default).
         tdm_phase: Leave the phase of a folded velocity across transmitters uncorrected (unknown for the real radar).
         truncation_db: Side lobes of a scatterer below this level over the noise are not computed.
         ground_reflection: Amplitude of the road's mirror reflection (default, dry asphalt at grazing).
@@ -65,13 +65,13 @@ class RadarModel:
         bounce_db: Power of what is seen under a hiding vehicle, relative to a free view (default).
         ghost_db: Power of mirror images in rails and walls (default).
         radome_wetting: Share of a hydrophobic radome that a film covers; beads leave the rest dry. A default, chosen so
-            that light films lose what the report asks for (1 to 1.5 dB one way in rain).
+            that light films lose 1 to 1.5 dB one way in rain.
         gas_db_km: One-way loss in clear air (ITU-R P.676 at sea level).
-        dry_snow_db_km: One-way loss for each mm/h of dry snowfall (report's table: 0.3-1 light, 1-3 heavy).
+        dry_snow_db_km: One-way loss for each mm/h of dry snowfall (default: 0.3-1 dB in light snow, 1-3 in heavy).
         melting_factor: Loss of melting flakes over that of the same water as rain.
         clutter_reach_m: Rain echoes are drawn up to this range.
         clutter_scatterers: Mean number of rain scatterers.
-        clutter_spread_m_s: Standard deviation of their radial velocities (report: 1 to 2 m/s).
+        clutter_spread_m_s: Standard deviation of their radial velocities (default: 1 to 2 m/s).
         max_scatterers: The strongest so many are kept.
     """
 

@@ -27,7 +27,7 @@ _ALPHA_V = (
      (-48.2991, 0.791669, 0.116226), (48.5833, 0.791459, 0.116479)), -0.053739, 0.83433,
 )  # fmt: skip
 
-# Volume reflectivity of rain at 77 GHz: Mie spheres with the sizes of Marshall and Palmer (project's study).
+# Volume reflectivity of rain at 77 GHz: Mie sums (miepython 3.3) over drops of Marshall and Palmer's sizes.
 _RAIN_MM_H = (1.0, 2.5, 5.0, 10.0, 25.0, 50.0)
 _RAIN_M2_M3 = (1.0e-4, 2.3e-4, 3.9e-4, 6.4e-4, 1.1e-3, 1.7e-3)
 _INVERSE_GAMMA_SHAPE = 2.5  # heavy-tailed drop clusters; default
@@ -85,12 +85,6 @@ def fog_coefficient(frequency_ghz: float, temperature_c: float) -> float:
     loss = -permittivity.imag
     eta = (2.0 + permittivity.real) / loss
     return 0.819 * frequency_ghz / (loss * (1.0 + eta**2))
-
-
-def wet_snow_permittivity(frequency_ghz: float, water_share: float, temperature_c: float = 0.0) -> complex:
-    """Permittivity of wet snow: Looyenga's mixture of dry snow (1.6) and water (1965)."""
-    water = water_permittivity(frequency_ghz, temperature_c)
-    return complex(((1 - water_share) * 1.6 ** (1 / 3) + water_share * water ** (1 / 3)) ** 3)
 
 
 def film_amplitude(thickness_mm: float, permittivity: complex, frequency_hz: float) -> complex:

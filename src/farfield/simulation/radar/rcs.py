@@ -29,8 +29,8 @@ _BICYCLE_DB = (-1.6, -3.2, 1.9, -3.2, -1.6)
 _CAR_FACE_M2 = 4.6 * 1.5
 
 # Diffuse level at 10 degrees grazing in dB, its power law over the grazing angle, power reflectivity and rms slope of
-# the specular part. Asphalt: -30 dB at 2 and -20 dB at 10 degrees; vegetation -12 dB; snow -17 dB (project's study, not
-# checked against measurements). The others are defaults.
+# the specular part. Asphalt: -30 dB at 2 and -20 dB at 10 degrees; vegetation -12 dB; snow -17 dB (customary
+# figures, not checked against measurements). The others are defaults.
 _DEFAULT = (-15.0, 1.0, 0.1, 0.1)
 _SURFACE = {
     Material.ASPHALT: (-20.0, 1.43, 0.15, 0.10),

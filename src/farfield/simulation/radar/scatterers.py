@@ -186,13 +186,10 @@ def _merged(seen: Scatterers, model: RadarModel) -> Scatterers:
     ]  # fmt: skip
     cells, which = np.unique(np.stack(keys).astype(np.int64), axis=1, return_inverse=True)
     which = which.reshape(-1)
-
-    def mean(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-        return np.asarray(np.bincount(which, values * seen.rcs_m2) / total)
-
     total = np.bincount(which, seen.rcs_m2)
-    position = np.stack([mean(axis) for axis in seen.position_m.T], axis=1)
-    return Scatterers(position, mean(seen.velocity_m_s), total, cells[0], cells[1], np.zeros(len(total)))
+    columns = (*seen.position_m.T, seen.velocity_m_s)
+    *position, velocity = (np.asarray(np.bincount(which, values * seen.rcs_m2) / total) for values in columns)
+    return Scatterers(np.stack(position, axis=1), velocity, total, cells[0], cells[1], np.zeros(len(total)))
 
 
 def _strongest(seen: Scatterers, model: RadarModel) -> Scatterers:

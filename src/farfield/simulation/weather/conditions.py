@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from farfield.errors import ConfigError
-
-CONDITIONS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
-TIMES = ("day", "night")
+from farfield.vocabulary.conditions import TIMES, WEATHERS
 
 
 @dataclass(frozen=True)
@@ -15,7 +13,7 @@ class Weather:
     """Everything about the weather that a sensor can notice. All are inputs, written beside the data.
 
     Args:
-        condition: One of ``CONDITIONS``, K-Radar's seven.
+        condition: One of ``WEATHERS``, K-Radar's seven.
         time: "day" or "night".
         mor_m: Meteorological optical range: where contrast falls to 5 % by haze or fog alone.
         rain_mm_h: Rain rate.
@@ -53,8 +51,8 @@ class Weather:
     cloud_cover: float = 0.2
 
     def __post_init__(self) -> None:
-        if self.condition not in CONDITIONS:
-            raise ConfigError(f"weather: expected one of {', '.join(CONDITIONS)}; got {self.condition!r}")
+        if self.condition not in WEATHERS:
+            raise ConfigError(f"weather: expected one of {', '.join(WEATHERS)}; got {self.condition!r}")
         if self.time not in TIMES:
             raise ConfigError(f"time of day: expected one of {', '.join(TIMES)}; got {self.time!r}")
 
@@ -82,7 +80,7 @@ def draw_weather(condition: str, time: str, rng: np.random.Generator) -> Weather
     runs off.
 
     Args:
-        condition: One of ``CONDITIONS``.
+        condition: One of ``WEATHERS``.
         time: "day" or "night".
         rng: Source of randomness.
 

@@ -88,11 +88,8 @@ class Land:
         self.road, self.far, self._below_m = road, far, below_m
         self._noise, self._hills = Noise(rng), Noise(rng, shortest_m=50.0, longest_m=220.0)
 
-        def edges(strips: Sequence[Strip], name: str) -> Float[np.ndarray, " n"]:
-            return np.cumsum([getattr(strip, name) for strip in strips])
-
-        self.d_m = np.concatenate([-edges(right, "width_m")[::-1], [0.0], edges(left, "width_m")])
-        self.z_m = np.concatenate([edges(right, "rise_m")[::-1], [0.0], edges(left, "rise_m")])
+        self.d_m = np.concatenate([-_edges(right, "width_m")[::-1], [0.0], _edges(left, "width_m")])
+        self.z_m = np.concatenate([_edges(right, "rise_m")[::-1], [0.0], _edges(left, "rise_m")])
         self.rough_m = np.array([*(r.rough_m for r in right[::-1]), 0.0, *(r.rough_m for r in left)])
         self.material = np.array([*(r.material for r in right[::-1]), *(r.material for r in left)])
 
@@ -158,3 +155,7 @@ class Land:
         corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
         side = np.where(own_d < 0, self.far[0].material, self.far[1].material)
         return quads(corners.reshape(-1, 4, 3)[kept], side[kept])
+
+
+def _edges(strips: Sequence[Strip], name: str) -> Float[np.ndarray, " n"]:
+    return np.cumsum([getattr(strip, name) for strip in strips])

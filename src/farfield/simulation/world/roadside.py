@@ -8,6 +8,7 @@ from jaxtyping import Float
 from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
+from farfield.simulation.world.land import Land
 from farfield.simulation.world.layout import Layout, Placement
 from farfield.simulation.world.road import RoadLine, ribbon
 
@@ -64,16 +65,11 @@ class Roadside:
 
     def put(self, model: Mesh, s_m: float, d_m: float, *, turn_rad: float = 0.0, raise_m: float = 0.0) -> None:
         """Stand one object on the ground."""
-        land = self.layout.land
-
-        def build(_: np.random.Generator) -> Mesh:
-            return land.stand(model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m)
-
-        self.layout.placements.append(Placement(s_m, build))
+        self.place(partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m), s_m)
 
     def place(self, build: "partial[Mesh]", s_m: float) -> None:
         """Add an object that knows its place in the world."""
-        self.layout.placements.append(Placement(s_m, lambda _: build()))
+        self.layout.placements.append(Placement(s_m, partial(_undrawn, build)))
 
     def stations(self, pitch_m: float, *, jitter_m: float = 0.0) -> Float[np.ndarray, " n"]:
         """Stations at regular distances over the whole stretch, from a random beginning."""
@@ -112,17 +108,23 @@ class Roadside:
         self, s_m: float, length_m: float, d_m: float, height_m: float, material: int, thick_m: float = 0.3
     ) -> None:
         """A piece of wall or hedge along the road."""
-        land = self.layout.land
         rows = np.linspace(s_m, s_m + length_m, max(2, int(length_m / 4) + 1))
         d = np.array([-0.5, -0.5, 0.5, 0.5]) * thick_m + d_m
-
-        def build(_: np.random.Generator) -> Mesh:
-            base = land.rise_m(*np.broadcast_arrays(rows[:, None], d))
-            return ribbon(land.road, rows, d, base + np.array([-0.5, height_m, height_m, -0.5]), material)
-
-        self.layout.placements.append(Placement(s_m, build))
+        self.place(partial(_wall, self.layout.land, rows, d, height_m, material), s_m)
 
     def block(self, s_m: float, side: int, d_m: float, length_m: float, depth_m: float, height_m: float) -> None:
         """A building whose front stands at a distance from the reference line."""
         model = furniture.building(length_m, depth_m, height_m, self.rng)
         self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi)
+
+
+def _undrawn(build: "partial[Mesh]", _: np.random.Generator) -> Mesh:
+    """What needs no chance."""
+    return build()
+
+
+def _wall(
+    land: Land, rows: Float[np.ndarray, " k"], d: Float[np.ndarray, " n"], height_m: float, material: int
+) -> Mesh:
+    base = land.rise_m(*np.broadcast_arrays(rows[:, None], d))
+    return ribbon(land.road, rows, d, base + np.array([-0.5, height_m, height_m, -0.5]), material)

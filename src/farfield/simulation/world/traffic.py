@@ -5,6 +5,7 @@ changes lanes occupies both until it has left the old one, so that nobody drives
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -115,11 +116,6 @@ class Drive:
 
     progress_m: Float[np.ndarray, "n steps"]
     changes: list[LaneChange]
-
-
-def equilibrium_gap_m(speed_m_s: float, desired_m_s: float, headway_s: float, standstill_m: float) -> float:
-    """Gap at which the IDM neither speeds up nor slows down: (s0 + v T) / sqrt(1 - (v / v0)^4)."""
-    return (standstill_m + speed_m_s * headway_s) / float(np.sqrt(1 - (speed_m_s / desired_m_s) ** 4))
 
 
 @dataclass(eq=False)
@@ -251,15 +247,7 @@ class _Simulation:
         ahead, behind = np.minimum(place, last), np.maximum(place - 1, 0)
         lead = np.where((place <= last) & (order.sorted_lane[ahead] == target), order.sorted_row[ahead], -1)
         tail = np.where((place > 0) & (order.sorted_lane[behind] == target), order.sorted_row[behind], -1)
-        rows = np.arange(n)
-
-        def meet(back: Int[np.ndarray, " n"], front: Int[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
-            there = (back >= 0) & (front >= 0)
-            reach = (drivers.length_m[back] + drivers.length_m[front]) / 2
-            gap = np.where(there, progress_m[front] - progress_m[back] - reach, _NONE_M)
-            closing = np.where(there, speed_m_s[back] - speed_m_s[front], 0.0)
-            return gap, drivers.idm_m_s2(back, speed_m_s[back], gap, closing)
-
+        rows, meet = np.arange(n), partial(_meet, drivers, progress_m, speed_m_s)
         gap_lead, own = meet(rows, lead)
         gap_tail, tail_after = meet(tail, rows)
         if side == 0:  # who moves left minds those on the left, who moves right minds those behind
@@ -280,6 +268,21 @@ class _Simulation:
         safe = (own > -_SAFE_M_S2) & ((tail < 0) | (tail_after > -_SAFE_M_S2))
         safe &= (gap_lead > 3.0 + 0.3 * speed_m_s) & (gap_tail > 3.0 + 0.3 * np.where(tail >= 0, speed_m_s[tail], 0.0))
         return np.where(able & safe, gain, -np.inf)
+
+
+def _meet(
+    drivers: Drivers,
+    progress_m: Float[np.ndarray, " n"],
+    speed_m_s: Float[np.ndarray, " n"],
+    back: Int[np.ndarray, " n"],
+    front: Int[np.ndarray, " n"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gap and acceleration of the ``back`` ones if they followed the ``front`` ones; -1 stands for nobody."""
+    there = (back >= 0) & (front >= 0)
+    reach = (drivers.length_m[back] + drivers.length_m[front]) / 2
+    gap = np.where(there, progress_m[front] - progress_m[back] - reach, _NONE_M)
+    closing = np.where(there, speed_m_s[back] - speed_m_s[front], 0.0)
+    return gap, drivers.idm_m_s2(back, speed_m_s[back], gap, closing)
 
 
 def drive(

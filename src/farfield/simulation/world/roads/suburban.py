@@ -3,10 +3,12 @@
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.world.land import Land
 from farfield.simulation.world.layout import Layout
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, ribbon
@@ -41,10 +43,7 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
     rows, d = drive + np.array([-_DRIVE_M / 2, _DRIVE_M / 2]), sign * np.array([front, set_back + 3.0])
     d = np.sort(np.concatenate([d, d.mean(keepdims=True)]))
 
-    def pave() -> Mesh:
-        return ribbon(land.road, rows, d, land.rise_m(*np.broadcast_arrays(rows[:, None], d)) + 0.06, CONCRETE)
-
-    side.place(partial(pave), drive)
+    side.place(partial(_driveway, land, rows, d), drive)
     draw, height = rng.random(), float(rng.uniform(0.8, 2.0))
     kind, thick = (FOLIAGE, 0.7) if draw < 0.6 else (int(Material.BRICK), 0.25)
     if draw < 0.8:
@@ -52,6 +51,10 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
     if population.rng.random() < 0.5:
         turn = sign * np.pi / 2 * (1 if population.rng.random() < 0.7 else -1)
         population.add_parked(drive, sign * (front + 3.2), turn_rad=turn, raise_m=street.kerb_m + 0.06)
+
+
+def _driveway(land: Land, rows: Float[np.ndarray, " k"], d: Float[np.ndarray, " n"]) -> Mesh:
+    return ribbon(land.road, rows, d, land.rise_m(*np.broadcast_arrays(rows[:, None], d)) + 0.06, CONCRETE)
 
 
 def build_suburban(plot: Plot) -> Layout:

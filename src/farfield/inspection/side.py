@@ -1,0 +1,78 @@
+"""One of two data sets that are set side by side: its statistics as plain data, and how they are counted."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.frame.provenance import SIMULATION_FILE, is_simulated
+from farfield.inspection.statistics import Statistics
+from farfield.vocabulary.kradar import OUSTER_LINES
+from farfield.vocabulary.patterns import PATTERNS
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two data sets.
+
+    Args:
+        name: What figures and table call it.
+        summary: Its figures: ``farfield.inspection.statistics.Statistics.summary()``.
+        arrays: Its arrays: ``Statistics.arrays()``.
+        path: Where it was read from.
+    """
+
+    name: str
+    summary: Mapping[str, Any]
+    arrays: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    path: str = ""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the data calls itself simulated."""
+        return bool(self.summary.get("simulated"))
+
+    @property
+    def title(self) -> str:
+        """The name, and "simulated" where that is known."""
+        return f"{self.name} (simulated)" if self.simulated else self.name
+
+
+def side_of(
+    data: Dataset, name: str, frames: int = 0, *, progress: Callable[[range], Iterable[int]] = iter, **settings: Any
+) -> Side:
+    """Count the clouds, boxes and radar of a data set.
+
+    Args:
+        data: The data set.
+        name: What figures and table call it.
+        frames: Frames to read, spread evenly; 0 reads all.
+        progress: Wraps the frames' places, to show how far it is.
+        **settings: Of :class:`~farfield.inspection.statistics.Statistics`.
+    """
+    count = len(data) if frames == 0 else min(frames, len(data))
+    statistics = Statistics(shots=shots_of(data.root), **settings)
+    for place in progress(range(count)):
+        statistics.add(data[place * len(data) // count])
+    summary = statistics.summary()
+    if summary["simulated"] is None and is_simulated(data.root):
+        summary["simulated"] = True
+    return Side(name, summary, statistics.arrays(), str(data.root))
+
+
+def shots_of(root: Path) -> dict[str, int]:
+    """Shots a frame by cloud, from the settings that ``farfield simulate`` leaves beside its frames; else nothing."""
+    for folder in (root, root.absolute().parent):
+        try:
+            preset = json.loads((folder / SIMULATION_FILE).read_text("utf-8"))["preset"]
+            shots = preset.get("lidar", preset)
+            lines, columns = int(shots["lines"]), int(shots["columns"])
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            continue
+        rows = dict.fromkeys(PATTERNS, lines) | OUSTER_LINES
+        return {name: count * columns for name, count in rows.items()}
+    return {}
