@@ -7,7 +7,7 @@ from pathlib import Path
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
-from farfield.metrics.centre.scene import Key
+from farfield.frame.drive import Key
 
 CONDITIONS: dict[str, tuple[str, ...]] = {
     "weather": ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"),
