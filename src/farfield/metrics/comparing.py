@@ -12,7 +12,7 @@ from farfield.files.atomic import read_bytes
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.kradar.conditions import CONDITIONS
 from farfield.metrics.protocol import Protocol, protocol_of
-from farfield.metrics.result import at, figure_names, table
+from farfield.metrics.result import at, figure_names, table, value_at
 
 Tree = Mapping[str, Any]
 _MAX_BYTES = 1 << 28
