@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset
-from farfield.datasets.kitti.boxes import camera_from_lidar, lidar_from_camera
+from farfield.datasets.kitti.boxes import camera_from_calib, camera_from_lidar, lidar_from_camera
 from farfield.datasets.kitti.object import Kitti, boxes_from_objects, image_boxes, objects_from_boxes
 from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
 from farfield.errors import DatasetError
-from farfield.files.kitti import read_labels
+from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 from farfield.geometry.poses import pose, rotation_from_quaternion
@@ -50,14 +50,14 @@ def test_objects_come_into_the_lidar_frame_with_their_centre(root):
     assert len(frame.cloud().in_boxes(boxes)[0]) == 1
 
 
-def test_dont_care_and_image_facts_stay_in_the_metadata(root):
-    metadata = Kitti(root, classes="kitti")[0].metadata
-    assert metadata["kitti"].type.tolist() == ["Car", "DontCare", "Cyclist"]
-    assert metadata["kitti_index"].tolist() == [0, 2]
-    assert metadata["truncation"].tolist() == [0.1, 0.0]
-    assert metadata["occlusion"].tolist() == [1, 0]
-    assert metadata["dont_care_px"].tolist() == [[503, 169, 590, 190]]
-    assert metadata["raw_label"] == ("Car", "Cyclist")
+def test_dont_care_and_image_facts_stay_in_the_annotation(root):
+    annotation = Kitti(root, classes="kitti")[0].annotation
+    assert annotation.details["truncation"].tolist() == [0.1, 0.0]
+    assert annotation.details["occlusion"].tolist() == [1, 0]
+    assert annotation.details["box_px"].shape == (2, 4)
+    assert annotation.unboxed["dontcare_px"].tolist() == [[503, 169, 590, 190]]
+    assert annotation.original_label == ("Car", "Cyclist")
+    assert annotation[1:].details["occlusion"].tolist() == [0]
 
 
 def test_the_camera_projects_as_p2_does(root):
@@ -160,15 +160,15 @@ class TestReal:
         # Oracle: KITTI's own 2D boxes, drawn by people; objects that are whole and not occluded.
         errors = []
         for frame in open_dataset(shared_real / "kitti"):
-            whole = (frame.metadata["truncation"] == 0) & (frame.metadata["occlusion"] == 0)
+            whole = (frame.annotation.details["truncation"] == 0) & (frame.annotation.details["occlusion"] == 0)
             px, _ = image_boxes(frame.boxes, frame.cameras["camera"])
-            errors.append(np.abs(px - frame.metadata["boxes_px"])[whole])
+            errors.append(np.abs(px - frame.annotation.details["box_px"])[whole])
         assert np.median(np.concatenate(errors)) < 4.0
 
     def test_labels_come_back(self, shared_real):
         path = shared_real / "kitti/training/label_2/000134.txt"
         objects = read_labels(path)
-        calib = open_dataset(shared_real / "kitti")[2].metadata["camera_T_rect_lidar"]
+        calib = camera_from_calib(read_calib(shared_real / "kitti/training/calib/000134.txt"))
         boxes = boxes_from_objects(objects, calib)
         back = objects_from_boxes(boxes, Camera(matrix=np.eye(3), camera_T_lidar=calib), classes={})
         kept = objects[objects.has_box]

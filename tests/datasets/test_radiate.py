@@ -88,7 +88,7 @@ def test_the_radars_cells_go_clockwise_from_forward(sequence):
         [300 * np.sin(half), 300 * np.cos(half)],
     ]
     np.testing.assert_allclose(cloud.points_m[:, :2], np.array(expected) * CELL_M, atol=1e-4)
-    np.testing.assert_allclose(cloud.intensity, [1.0, 0.4, 0.2])
+    np.testing.assert_allclose(cloud.extra["strength"], [1.0, 0.4, 0.2])
     row, column = np.argwhere(frame.radar["cartesian"] == 1)[0]
     ahead_m, left_m = (575.5 - row) * CELL_M, (575.5 - column) * CELL_M
     np.testing.assert_allclose([ahead_m, left_m], cloud.points_m[0, :2], atol=CELL_M)
@@ -103,7 +103,7 @@ def test_the_lidar_is_the_sweep_of_the_moment_in_the_radars_axes(sequence):
     data = open_dataset(sequence)
     frame = data[0]
     # 0.25 s before the radar's stamp is second .0; sweep 7's ".10000000" are 10,000,000 ns
-    assert frame.times_ns["lidar"] == SECONDS * 10**9 + 10_000_000
+    assert frame.sensors["lidar"].time_ns == SECONDS * 10**9 + 10_000_000
     assert frame.time_ns == SECONDS * 10**9 + 250_000_000
     expected = [[10 - 0.120102, -3 - 0.6003, -1 + 0.250012], [-20 - 0.120102, 4 - 0.6003, 2 + 0.250012]]
     np.testing.assert_allclose(frame.clouds["lidar"].points_m, expected, atol=1e-5)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.frame import Boxes, Cloud, Frame, Lazy
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy
 from farfield.geometry.poses import pose_from_yaw
 
 
@@ -99,11 +99,12 @@ def test_frame_from_memory(rng: np.random.Generator) -> None:
 def test_boxes_are_loaded_once() -> None:
     calls: list[int] = []
 
-    def load() -> Boxes:
+    def load() -> Annotation:
         calls.append(1)
-        return Boxes.empty()
+        return Annotation(boxes=Boxes.empty())
 
-    frame = Frame(sequence="s", frame_id="1", annotation=load)
+    frame = Frame(sequence="s", frame_id="1", load_annotation=load)
+    assert frame.has_annotation
     assert calls == []
     assert frame.boxes is frame.boxes
     assert calls == [1]
@@ -118,10 +119,3 @@ def test_choosing_a_cloud_loads_no_other(rng: np.random.Generator) -> None:
         frame.cloud("radar")
     with pytest.raises(KeyError, match="present: none"):
         Frame(sequence="s", frame_id="1").cloud()
-
-
-def test_merged_joins_all_clouds(rng: np.random.Generator) -> None:
-    a, b = cloud(rng, 3), cloud(rng, 4)
-    merged = Frame(sequence="s", frame_id="1", clouds={"gaussian": a, "uniform": b}).cloud("merged")
-    np.testing.assert_array_equal(merged.points_m, np.concatenate([a.points_m, b.points_m]))
-    assert len(merged) == 7
