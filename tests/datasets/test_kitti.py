@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trees import write_kitti, write_kitti_tracking
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kitti.boxes import camera_from_calib, camera_from_lidar, lidar_from_camera
@@ -13,29 +14,10 @@ from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 from farfield.geometry.poses import pose, rotation_from_quaternion
 
-CALIB = "\n".join(
-    [
-        *[f"P{i}: 700 0 600 45.0 0 700 180 -0.3 0 0 1 0.005" for i in range(4)],
-        "R0_rect: 1 0 0 0 1 0 0 0 1",
-        "Tr_velo_to_cam: 0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.33",
-        "Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0",
-    ]
-)
-LABELS = """Car 0.10 1 -1.57 100 100 200 200 1.5 1.8 4.0 2.0 1.7 20.0 -1.5707963267948966
-DontCare -1 -1 -10 503 169 590 190 -1 -1 -1 -1000 -1000 -1000 -10
-Cyclist 0.00 0 0.0 1 2 3 4 1.7 0.6 1.9 -3.0 1.6 30.0 0.0
-"""
-
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    for folder in ("velodyne", "calib", "label_2"):
-        (tmp_path / "training" / folder).mkdir(parents=True)
-    rows = np.array([[20.3, -2.0, -0.9, 0.5], [5.0, 5.0, -1.6, 0.1]], dtype="<f4")
-    (tmp_path / "training/velodyne/000007.bin").write_bytes(rows.tobytes())
-    (tmp_path / "training/calib/000007.txt").write_text(CALIB + "\n")
-    (tmp_path / "training/label_2/000007.txt").write_text(LABELS)
-    return tmp_path
+    return write_kitti(tmp_path)
 
 
 def test_objects_come_into_the_lidar_frame_with_their_centre(root):
@@ -131,14 +113,7 @@ def test_a_box_behind_the_camera_has_no_2d_box():
 
 
 def test_tracking_layout(tmp_path):
-    base = tmp_path / "training"
-    for folder in ("velodyne/0003", "calib", "label_02"):
-        (base / folder).mkdir(parents=True)
-    for number in (0, 1):
-        np.ones((2, 4), "<f4").tofile(base / f"velodyne/0003/{number:06d}.bin")
-    (base / "calib/0003.txt").write_text(CALIB.replace("R0_rect:", "R_rect").replace("Tr_velo_to_cam:", "Tr_velo_cam"))
-    line = LABELS.splitlines()[0]
-    (base / "label_02/0003.txt").write_text(f"0 5 {line}\n1 5 {line}\n1 6 {line}\n")
+    write_kitti_tracking(tmp_path)
     data = open_dataset(tmp_path)
     assert data.name == "kitti_tracking"
     assert data.keys == (("0003", "000000"), ("0003", "000001"))

@@ -6,69 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trees import LIDAR_T_RADAR_M, PITCH_RAD, RADAR_ROWS, write_delft, write_tree
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects
 from farfield.datasets.view_of_delft.layout import CLIPS, clip_of
 from farfield.datasets.view_of_delft.reader import ViewOfDelft, read_radar
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.files.clouds import write_bin
 from farfield.files.kitti import read_calib, read_labels
 from farfield.files.view_of_delft import read_camera_poses, read_objects
 from farfield.geometry.points import count_points_in_boxes
 from farfield.geometry.poses import transform_points
 
-PITCH_RAD = np.radians(7.0)
-LIDAR_T_RADAR_M = np.array([2.5, 0.1, -1.2])
 FRAMES = ("00549", "01047")
-
-
-def calib_text(offset_m: np.ndarray | None = None) -> str:
-    """A camera that looks down by seven degrees from the lidar's place, of a sensor that stands at ``offset_m``."""
-    sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
-    turn = np.array([[0.0, -1.0, 0.0], [-sin, 0.0, -cos], [cos, 0.0, -sin]])
-    motion = np.column_stack([turn, turn @ (np.zeros(3) if offset_m is None else offset_m)])
-    camera = "\n".join(f"P{i}: 1000 0 500 0 0 1000 300 0 0 0 1 0" for i in range(4))
-    numbers = " ".join(repr(float(value)) for value in motion.ravel())
-    return f"{camera}\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {numbers}\nTr_imu_to_velo:"
-
-
-def write_tree(tree: Path, cloud: np.ndarray, offset_m: np.ndarray, label: str | None, frame: str = "00001") -> None:
-    for name in ("velodyne", "label_2", "calib", "pose"):
-        (tree / name).mkdir(parents=True, exist_ok=True)
-    write_bin(tree / "velodyne" / f"{frame}.bin", cloud.astype(np.float32))
-    (tree / "calib" / f"{frame}.txt").write_text(calib_text(offset_m))
-    if label is not None:
-        (tree / "label_2" / f"{frame}.txt").write_text(label)
-    turn = [0, 0, 1, -1, 0, 0, 0, -1, 0]  # camera x, y, z ahead and down to odometry x, y, z
-    pose = [*turn[:3], 5.0, *turn[3:6], 7.0, *turn[6:], 1.3, 0, 0, 0, 1]
-    names = ("odomToCamera", "mapToCamera", "UTMToCamera")
-    (tree / "pose" / f"{frame}.json").write_text("\n".join(json.dumps({name: pose}) for name in names))
-
-
-def car_label(moving: int = 1) -> str:
-    """A car 20 m ahead on the level of the lidar, its length across the road."""
-    sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
-    return f"Car {moving} 0 0 0 0 1 1 1.5 1.8 4.2 0 {-20 * sin} {20 * cos} 0 1\n"
-
-
-RADAR_ROWS = np.array(
-    [  # x, y, z, RCS, v_r, v_r compensated, scan; the radar drives at 2, 0.5, 0 m/s, all but the last stand still
-        [10, 0, 0, -30, -2.0, 0.0, 0],
-        [0, 10, 0, 0, -0.5, 0.0, 0],
-        [0, 0, 4, 30, 0.0, 0.0, 0],
-        [3, 4, 0, 60, 1.0, 2.6, 0],
-        [5, 0, 0, 90, 9.0, 9.0, -2],
-    ]
-)
 
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    lidar = np.array([[10.0, 1.0, 0.5, 51.0], [20.0, 0.0, 0.75, 255.0]])
-    write_tree(tmp_path / "lidar" / "training", lidar, np.zeros(3), car_label())
-    write_tree(tmp_path / "radar" / "training", RADAR_ROWS, LIDAR_T_RADAR_M, None)
-    return tmp_path
+    return write_delft(tmp_path)
 
 
 def test_a_box_stands_upright_in_the_sensors_frame(root):

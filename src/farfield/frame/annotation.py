@@ -98,7 +98,7 @@ class Annotation:
     original_label: Sequence[str] | None = None
     extent: Literal["full", "visible"] = "full"
     full_boxes: Boxes | None = None
-    details: Mapping[str, Shaped[np.ndarray, "n *rest"]] = field(default_factory=dict)
+    details: Mapping[str, Shaped[np.ndarray, "n ..."]] = field(default_factory=dict)
     unboxed: Mapping[str, Any] = field(default_factory=dict)
     region: CameraField | None = None
     version: str = ""
