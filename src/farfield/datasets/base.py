@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Frame
+from farfield.frame import Frame, moved
 from farfield.geometry.poses import pose_from_yaw
 
 SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
@@ -191,7 +190,7 @@ class Moved(Subset):
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``, moved."""
-        return move_frame(super().frame(index), self.target_T_lidar)
+        return moved(super().frame(index), self.target_T_lidar)
 
     def fingerprint(self) -> str:
         """SHA-256 of the parent's fingerprint and the motion."""

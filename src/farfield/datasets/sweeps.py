@@ -1,8 +1,9 @@
 """Several sweeps a frame: the points of the frames before it, moved into its coordinates, with their age."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +72,8 @@ class Sweeps(Subset):
         present = _checked(super().frame(index), self.root)
         earlier = [_checked(self.parent.frame(other), self.root) for other in self._before[index]]
 
-        def stacked(name: str) -> Callable[[], Cloud]:
-            return lambda: _stacked(present, earlier, name)
-
-        return replace(present, clouds=Lazy({name: stacked(name) for name in present.clouds}))
+        loaders = {name: partial(_stacked, present, earlier, name) for name in present.clouds}
+        return replace(present, clouds=Lazy(loaders))
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from, the present frame's first."""
@@ -86,7 +85,7 @@ class Sweeps(Subset):
 
 
 def _checked(frame: Frame, root: Path) -> Frame:
-    missing = [name for name, value in (("pose", frame.world_T_lidar), ("time", frame.time_ns)) if value is None]
+    missing = [name for name, value in (("pose", frame.world_T_frame), ("time", frame.time_ns)) if value is None]
     if missing:
         raise DatasetError(
             f"{root}: several sweeps a frame need each frame's pose and time; frame {frame.key} has no "
@@ -97,14 +96,14 @@ def _checked(frame: Frame, root: Path) -> Frame:
 
 def _stacked(present: Frame, earlier: Sequence[Frame], name: str) -> Cloud:
     """The present cloud, then the earlier ones that have this sensor, the youngest first."""
-    assert present.world_T_lidar is not None
-    lidar_T_world = invert(present.world_T_lidar)
+    assert present.world_T_frame is not None
+    frame_T_world = invert(present.world_T_frame)
     parts = [_aged(present.clouds[name], 0.0)]
     for frame in earlier:
         if name in frame.clouds:
-            assert frame.world_T_lidar is not None
+            assert frame.world_T_frame is not None
             lag_s = (_time_ns(present, name) - _time_ns(frame, name)) / 1e9
-            parts.append(_aged(frame.clouds[name].transform(lidar_T_world @ frame.world_T_lidar), lag_s))
+            parts.append(_aged(frame.clouds[name].transform(frame_T_world @ frame.world_T_frame), lag_s))
     return Cloud.concatenate(parts)
 
 
@@ -114,5 +113,6 @@ def _aged(cloud: Cloud, lag_s: float) -> Cloud:
 
 
 def _time_ns(frame: Frame, name: str) -> int:
-    assert frame.time_ns is not None
-    return frame.times_ns.get(name, frame.time_ns)
+    time_ns = frame.time_ns_of(name)
+    assert time_ns is not None
+    return time_ns

@@ -6,6 +6,7 @@ published files hold what their rate and region left. The polar map gives its ow
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,9 +15,8 @@ from jaxtyping import Float, Float32
 
 from farfield.datasets.kradar.layout import SPARSE_COLUMNS
 from farfield.datasets.kradar.tesseract import read_moments
-from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Lazy
+from farfield.frame import Cloud, Frame, Given, Lazy, moved
 from farfield.geometry.poses import invert
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
@@ -67,15 +67,26 @@ def with_radar_cloud(
     source = _source(frame, view)
     if source is None:
         return frame
+    clouds = {name: _loader(frame, name) for name in frame.clouds}
+    clouds[RADAR_CLOUD] = partial(_placed_cloud, frame.radar, source, view, frame_T_radar, tesseract)
+    return replace(frame, clouds=Lazy(clouds))
 
-    def load() -> Cloud:
-        if source == "tesseract" and tesseract is not None:
-            cloud = radar_cloud(source, read_moments(tesseract), view)
-        else:
-            cloud = radar_cloud(source, frame.radar[source], view)
-        return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
 
-    return replace(frame, clouds=_with(frame, {RADAR_CLOUD: load}))
+def _loader(frame: Frame, name: str) -> Callable[[], Any]:
+    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Given(frame.clouds[name])
+
+
+def _placed_cloud(
+    radar: Mapping[str, Any],
+    source: str,
+    view: RadarView,
+    frame_T_radar: Float[np.ndarray, "4 4"],
+    tesseract: Path | None,
+) -> Cloud:
+    """The cloud of a product in the frame's coordinates."""
+    reduced = read_moments(tesseract) if source == "tesseract" and tesseract is not None else None
+    cloud = radar_cloud(source, radar[source] if reduced is None else reduced, view)
+    return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
 
 
 def _source(frame: Frame, view: RadarView) -> str | None:
@@ -85,15 +96,8 @@ def _source(frame: Frame, view: RadarView) -> str | None:
     return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
 
 
-def _with(frame: Frame, loaders: Mapping[str, Callable[[], Any]]) -> Lazy:
-    def kept(name: str) -> Callable[[], Any]:
-        return lambda: frame.clouds[name]
-
-    return Lazy({name: kept(name) for name in frame.clouds} | dict(loaders))
-
-
 def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
-    """A cloud in the radar's frame: intensity is power over 1e13, extra column ``doppler_m_s`` where it is known.
+    """A cloud in the radar's frame: column ``power`` is power over 1e13, ``doppler_m_s`` stands where it is known.
 
     Args:
         product: Name of a radar product.
@@ -107,7 +111,8 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         if view.over != "region" or view.rate == 1:
             return _of_columns(polar_cloud(polar, min(view.rate, _NEARLY_ALL)), view)
         inside = _of_columns(polar_cloud(polar, _NEARLY_ALL), view)
-        return inside[inside.intensity > np.quantile(inside.intensity, 1 - view.rate)] if len(inside) else inside
+        power = inside.extra["power"]
+        return inside[power > np.quantile(power, 1 - view.rate)] if len(inside) else inside
     doppler = None
     if product == "tesseract":
         reduced = values if isinstance(values, Moments) else moments(np.asarray(values, dtype=np.float32))
@@ -117,7 +122,7 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         cells = cells_of_cube(np.asarray(values, np.float32), view.region, doppler_m_s=doppler)
     chosen = cells.select(view.region, view.rate, over=cast(Over, view.over))
     extra = {} if chosen.doppler_m_s is None else {"doppler_m_s": chosen.doppler_m_s}
-    return Cloud(chosen.points_m(), chosen.power, extra)
+    return Cloud(chosen.points_m(), None, {"power": chosen.power, **extra})
 
 
 def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
@@ -125,11 +130,9 @@ def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
     bounds = np.array([region.x_m, region.y_m, region.z_m], dtype=np.float64)
     kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
     extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
-    return Cloud(kept[:, :3], kept[:, 3], extra)
+    return Cloud(kept[:, :3], None, {"power": kept[:, 3], **extra})
 
 
 def in_radar_frame(frame: Frame, os2_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
     """A frame of the os2-64's coordinates in the radar's; the os1-128's cloud stays in its own."""
-    moved = move_frame(frame, invert(os2_T_radar))
-    kept = {"os1-128": lambda: frame.clouds["os1-128"]} if "os1-128" in frame.clouds else {}
-    return replace(moved, clouds=_with(moved, kept), reference="radar")
+    return moved(frame, invert(os2_T_radar), reference=RADAR_CLOUD)
