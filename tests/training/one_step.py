@@ -1,8 +1,8 @@
 """One step of training of small detectors, as the only process or as one of several.
 
-    python one_step.py FOLDER RANK WORLD NAME
+    python one_step.py FOLDER RANK WORLD NAME...
 
-The process of rank 0 writes FOLDER/NAME.pt: the losses, the averaged gradients and the network's statistics.
+The process of rank 0 writes FOLDER/NAME.pt for each: the losses, the averaged gradients and the network's statistics.
 """
 
 import sys
@@ -69,14 +69,15 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
     }
 
 
-def main(folder: str, rank: str, world: str, name: str) -> None:
-    """Join the other processes and take the step."""
+def main(folder: str, rank: str, world: str, *names: str) -> None:
+    """Join the other processes and take the step of each detector."""
     torch.set_num_threads(1)
     meeting = (Path(folder) / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=int(world))
-    result = one_step(name, int(rank), int(world))
-    if rank == "0":
-        torch.save(result, Path(folder) / f"{name}.pt")
+    for name in names:
+        result = one_step(name, int(rank), int(world))
+        if rank == "0":
+            torch.save(result, Path(folder) / f"{name}.pt")
     torch.distributed.destroy_process_group()
 
 

@@ -5,6 +5,11 @@ from torch import Tensor
 from torch.nn import functional
 
 
+def at_least_single(values: Tensor) -> Tensor:
+    """The values in single precision, or in double where they are so already."""
+    return values.to(torch.promote_types(values.dtype, torch.float32))
+
+
 def focal_loss(
     logits: Tensor,
     positive: Tensor,

@@ -15,7 +15,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.losses import at_least_single
 from farfield.detectors.nms import rotated_nms
+from farfield.detectors.processes import normaliser
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 
@@ -162,7 +164,7 @@ class SoftmaxHead(nn.Module):
 
         As in the released code each class (background, each anchor) counts by the mean over its own cells.
         """
-        logits, codes = maps.logits.float(), maps.codes.float()
+        logits, codes = at_least_single(maps.logits), at_least_single(maps.codes)
         answers = torch.zeros(logits.shape[:2], dtype=torch.long)
         weights = torch.ones(logits.shape[:2])
         picked, wanted, weight = [], [], []
@@ -182,7 +184,7 @@ class SoftmaxHead(nn.Module):
         device = codes.device
         wanted_codes, box_weights = torch.cat(wanted).to(device), torch.cat(weight).to(device)
         error = functional.smooth_l1_loss(torch.cat(picked), wanted_codes, reduction="none").mean(1)
-        box = (error * box_weights).sum() / box_weights.sum().clamp(min=1.0)
+        box = (error * box_weights).sum() / normaliser(box_weights.sum())
         classification = _balanced_focal(logits, answers.to(device), weights.to(device))
         return SoftmaxLosses(classification, self.config.box_weight * box)
 
@@ -224,11 +226,15 @@ def _with_direction(rows: np.ndarray) -> np.ndarray:
 
 
 def _balanced_focal(logits: Tensor, answers: Tensor, weights: Tensor) -> Tensor:
-    """Focal loss of softmax, the mean over the classes that occur of each one's weighted mean; -1 does not count."""
+    """Focal loss of softmax, the mean over the classes that occur of each one's weighted mean; -1 does not count.
+
+    With several processes the means, and which classes occur, are those of the whole batch.
+    """
     counted = answers >= 0
     answer, weight = answers[counted], weights[counted]
     log_probability = functional.log_softmax(logits[counted], 1).gather(1, answer[:, None]).squeeze(1)
     loss = (1 - log_probability.exp()) ** _GAMMA * -log_probability
     sums = loss.new_zeros(2, logits.shape[2]).index_add(1, answer, torch.stack([loss * weight, weight]))
-    present = sums[1] > 0
-    return (sums[0][present] / sums[1][present]).mean()
+    total = normaliser(sums[1], least=0.0)
+    present = total > 0
+    return (sums[0][present] / total[present]).mean()
