@@ -14,7 +14,7 @@ import torch
 
 sys.path.append(str(Path(__file__).parents[1] / "detectors"))
 
-from small import small_detector
+from small import batch_of, small_detector, targets_of
 
 from farfield.frame import Boxes
 from farfield.training.distributed import average_gradients, average_values, synchronise_norms
@@ -56,12 +56,13 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
     synchronise_norms(network)
     torch.manual_seed(1)
     batch = frames()[rank::world]
-    targets = [network.targets(boxes, points) for points, boxes in batch]
-    outputs = network([torch.from_numpy(points).to(dtype) for points, _ in batch], targets)
-    losses = network.loss(outputs, targets)
-    sum(losses).backward()
+    columns = len(network.inputs["points"].columns)
+    clouds = [torch.from_numpy(points[:, :columns]) for points, _ in batch]
+    targets = [targets_of(network, boxes, cloud) for cloud, (_, boxes) in zip(clouds, batch, strict=True)]
+    losses = network.losses(network(batch_of(*(cloud.to(dtype) for cloud in clouds)), targets), targets)
+    sum(losses.values()).backward()
     average_gradients(network.parameters())
-    values = {key: float(value.detach()) for key, value in zip(losses._fields, losses, strict=True)}
+    values = {key: float(value.detach()) for key, value in losses.items()}
     return {
         "losses": average_values(values, torch.device("cpu")),
         "gradients": {key: p.grad for key, p in network.named_parameters() if p.grad is not None},
