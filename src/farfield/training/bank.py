@@ -13,6 +13,9 @@ from farfield.geometry.points import points_in_boxes
 Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
+LAG = 3
+"""Place of the age of a point's sweep among its columns, after x, y and z."""
+
 SAMPLES_PER_FRAME = 16
 """Samples after which one of the frames whose objects can be pasted makes way for another."""
 
@@ -24,7 +27,7 @@ def cut_out(points: Points, boxes: Boxes, *, min_points: int) -> "list[tuple[Poi
     return [
         (points[rows].copy(), boxes[index])
         for index, rows in inside
-        if np.count_nonzero(points[rows, 4] == 0) >= min_points
+        if np.count_nonzero(points[rows, LAG] == 0) >= min_points
     ]
 
 
@@ -70,8 +73,15 @@ class ObjectBank:
                     continue
                 keep[points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]] = False
                 added.append(new_points)
-                boxes = Boxes.concatenate([boxes, new_box])
+                boxes = _together(boxes, new_box)
         return np.concatenate([points[keep], *added]), boxes
+
+
+def _together(boxes: Boxes, pasted: Boxes) -> Boxes:
+    """Both; velocities are kept where both have them."""
+    if (boxes.velocity_m_s is None) != (pasted.velocity_m_s is None):
+        boxes, pasted = boxes.plain(), pasted.plain()
+    return Boxes.concatenate([boxes, pasted])
 
 
 def draw(
