@@ -141,7 +141,7 @@ def annotated_frames(data: Dataset, unannotated: str) -> Dataset:
     lacking = len(data) - len(kept)
     if lacking and unannotated == "refuse":
         raise DatasetError(
-            f"{data.root}: {lacking} of {len(data)} frames have no annotation and would train as if nothing were there. "
+            f"{data.root}: {lacking} of {len(data)} frames have no annotation and would train as empty ones. "
             "Set training.unannotated=skip to leave them out, or name a split or folder of annotated ones."
         )
     if not kept:
