@@ -10,9 +10,9 @@ from .scenes import NO_BOOTSTRAP, as_predictions, boxes, car, random_scene
 
 
 def test_equals_the_devkit_on_real_detections(real_detections) -> None:
-    inputs, expected = real_detections
+    detections, expected = real_detections
     settings = NuScenesSettings(label="Car", bootstrap=NO_BOOTSTRAP)
-    tree = evaluate_nuscenes(inputs.predictions, inputs.annotations, settings).to_json()
+    tree = evaluate_nuscenes(detections.boxes, detections.annotated, settings).to_json()
     assert tree["ap"] == pytest.approx(expected["ap"], abs=1e-9)
     for name in ("trans_err", "scale_err", "orient_err"):
         assert tree["errors"][name] == pytest.approx(expected[f"{name}_2m"], abs=1e-9)

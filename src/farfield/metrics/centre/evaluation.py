@@ -10,9 +10,10 @@ from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import aligned_iou
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
-from farfield.metrics.centre.scene import Scene, in_range
+from farfield.metrics.centre.scene import Scene
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import Curve, Ranking, average_precision, mean_error, weighted_curve
+from farfield.metrics.frames import in_range
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
 ERRORS = ("trans_err", "scale_err", "orient_err")

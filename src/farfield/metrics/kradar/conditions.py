@@ -8,7 +8,7 @@ from pathlib import Path
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.description import read_description
-from farfield.metrics.centre.scene import Key
+from farfield.frame.drive import Key
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
 from farfield.vocabulary.kradar import DESCRIPTION_ORDER
 
