@@ -109,9 +109,8 @@ def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> 
     from farfield.metrics import PROTOCOLS
 
     if "conditions" not in protocol.uses:
-        able = [
-            name for name in PROTOCOLS.names() if not PROTOCOLS.broken(name) and "conditions" in PROTOCOLS[name].uses
-        ]
+        usable = [name for name in PROTOCOLS.names() if not PROTOCOLS.broken(name)]
+        able = [name for name in usable if "conditions" in PROTOCOLS[name].uses]
         raise ConfigError(f"--conditions: only {' and '.join(able)} score by condition, not {protocol}")
     known = _conditions(found, source)
     missing = sorted({key[0] for key in found.annotations if key not in known})

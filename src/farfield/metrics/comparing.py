@@ -11,7 +11,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.protocol import Protocol, protocol_of
-from farfield.metrics.result import at, figure_names, table
+from farfield.metrics.result import at, figure_names, table, value_at
 from farfield.vocabulary.conditions import CONDITIONS
 
 Tree = Mapping[str, Any]

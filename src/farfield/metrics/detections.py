@@ -175,7 +175,5 @@ def _within_reach(result: Result, reach_m: float | None) -> Result:
     if beyond:
         notes.append(f"range {', '.join(beyond)} m begins beyond the detector's reach of {reach_m:g} m: not scored")
     if partly:
-        notes.append(
-            f"range {', '.join(partly)} m ends beyond the detector's reach of {reach_m:g} m: what lies farther is missed"
-        )
+        notes.append(f"range {', '.join(partly)} m ends beyond the detector's reach of {reach_m:g} m")
     return replace(result.without(beyond), notes=tuple(notes))
