@@ -66,3 +66,9 @@ def test_no_aligned_overlap_and_a_table(rng: np.random.Generator) -> None:
     assert result.to_json()["dds"] == {}
     for shown in ("AP at 0.5 m", "trans_err", "ties=later_first", "distance=bev", "annotated"):
         assert shown in str(result)
+
+
+def test_the_mean_is_that_of_the_first_epsilon_as_its_parts_are(rng: np.random.Generator) -> None:
+    scene, plain = random_scene(rng), {"label": "vehicle", "bootstrap": NO_BOOTSTRAP}
+    several = evaluate_nuscenes(*scene, NuScenesSettings(epsilons=(0.0, 0.02), **plain))
+    assert several.figures == evaluate_nuscenes(*scene, NuScenesSettings(**plain)).figures

@@ -126,6 +126,7 @@ def test_a_registered_protocol_is_found_and_holds_it_too(registered: None) -> No
     result = score(boxes, annotations, protocol="recall", label="pedestrian")
     assert result.figures == {"recall": pytest.approx(3 / 5)}
     assert "recall of 'pedestrian'" in str(result)
+    assert "recall: distance_m=2" in str(result)
     assert score(boxes, annotations, protocol=Recall(), distance_m=1.0).label == "vehicle"
     assert [each.label for each in example().score_each("recall")] == ["vehicle", "pedestrian"]
     with pytest.raises(ConfigError, match="expected options among label, distance_m; got far_m"):

@@ -226,16 +226,17 @@ def _conventions(members: list[Entry], *, by_range: bool, separate: bool) -> lis
 
 def _columns(members: list[Entry], figures: Sequence[str], by: str) -> list[tuple[str, list[Column]]]:
     """Title and columns of each table."""
-    trees = [entry.tree for entry in members]
-    prefix = f"ap/{members[0].label}/" if members[0].protocol.several_classes else ""
+    trees, protocol = [entry.tree for entry in members], members[0].protocol
+    prefix = f"ap/{members[0].label}/" if protocol.several_classes else ""
     wanted = [name if name.startswith(prefix) else prefix + name for name in figures] or _usual(members, prefix, by)
     for name in wanted:
         if not any(name.split("/")[-1] in _node(tree, name) for tree in trees):
             present = [leaf.removeprefix(prefix) for tree in trees for leaf in _figures_of(tree, prefix)]
             raise ConfigError(f"figures: expected some of {', '.join(dict.fromkeys(present))}; got {name!r}")
+    titles = {name: protocol.title(name.removeprefix(prefix)) for name in wanted}
     if by == "none":
-        return [("", [Column(_title(name, prefix), name) for name in wanted])]
-    return [(f", {_title(name, prefix)}", [Column("total", name), *_part_columns(trees, name, by)]) for name in wanted]
+        return [("", [Column(title, name) for name, title in titles.items()])]
+    return [(f", {title}", [Column("total", name), *_part_columns(trees, name, by)]) for name, title in titles.items()]
 
 
 def _part_columns(trees: list[Tree], figure: str, by: str) -> list[Column]:
@@ -259,14 +260,6 @@ def _usual(members: list[Entry], prefix: str, by: str) -> list[str]:
 def _figures_of(tree: Tree, prefix: str) -> list[str]:
     """Names of all figures, of several classes those of one."""
     return [name for name in figure_names(tree) if name.startswith(prefix)]
-
-
-def _title(figure: str, prefix: str) -> str:
-    words = figure.removeprefix(prefix).removeprefix("ap/").split("/")
-    if words[0] == "dds" and len(words) == 3:
-        score = "DDS" if words[1] == "0" else f"wDDS {words[1]}"
-        return score if words[2] == "dds" else {"map": "mAP", "aiou": "aIoU"}.get(words[2], words[2])
-    return " ".join(words).replace("3d", "3D").replace("bev", "BEV")
 
 
 def _node(tree: Tree, figure: str) -> Mapping[str, Any]:

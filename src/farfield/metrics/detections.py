@@ -94,7 +94,9 @@ class Detections:
     def evaluated(self, protocol: Protocol, settings: Any) -> Result:
         """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""
         result = protocol.evaluate(self, settings)
-        return _within_reach(replace(result, notes=(*self.notes, *result.notes)), self.reach_m)
+        convention = result.convention or protocol.convention_text(result.settings)
+        noted = replace(result, convention=convention, notes=(*self.notes, *result.notes))
+        return _within_reach(noted, self.reach_m)
 
     def counted(self) -> "Detections":
         """The frames and boxes that count, an entry of boxes for every annotated frame, and notes on what is left out.

@@ -119,6 +119,14 @@ class Protocol(ABC):
         """
         return {name: value_at(result, name) for name in figure_names(result)}
 
+    def title(self, figure: str) -> str:
+        """What a figure's column is called.
+
+        Args:
+            figure: Its name, of a result of several classes without the class: ``"3d/0.3"``.
+        """
+        return " ".join(figure.removeprefix("ap/").split("/")).replace("3d", "3D").replace("bev", "BEV")
+
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Settings on which no figure of the whole depends, so that results that differ in them share a column.
 
@@ -143,10 +151,10 @@ class ForeignProtocol(Protocol):
     """A protocol known from its results only: that of a package that is not installed here."""
 
     def __init__(self, variant: str = "") -> None:
-        self.title = variant
+        self.known_as = variant
 
     def __str__(self) -> str:
-        return self.title
+        return self.known_as
 
     def evaluate(self, found: "Detections", settings: Any) -> Result:
         """Refuse.
@@ -155,7 +163,7 @@ class ForeignProtocol(Protocol):
             ConfigError: Always.
         """
         del found, settings
-        raise ConfigError(f"protocol {self.title!r} is not installed here")
+        raise ConfigError(f"protocol {self.known_as!r} is not installed here")
 
 
 class Protocols(Registry[Any]):

@@ -45,8 +45,8 @@ def conditional_rows(
         values += [value for value in result.get("conditions", {}).get(kind, {}) if value not in values]
     rows = []
     for name, result in results.items():
-        told = result.get("conditions", {}).get(kind, {})
-        parts = [result, *(told.get(value) for value in values)]
+        known = result.get("conditions", {}).get(kind, {})
+        parts = [result, *(known.get(value) for value in values)]
         cells = [_figure(part, label, measure, iou) for part in parts]
         if not any(label in (part or {}).get("ap", {}) for part in parts[:1]):
             raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")

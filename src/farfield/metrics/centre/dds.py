@@ -81,6 +81,14 @@ class Dds(CentreProtocol):
         """DDS and wDDS by range and epsilon."""
         return evaluate_dds(found.boxes, found.annotated, settings, drives=found.drives, reach_m=found.reach_m)
 
+    def title(self, figure: str) -> str:
+        """DDS, wDDS with its epsilon, mAP, aIoU."""
+        words = figure.split("/")
+        if words[0] != "dds" or len(words) != 3:
+            return super().title(figure)
+        score = "DDS" if words[1] == "0" else f"wDDS {words[1]}"
+        return {"dds": score, "map": "mAP", "aiou": "aIoU"}.get(words[2], words[2])
+
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
         """DDS and wDDS by epsilon, then mAP and aIoU of plain DDS."""
         names = [f"dds/{epsilon}/dds" for epsilon in result.get("dds") or ()]

@@ -198,8 +198,8 @@ def _subsets(data: KRadarFrames, conditions: Conditions) -> Iterator[tuple[str, 
     for kind in CONDITIONS:
         if not any(kind in values for values in conditions.values()):
             continue
-        told = [condition_name(conditions.get(key, {}).get(kind, "")) for key in data.keys]
-        values = np.array(told, dtype=np.str_)
+        stated = [condition_name(conditions.get(key, {}).get(kind, "")) for key in data.keys]
+        values = np.array(stated, dtype=np.str_)
         for value in group_conditions(conditions, kind):
             yield f"{kind}/{value}", values == value
 
