@@ -142,9 +142,7 @@ def test_simplified_pointnet_counts_missing_points_as_zeros():
     grid = RadarGridConfig(range_m=1.6, half_width_m=0.8, z_min_m=0.0, z_max_m=0.4)
     torch.manual_seed(0)
     encoder = CellEncoder(grid, COLUMNS, multiple=1, channels=16, max_points=2)
-    points = torch.tensor(
-        [[0.1, -0.7, 0.2, 1.0], [0.2, -0.6, 0.2, 3.0], [0.3, -0.5, 0.2, 9.0], [1.3, 0.7, 0.1, 2.0]]
-    )
+    points = torch.tensor([[0.1, -0.7, 0.2, 1.0], [0.2, -0.6, 0.2, 3.0], [0.3, -0.5, 0.2, 9.0], [1.3, 0.7, 0.1, 2.0]])
     cells = encoder([points])
     learned = points @ encoder.linear.weight.T
     torch.testing.assert_close(cells.features[0], learned[:2].amax(0))  # full: the first two, no zeros
@@ -181,17 +179,17 @@ def test_wide_form_learns_both_classes(scene):
 def test_doppler_is_read_where_asked_for(rng):
     points = rng.uniform([0, -6, -2], [70, 6, 5], (200, 3)).astype(np.float32)
     power, doppler = rng.uniform(0, 1, 200).astype(np.float32), rng.normal(0, 1, 200).astype(np.float32)
-    doppler[3] = np.nan
+    doppler[3], none = np.nan, np.zeros(200, np.float32)
     network = small_detector("rtnh", use_doppler=True, score_threshold=0.0)
     detector = Detector(network, precision="fp32", device="cpu")
-    cloud = Cloud(points, power, {"doppler_m_s": doppler})
+    cloud = Cloud(points, none, {"power": power, "doppler_m_s": doppler})
     tensor = cloud_of(network, cloud)
     assert tensor.shape == (200, 5)
     assert tensor[3, 4] == 0
-    moving, still = detector(cloud), detector(Cloud(points, power, {"doppler_m_s": np.zeros_like(doppler)}))
+    moving, still = detector(cloud), detector(Cloud(points, none, {"power": power, "doppler_m_s": none}))
     assert moving.score.tolist() != still.score.tolist()
     with pytest.raises(ConfigError, match="doppler_m_s"):
-        detector(Cloud(points, power))
+        detector(Cloud(points, none, {"power": power}))
 
 
 def test_log_power_tames_strong_cells():

@@ -3,8 +3,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from small import batch_of, cloud_of, losses_of, targets_of
 from pydantic import ValidationError
+from small import batch_of, cloud_of, losses_of, targets_of
 
 from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector

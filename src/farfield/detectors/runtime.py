@@ -74,7 +74,7 @@ class Detector:
         self.precision = default_precision(self.device) if precision == "auto" else precision
         self.provenance, self.cloud, self.config = provenance or {}, cloud, network.config
         keep_freed_memory()
-        network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
         if self.precision == "bf16":
             for name in network.low_precision:
                 network.get_submodule(name).bfloat16()
@@ -158,7 +158,7 @@ class Detector:
         return dict.fromkeys(inputs, frame)
 
     def _chosen(self, frame: Frame, source: str) -> Cloud:
-        """The cloud of an input: that asked for, or the first learnt from that the frame has, or the first that fits."""
+        """The cloud of an input: the chosen one, or the first one learnt from that is there, or the first that fits."""
         if isinstance(self.cloud, Mapping):
             name = self.cloud.get(source)
         elif len(self.network.inputs) > 1:

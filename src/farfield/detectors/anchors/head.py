@@ -86,7 +86,7 @@ class AnchorHead(nn.Conv2d):
             if self.bias is not None:
                 self.bias.copy_(bias.reshape(-1))
 
-    def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:  # type: ignore[override]
+    def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:
         """Outputs for each anchor, in the order of the anchor grid; targets are not looked at."""
         del targets
         image = in_type_of(self, features.dense)
