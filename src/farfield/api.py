@@ -47,22 +47,21 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
 def as_trained(data: Frames, detector: Any) -> Frames:
     """Return the data as the detector was trained to see them, by its provenance.
 
-    That is with as many sweeps a frame, and in the view of its reader's options: K-Radar's frames in the radar's
-    coordinates, with as dense a radar cloud. Frames that are not a data set's stay as they are, and data that are
-    stacked already are not stacked again.
+    The maps through which its training's data were seen are applied: K-Radar's frames in the radar's coordinates, with
+    as dense a radar cloud, frames turned, several sweeps; see :func:`farfield.datasets.recipes.replay`. Frames that are
+    not a data set's stay as they are.
 
     Raises:
-        DatasetError: If the detector wants several sweeps and the frames have no poses or times.
+        ConfigError: If the provenance names maps or settings that are not known.
     """
     from farfield.datasets.base import Dataset
-    from farfield.datasets.sweeps import stack_sweeps, sweeps_of
+    from farfield.datasets.recipes import recipe_of_experiment, replay
 
-    trained_on = (getattr(detector, "provenance", None) or {}).get("experiment", {}).get("data", {})
-    count = int(trained_on.get("sweeps", 1))
     if not isinstance(data, Dataset):
         return data
-    seen = data.viewed(trained_on.get("options", {}))
-    return cast(Frames, seen if sweeps_of(seen) > 1 else stack_sweeps(seen, count))
+    known = getattr(detector, "provenance", None) or {}
+    recipe = known.get("recipe") or recipe_of_experiment(known.get("experiment", {}).get("data", {}))
+    return cast(Frames, replay(data, recipe))
 
 
 def predict(
@@ -140,7 +139,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     Raises:
         DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
     """
-    from farfield.datasets.sweeps import stack_sweeps
+    from farfield.datasets.maps import Sweeps
     from farfield.detectors import build_detector
     from farfield.frame.provenance import environment
     from farfield.training.distributed import launch
@@ -148,7 +147,9 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     from farfield.training.samples import TrainingSamples
 
     fabric = launch(experiment.training)
-    data = stack_sweeps(open_dataset(experiment.data.path, **experiment.data.options), experiment.data.sweeps)
+    data = open_dataset(experiment.data.path, **experiment.data.options)
+    if experiment.data.sweeps > 1:
+        data = data.mapped(Sweeps(experiment.data.sweeps))
     if experiment.data.split:
         data = data.split(experiment.data.split)
     missing = [name for name in experiment.data.clouds if name not in data[0].clouds]
@@ -170,6 +171,7 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
     )
     provenance = {
         "experiment": experiment.model_dump(mode="json"),
+        "recipe": dict(data.recipe),
         "data_fingerprint": data.fingerprint(),
         "frames": len(data),
         "environment": environment(),

@@ -1,6 +1,8 @@
 """Data sets: disk to :class:`Frame` and back. ``open_dataset`` recognises the format."""
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Mapping as Options
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -10,64 +12,17 @@ from farfield.errors import ConfigError, DatasetError
 __all__ = ["FORMATS", "Dataset", "open_dataset", "recognise"]
 
 
-def _cirrus(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.cirrus import Cirrus
-
-    return Cirrus(root, **options)
-
-
-def _kitti(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.kitti.object import Kitti
-
-    return Kitti(root, **options)
-
-
-def _view_of_delft(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.view_of_delft.reader import ViewOfDelft
-
-    return ViewOfDelft(root, **options)
-
-
-def _kitti_tracking(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.kitti.tracking import KittiTracking
-
-    return KittiTracking(root, **options)
-
-
-def _argoverse2(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.argoverse2 import Argoverse2
-
-    return Argoverse2(root, **options)
-
-
-def _kradar(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.kradar import KRadar
-
-    return KRadar(root, **options)
-
-
-def _radiate(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.radiate import Radiate
-
-    return Radiate(root, **options)
-
-
-def _folder(root: Path, **options: Any) -> Dataset:
-    from farfield.datasets.folder import Folder
-
-    return Folder(root, **options)
-
-
-FORMATS: dict[str, Callable[..., Dataset]] = {
-    "cirrus": _cirrus,
-    "kitti": _kitti,
-    "view_of_delft": _view_of_delft,
-    "kitti_tracking": _kitti_tracking,
-    "argoverse2": _argoverse2,
-    "kradar": _kradar,
-    "radiate": _radiate,
-    "folder": _folder,
+FORMATS: dict[str, str] = {
+    "cirrus": "farfield.datasets.cirrus:Cirrus",
+    "kitti": "farfield.datasets.kitti.object:Kitti",
+    "view_of_delft": "farfield.datasets.view_of_delft.reader:ViewOfDelft",
+    "kitti_tracking": "farfield.datasets.kitti.tracking:KittiTracking",
+    "argoverse2": "farfield.datasets.argoverse2:Argoverse2",
+    "kradar": "farfield.datasets.kradar:KRadar",
+    "radiate": "farfield.datasets.radiate:Radiate",
+    "folder": "farfield.datasets.folder:Folder",
 }
+"""Readers by format, imported when they are asked for."""
 
 _LOOKED_FOR = {
     "cirrus": "dataset<N>_gaussian/*.xyz or dataset<N>_uniform/*.xyz, or the authors' dataset/raw_data/lidar/*.xyz",
@@ -121,16 +76,17 @@ def _has(root: Path, pattern: str) -> bool:
     return next(iter(root.glob(pattern)), None) is not None
 
 
-def open_dataset(
-    path: Path | str, *, format: str | None = None, rotate_deg: float | int = 0, **options: Any
-) -> Dataset:
+def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:
     """Open a data set; its format is recognised from what the folder holds.
+
+    Options that decide how frames are seen become maps, see :attr:`Dataset.maps`: ``rotate_deg`` for every format, and
+    ``reference``, ``radar_rate``, ``radar_region``, ``radar_over`` for those that offer them.
 
     Args:
         path: Its root folder.
         format: One of :data:`FORMATS`; None recognises it.
-        rotate_deg: Turn every frame counter-clockwise about z by so much; 180 looks backwards.
-        **options: Passed to the format's reader, such as ``mapping=`` for Cirrus.
+        **options: ``rotate_deg``, which turns every frame counter-clockwise about z (180 looks backwards), and those of
+            the format's reader, such as ``mapping=`` for Cirrus.
 
     Raises:
         DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
@@ -140,6 +96,8 @@ def open_dataset(
     >>> open_dataset("Cirrus_dataset1")[0].boxes  # doctest: +SKIP
     Boxes(95: 2 large_vehicle, 1 pedestrian, 92 vehicle)
     """
+    from farfield.datasets.recipes import plain
+
     root = Path(path).expanduser()
     if not root.is_dir():
         kind = "a file" if root.exists() else "nothing"
@@ -150,12 +108,47 @@ def open_dataset(
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
         raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. Looked for:{looked}")
+    reader = _reader(format)
+    known = _checked_options(format, reader, options)
+    dataset = reader(root, **{name: value for name, value in options.items() if name in known})
+    dataset.options = {name: plain(value) for name, value in options.items() if name in known}
+    return _viewed(dataset, {name: value for name, value in options.items() if name not in known})
+
+
+def _reader(format: str) -> Any:
     if format not in FORMATS:
         raise ConfigError(f"open_dataset: expected format to be one of {', '.join(FORMATS)}; got {format!r}")
-    try:
-        dataset = FORMATS[format](root, **options)
-    except TypeError as error:
-        if "unexpected keyword argument" not in str(error):
-            raise
-        raise ConfigError(f"open_dataset: the {format} reader does not know an option: {error}") from error
-    return dataset.turned(rotate_deg) if rotate_deg else dataset
+    module, _, name = FORMATS[format].partition(":")
+    return getattr(import_module(module), name)
+
+
+def _checked_options(format: str, reader: Any, options: Options[str, Any]) -> set[str]:
+    """Options that are the reader's own; the others are views, of which it must offer each."""
+    parameters = [*inspect.signature(reader).parameters.values()][1:]
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        return set(options) - {"rotate_deg", *reader.view_options}
+    own = [parameter.name for parameter in parameters]
+    offered = [*own, *(name for name in reader.view_options if name not in own), "rotate_deg"]
+    unknown = [name for name in options if name not in offered]
+    if unknown:
+        raise ConfigError(
+            f"open_dataset: the {format} reader does not know the option {unknown[0]!r}; it knows {', '.join(offered)}"
+        )
+    return set(own)
+
+
+def _viewed(dataset: Dataset, options: Options[str, Any]) -> Dataset:
+    """The data set through the maps that options stand for, less those that change nothing."""
+    from farfield.datasets.maps import described, make
+    from farfield.datasets.recipes import maps_of_options
+
+    reference = options.get("reference")
+    if reference is not None and reference not in dataset.references:
+        known = " or ".join(dataset.references)
+        raise ConfigError(f"open_dataset: expected reference {known} for {dataset.name}, got {reference!r}")
+    usual = [("coordinates", {"reference": own}) for own in dataset.references[:1]]
+    usual += [("radar_view", {})] if "radar_rate" in dataset.view_options else []
+    changes_nothing = [described(make(name, settings)) for name, settings in usual]
+    for function in maps_of_options(options):
+        dataset = dataset if described(function) in changes_nothing else dataset.mapped(function)
+    return dataset

@@ -75,6 +75,10 @@ class Lazy(Mapping[str, Any]):
         self._loaders = dict(loaders)
         self._loaded: dict[str, Any] = {}
 
+    def loader(self, key: str) -> Callable[[], Any]:
+        """The function that loads the value of a key, which a further mapping may wrap."""
+        return self._loaders[key]
+
     def __getitem__(self, key: str) -> Any:
         if key not in self._loaders:
             raise KeyError(f"{key!r}; present: {', '.join(self._loaders) or 'nothing'}")

@@ -13,6 +13,7 @@ from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels, read_l
 from farfield.datasets.cirrus.layout import Entry, expectation, find_parts, index_frames, time_of
 from farfield.datasets.cirrus.mapping import Mapping, read_mapping
 from farfield.datasets.cloud_files import intensity_scale_of, read_rows
+from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Camera, Cloud, Frame, Lazy
@@ -68,6 +69,9 @@ class Cirrus(Dataset):
         """List the files of frame ``index``."""
         entry = self.entries[index]
         return [path for path in (entry.gaussian, entry.uniform, entry.camera, entry.labels) if path]
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(time_of(self.entries[index].key) for index in indices)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""

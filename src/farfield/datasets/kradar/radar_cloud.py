@@ -1,4 +1,4 @@
-"""The radar's strongest cells as a point cloud, from whichever product is there, and frames in its coordinates.
+"""The radar's strongest cells as a point cloud, from whichever product is there.
 
 From the store (``cells``), the published sparse files (``sparse``), the cube or the tesseract comes the same cloud; the
 published files hold what their rate and region left. The polar map gives its own strongest cells, with their Doppler.
@@ -6,41 +6,60 @@ published files hold what their rate and region left. The polar map gives its ow
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, cast
+from functools import partial
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from jaxtyping import Float, Float32
+from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.kradar.layout import SPARSE_COLUMNS
-from farfield.datasets.kradar.tesseract import read_moments
-from farfield.datasets.moving import move_frame
+from farfield.datasets.maps import Earlier, Placed
+from farfield.datasets.maps.sweeps import Stacked
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy
-from farfield.geometry.poses import invert
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
-from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
+from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
-_SOURCES = ("cells", "sparse", "corridor", "sparse_1p", "cube", "tesseract", "polar_cloud", "polar_cloud_1p", "polar3d")
+_SOURCES = (
+    *("cells", "sparse", "corridor", "sparse_1p", "cube", "moments", "tesseract"),
+    *("polar_cloud", "polar_cloud_1p", "polar3d"),
+)
 _SPARSE_RATE = 0.01
 _NEARLY_ALL = 0.999
 
 
+class RadarViewSettings(BaseModel):
+    """Settings of :class:`RadarView`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate: float = 0.1
+    region: str = "wide"
+    over: str = "all"
+
+
 @dataclass(frozen=True, kw_only=True)
 class RadarView:
-    """Which cells of a radar frame become points.
+    """The cloud ``radar`` of every frame made anew from its radar products; it is read when it is asked for.
+
+    Frames without such products stay as they are. Stack sweeps afterwards, since a new cloud has one.
 
     Args:
-        rate: Share of the cube's cells, 1 or one of ``farfield.radar.cells.RATES``.
+        rate: Share of the cube's cells that become points, 1 or one of ``farfield.radar.cells.RATES``.
         region: Name of a region.
         over: ``"all"`` or ``"valid"`` cells of the cube are counted, or those of the ``"region"``. Published files hold
             what was counted when they were made.
 
     Raises:
-        ConfigError: If one is none of those possible.
+        ConfigError: If one is none of those possible, or a frame has several sweeps already.
     """
 
+    name: ClassVar[str] = "radar_view"
+    Settings: ClassVar[type[BaseModel]] = RadarViewSettings
+    overrules: ClassVar[bool] = True
+    keeps_annotation: ClassVar[bool] = True
     rate: float | int = 0.1
     region: str = "wide"
     over: str = "all"
@@ -52,30 +71,29 @@ class RadarView:
             raise ConfigError(f"radar_over: expected one of {', '.join(OVERS)}; got {self.over!r}")
         find_region(self.region)
 
+    def settings(self) -> Mapping[str, Any]:
+        """Rate, region and what is counted."""
+        return {"rate": float(self.rate), "region": self.region, "over": self.over}
 
-def with_radar_cloud(
-    frame: Frame, view: RadarView, frame_T_radar: Float[np.ndarray, "4 4"], tesseract: Path | None = None
-) -> Frame:
-    """The frame with its cloud ``radar``, if it has a product that gives one; it is read when it is asked for.
+    def fits(self, dataset: Any) -> bool:
+        """Whether the data set offers views of its radar."""
+        return "radar_rate" in dataset.view_options
 
-    Args:
-        frame: The frame, with its radar products.
-        view: Which cells.
-        frame_T_radar: Pose of the radar in the frame's coordinates.
-        tesseract: The tesseract's file, which is reduced while it is read if there is nothing smaller.
-    """
-    source = _source(frame, view)
-    if source is None:
-        return frame
+    def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+        """The poses as they are."""
+        return world_T_frame
 
-    def load() -> Cloud:
-        if source == "tesseract" and tesseract is not None:
-            cloud = radar_cloud(source, read_moments(tesseract), view)
-        else:
-            cloud = radar_cloud(source, frame.radar[source], view)
-        return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
-
-    return replace(frame, clouds=_with(frame, {RADAR_CLOUD: load}))
+    def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
+        """The frame with its cloud ``radar`` in this view, if it has a product that gives one."""
+        del earlier
+        source = _source(frame, self)
+        if source is None:
+            return frame
+        kept = {name: _loader(frame, name) for name in frame.clouds}
+        if isinstance(kept.get(RADAR_CLOUD), Stacked):
+            raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
+        loader = Placed(partial(_read, frame.radar, source, self), _frame_T_radar(frame))
+        return replace(frame, clouds=Lazy(kept | {RADAR_CLOUD: loader}))
 
 
 def _source(frame: Frame, view: RadarView) -> str | None:
@@ -85,11 +103,22 @@ def _source(frame: Frame, view: RadarView) -> str | None:
     return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
 
 
-def _with(frame: Frame, loaders: Mapping[str, Callable[[], Any]]) -> Lazy:
-    def kept(name: str) -> Callable[[], Any]:
-        return lambda: frame.clouds[name]
+def _loader(frame: Frame, name: str) -> Callable[[], Any]:
+    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else partial(_item, frame.clouds, name)
 
-    return Lazy({name: kept(name) for name in frame.clouds} | dict(loaders))
+
+def _item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
+    return clouds[name]
+
+
+def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:
+    return radar_cloud(source, products[source], view)
+
+
+def _frame_T_radar(frame: Frame) -> Float[np.ndarray, "4 4"]:
+    if frame.reference == "radar":
+        return np.eye(4)
+    return np.asarray(frame.metadata["os2_T_radar"])
 
 
 def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
@@ -97,7 +126,7 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
 
     Args:
         product: Name of a radar product.
-        values: The product; of a tesseract also its moments.
+        values: The product.
         view: Which cells.
     """
     if product in SPARSE_COLUMNS:
@@ -109,8 +138,8 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         inside = _of_columns(polar_cloud(polar, _NEARLY_ALL), view)
         return inside[inside.intensity > np.quantile(inside.intensity, 1 - view.rate)] if len(inside) else inside
     doppler = None
-    if product == "tesseract":
-        reduced = values if isinstance(values, Moments) else moments(np.asarray(values, dtype=np.float32))
+    if product in ("moments", "tesseract"):
+        reduced = values if product == "moments" else moments(np.asarray(values, dtype=np.float32))
         values, doppler = zyx_cube(reduced.mean_power), doppler_cube(reduced.mean_power_63, reduced.velocity_moment)
     cells = values
     if not isinstance(values, RadarCells):
@@ -126,10 +155,3 @@ def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
     kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
     extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
     return Cloud(kept[:, :3], kept[:, 3], extra)
-
-
-def in_radar_frame(frame: Frame, os2_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
-    """A frame of the os2-64's coordinates in the radar's; the os1-128's cloud stays in its own."""
-    moved = move_frame(frame, invert(os2_T_radar))
-    kept = {"os1-128": lambda: frame.clouds["os1-128"]} if "os1-128" in frame.clouds else {}
-    return replace(moved, clouds=_with(moved, kept), reference="radar")
