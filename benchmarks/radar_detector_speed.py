@@ -62,7 +62,7 @@ def cloud_of(frame: Frame, kind: str, region: str, rate: float | None, over: Ove
     """The radar's strongest cells in a region, or the LiDAR's points, in the radar's frame."""
     if kind == "radar":
         cells = frame.radar["cells"].select(region, rate, over=over)
-        return Cloud(cells.points_m(), cells.power)
+        return Cloud(cells.points_m(), None, {"power": cells.power})
     cloud = frame.clouds[kind]
     return Cloud(cloud.points_m - np.array(KRADAR_ORIGIN_M, dtype=np.float32), cloud.intensity)
 
@@ -144,7 +144,7 @@ def print_peak(experiment: str, precision: str) -> None:
     count = {"os2-64": 90_000, "radar": int(rate * REGIONS["narrow"].cells) if rate == 0.1 else 102_966}[kind]
     grid = np.stack(np.meshgrid(np.arange(180), np.arange(32), np.arange(20), indexing="ij"), -1).reshape(-1, 3)
     points = grid[rng.choice(len(grid), count, replace=False)] * 0.4 + [0.2, -6.2, -1.8]
-    cloud = Cloud(points.astype(np.float32), rng.exponential(0.02, count).astype(np.float32))
+    cloud = Cloud(points.astype(np.float32), None, {"power": rng.exponential(0.02, count).astype(np.float32)})
     before_mb = _peak_mb()
     network = detector(experiment, Path("absent"), precision=precision)
     ctypes.CDLL("libc.so.6").malloc_trim(0)  # what building it took

@@ -15,7 +15,7 @@ from _report import SHARED_REAL, header
 from matplotlib.collections import LineCollection
 
 from farfield.api import open_dataset
-from farfield.datasets.view_of_delft.reader import read_radar
+from farfield.datasets.view_of_delft.reader import radar_velocity_m_s, read_radar
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.geometry.points import count_points_in_boxes
@@ -57,7 +57,7 @@ def box_table(frame: Frame, boxes: Boxes, moving: np.ndarray) -> list[str]:
     lidar, radar = frame.clouds["lidar"], frame.clouds["radar"]
     lines = [f"  {'label':<14} moving range_m  lidar radar nearest_m  median v_r over ground, m/s"]
     counts = count_points_in_boxes(lidar.points_m, boxes, margin_m=0.05)
-    names = frame.metadata["raw_label"]
+    names = frame.annotation.original_label
     for index in np.argsort(np.linalg.norm(boxes.centre_m[:, :2], axis=1)):
         gap_m = outside_m(radar.points_m, boxes[index : index + 1])
         inside = gap_m <= MARGIN_M
@@ -73,7 +73,7 @@ def box_table(frame: Frame, boxes: Boxes, moving: np.ndarray) -> list[str]:
 def alternatives(frame: Frame, boxes: Boxes) -> list[str]:
     """How many radar points lie in boxes as read, and with the calibration or the axes wrong on purpose."""
     path = next(name for name in frame.metadata["files"] if "radar" in name and name.endswith(".bin"))
-    own, lidar_T_radar = read_radar(Path(path)), frame.metadata["reference_T_radar"]
+    own, lidar_T_radar = read_radar(Path(path)), frame.sensors["radar"].frame_T_sensor
     mirrored = np.diag([1.0, -1.0, 1.0, 1.0])
     cases = {
         "as read": lidar_T_radar,
@@ -82,7 +82,7 @@ def alternatives(frame: Frame, boxes: Boxes) -> list[str]:
         "turned by +5 degrees": lidar_T_radar @ pose_from_yaw(float(np.radians(5))),
         "turned by -5 degrees": lidar_T_radar @ pose_from_yaw(float(np.radians(-5))),
     }
-    moving = boxes[frame.metadata["moving"]]
+    moving = boxes[frame.annotation.moving]
     lines = [f"  {'':<34} points in boxes, of them faster than {STILL_M_S} m/s in moving boxes"]
     for name, motion in cases.items():
         cloud = own.transform(motion)
@@ -105,7 +105,8 @@ def summary(frame: Frame, boxes: Boxes, moving: np.ndarray) -> list[str]:
         return f"{(part & of).sum()} of {of.sum()} ({(part & of).sum() / max(of.sum(), 1):.0%})"
 
     path = next(name for name in frame.metadata["files"] if "radar" in name and name.endswith(".bin"))
-    own, velocity = read_radar(Path(path)), frame.metadata["radar_velocity_m_s"]
+    own = read_radar(Path(path))
+    velocity = radar_velocity_m_s(own)
     rays = own.points_m / np.linalg.norm(own.points_m, axis=1, keepdims=True)
     residual = np.abs(rays @ velocity - (own.extra[VELOCITY] - own.extra["v_r_m_s"]))
     quantiles = np.percentile(speed[background], [50, 75, 90])
@@ -160,7 +161,7 @@ def main() -> None:
     lines = [header()]
     for frame in open_dataset(options.real):
         assert frame.boxes is not None
-        boxes, moving = frame.boxes, frame.metadata["moving"]
+        boxes, moving = frame.boxes, frame.annotation.moving
         lines += [f"\nView-of-Delft, frame {frame.frame_id}", *summary(frame, boxes, moving)]
         lines += ["", *alternatives(frame, boxes), "", *box_table(frame, boxes, moving)]
         if options.pictures:

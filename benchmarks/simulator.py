@@ -68,7 +68,7 @@ def by_range(frames: list[Frame]) -> tuple[str, str]:
     chosen = np.isin(label, VEHICLES)
     range_m = np.concatenate([box.range_m for box in boxes])[chosen]
     counts = {
-        name: np.concatenate([frame.metadata[f"point_count_{name}"] for frame in frames])[chosen]
+        name: np.concatenate([frame.annotation.details[f"point_count_{name}"] for frame in frames])[chosen]
         for name in ("gaussian", "uniform")
     }
     rows = ["  range m    a frame  median points Gaussian  uniform  ratio of sums"]

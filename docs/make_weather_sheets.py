@@ -65,7 +65,7 @@ def draw_boxes(axes: Any, frame: Frame) -> None:
     boxes = frame.boxes
     if boxes is None:
         return
-    for corners, seen in zip(boxes.bev_corners_m(), frame.metadata["availability"], strict=True):
+    for corners, seen in zip(boxes.bev_corners_m(), frame.annotation.visibility, strict=True):
         ring = np.vstack([corners, corners[:1]])
         axes.plot(ring[:, 0], ring[:, 1], color=COLOURS[seen], linewidth=0.6)
 

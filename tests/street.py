@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets.cirrus import CirrusWriter
-from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor
 
 START_NS = 1_558_131_117_608_556_768
 GROUND_M = -1.9
@@ -47,7 +47,8 @@ def street_frame(rng: np.random.Generator, number: int = 0) -> Frame:
         frame_id=str(time_ns),
         time_ns=time_ns,
         clouds={"gaussian": cloud},
-        annotation=lambda: boxes,
+        sensors={"gaussian": Sensor(kind="lidar")},
+        load_annotation=Given(Annotation(boxes=boxes, extent="visible")),
     )
 
 

@@ -76,8 +76,8 @@ def detect_all(
         # of this cloud: patterns share their boxes
         found.annotations[frame.key] = frame.boxes.replace(point_count=inside)
         found.conditions[frame.key] = frame.conditions
-        if "availability" in frame.metadata:
-            found.visibility[frame.key] = frame.metadata["availability"]
+        if frame.annotation is not None and frame.annotation.visibility is not None:
+            found.visibility[frame.key] = frame.annotation.visibility
     return found, float(np.median(taken_ms)) if taken_ms else float("nan")
 
 

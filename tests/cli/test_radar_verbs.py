@@ -8,17 +8,18 @@ import pytest
 
 pytest.importorskip("torch")
 
+from tests.datasets.kradar.drive import frame
+
 from farfield.api import as_trained, evaluate, load_detector
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.maps import Coordinates
 from farfield.files.boxes_csv import read_boxes_csv
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import zyx_cube
-from tests.datasets.kradar.drive import frame
 
 EXPERIMENT = """
 name: tiny
@@ -49,9 +50,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     writer = KRadarWriter(folder / "data")
     for sequence, weather in (("1", "fog"), ("2", "light_snow")):
         for number in (1, 2):
-            given = frame(number, sequence=sequence, weather=weather, radar={"cells": cells}, annotation=lambda: car)
-            given.metadata["availability"] = ["R"]  # type: ignore[index]
-            writer.write(given)
+            given = frame(number, sequence=sequence, weather=weather, radar={"cells": cells})
+            writer.write(given.annotated(Annotation(boxes=car, visibility=["R"])))
     writer.finish()
     (folder / "tiny.yaml").write_text(EXPERIMENT)
     with pytest.MonkeyPatch.context() as patch:

@@ -247,4 +247,4 @@ def test_kradar_frames_read_back_and_do_not_depend_on_the_workers(tmp_path: Path
     assert expected.boxes is not None
     np.testing.assert_allclose(frame.boxes.centre_m, expected.boxes.centre_m, atol=1e-6)
     np.testing.assert_array_equal(frame.boxes.label, expected.boxes.label)
-    assert list(frame.metadata["availability"]) == list(expected.metadata["availability"])
+    assert list(frame.annotation.visibility) == list(expected.annotation.visibility)

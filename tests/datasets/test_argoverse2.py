@@ -38,11 +38,11 @@ def test_frames_carry_classes_poses_tracks_and_cameras(shared_real):
     frame = data[0]
     assert "REGULAR_VEHICLE" in set(frame.boxes.label.tolist())
     assert set(open_dataset(data.root)[0].boxes.label.tolist()) >= {"vehicle", "pedestrian", "bicycle", "unknown"}
-    assert frame.metadata["raw_label"] == tuple(frame.boxes.label.tolist())
+    assert frame.annotation.original_label == tuple(frame.boxes.label.tolist())
     shared = set(frame.boxes.track_id.tolist()) & set(data[1].boxes.track_id.tolist())
     assert len(shared) > 0.8 * len(frame.boxes)
     # Standing objects keep their place in the city when the ego vehicle moves: poses and boxes agree.
-    places = [f.boxes.transform(f.world_T_lidar) for f in data]
+    places = [f.boxes.transform(f.world_T_frame) for f in data]
     by_id = [dict(zip(p.track_id.tolist(), p.centre_m, strict=True)) for p in places]
     moved = [np.linalg.norm(by_id[0][track] - by_id[1][track]) for track in shared]
     assert np.median(moved) < 0.1

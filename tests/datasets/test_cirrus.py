@@ -10,7 +10,7 @@ from farfield.datasets.cirrus.layout import pair, segment_numbers
 from farfield.datasets.cirrus.mapping import Pairing
 from farfield.datasets.cloud_files import cache_path, write_rows_cache
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.frame import Boxes, Camera, Cloud, Frame
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Sensor, joined
 from farfield.geometry.poses import pose_from_yaw, quaternion_from_yaw
 
 START_NS = 1_558_131_117_608_556_768
@@ -42,11 +42,15 @@ def make_frame(rng: np.random.Generator, number: int = 0, *, sequence: str = "hi
         frame_id=str(time_ns),
         time_ns=time_ns,
         clouds={"gaussian": make_cloud(rng), "uniform": make_cloud(rng)},
-        annotation=lambda: boxes,
-        world_T_lidar=pose_from_yaw(0.3, (10.0 * number, 2.0, 0.0)),
-        times_ns={"gaussian": time_ns, "uniform": time_ns + 30_000_000},
+        load_annotation=Given(
+            Annotation(boxes=boxes, extent="visible", full_boxes=full, details={"point_count_uniform": np.arange(6)})
+        ),
+        world_T_frame=pose_from_yaw(0.3, (10.0 * number, 2.0, 0.0)),
+        sensors={
+            "gaussian": Sensor(kind="lidar", time_ns=time_ns),
+            "uniform": Sensor(kind="lidar", time_ns=time_ns + 30_000_000),
+        },
         conditions={"weather": "clear"},
-        metadata={"full_boxes": full, "point_count_uniform": np.arange(6)},
     )
 
 
@@ -79,14 +83,14 @@ def test_round_trip_keeps_clouds_boxes_and_the_rest(written):
             np.testing.assert_array_equal(got.clouds[pattern].points_m, want.clouds[pattern].points_m)
             np.testing.assert_allclose(got.clouds[pattern].intensity, want.clouds[pattern].intensity, atol=6e-7)
         assert_same_boxes(got.boxes, want.boxes)
-        assert_same_boxes(got.metadata["full_boxes"], want.metadata["full_boxes"])
+        assert_same_boxes(got.annotation.full_boxes, want.annotation.full_boxes)
         assert got.boxes.track_id.tolist() == want.boxes.track_id.tolist()
         assert got.boxes.point_count.tolist() == want.boxes.point_count.tolist()
-        assert got.metadata["point_count_uniform"].tolist() == list(range(6))
+        assert got.annotation.details["point_count_uniform"].tolist() == list(range(6))
         assert got.metadata["pair_dt_ms"] == pytest.approx(30.0)
-        np.testing.assert_allclose(got.world_T_lidar, want.world_T_lidar)
+        np.testing.assert_allclose(got.world_T_frame, want.world_T_frame)
         assert got.conditions == {"weather": "clear"}
-        assert len(got.cloud("merged")) == 400
+        assert len(joined(got, ["gaussian", "uniform"])) == 400
 
 
 def test_layout_on_disk_is_the_released_one(written):
@@ -114,7 +118,7 @@ def test_the_same_frame_gives_the_same_bytes(tmp_path):
 def test_writer_can_label_full_boxes(tmp_path, rng):
     frame = make_frame(rng)
     CirrusWriter(tmp_path).write(frame, box_label_source="full_boxes")
-    assert_same_boxes(open_dataset(tmp_path)[0].boxes, frame.metadata["full_boxes"])
+    assert_same_boxes(open_dataset(tmp_path)[0].boxes, frame.annotation.full_boxes)
 
 
 def test_writer_refuses_two_sequences_at_one_time(tmp_path, rng):
@@ -134,7 +138,7 @@ def test_camera_and_calibration_round_trip(tmp_path, rng):
         clouds=base.clouds,
         images={"camera": np.full((20, 64, 3), 90, np.uint8)},
         cameras={"camera": camera},
-        times_ns={"camera": START_NS + 12_000_000},
+        sensors={"camera": Sensor(kind="camera", in_frame=False, time_ns=START_NS + 12_000_000)},
     )
     CirrusWriter(tmp_path).write(frame)
     got = open_dataset(tmp_path)[0]

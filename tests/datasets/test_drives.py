@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drive import frame as kradar_frame
+from trees import car_label, write_delft, write_kitti, write_sequence, write_tree
 
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
@@ -14,13 +16,8 @@ from farfield.datasets.view_of_delft.reader import ViewOfDelft
 from farfield.errors import DatasetError
 from farfield.files.clouds import write_bin
 from farfield.geometry.poses import invert, pose_from_yaw
-from tests.datasets import test_cirrus, test_kitti, test_radiate, test_view_of_delft
-from tests.datasets.kradar.drive import frame as kradar_frame
+from tests.datasets import test_cirrus
 from tests.datasets.test_sweeps import Drive
-
-kitti_root = test_kitti.root
-radiate_root = test_radiate.sequence
-delft_root = test_view_of_delft.root
 
 
 def agree_with_frames(data: Dataset) -> None:
@@ -33,7 +30,7 @@ def agree_with_frames(data: Dataset) -> None:
             assert drive.times_ns.tolist() == [frame.time_ns for frame in frames]
             assert (np.diff(drive.times_ns) > 0).all()
         if drive.world_T_frame is not None:
-            np.testing.assert_allclose(drive.world_T_frame, np.stack([frame.world_T_lidar for frame in frames]))
+            np.testing.assert_allclose(drive.world_T_frame, np.stack([frame.world_T_frame for frame in frames]))
 
 
 def without_frames(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,7 +47,7 @@ def test_kradars_drives_have_times_and_poses(tmp_path, monkeypatch):
     for sequence in ("2", "11"):
         for number in (1, 2, 3):
             pose = pose_from_yaw(0.1 * number, (3.0 * number, 0.0, 0.0))
-            writer.write(kradar_frame(number, sequence=sequence, world_T_lidar=pose))
+            writer.write(kradar_frame(number, sequence=sequence, world_T_frame=pose))
     writer.finish()
     data = open_dataset(tmp_path)
     agree_with_frames(data)
@@ -73,8 +70,8 @@ def test_cirrus_drives_are_its_segments(tmp_path, rng, monkeypatch):
     assert all(drive.times_ns is not None for drive in data.drives())
 
 
-def test_kittis_shuffled_frames_are_no_drive(kitti_root):
-    data = open_dataset(kitti_root)
+def test_kittis_shuffled_frames_are_no_drive(tmp_path):
+    data = open_dataset(write_kitti(tmp_path))
     assert data.drives() == ()
     assert set(data.sequences) == {"training"}
     assert data.split_units() == data.frame_ids
@@ -108,8 +105,8 @@ def test_a_folder_is_one_drive_by_file_name(tmp_path):
     assert drive.indices.tolist() == [0, 1, 2]
 
 
-def test_radiates_times_come_from_its_list(radiate_root, monkeypatch):
-    data = open_dataset(radiate_root)
+def test_radiates_times_come_from_its_list(tmp_path, monkeypatch):
+    data = open_dataset(write_sequence(tmp_path / "fog_6_0"))
     agree_with_frames(data)
     without_frames(data, monkeypatch)
     assert np.diff(data.drives()[0].times_ns).tolist() == [250_000_000]
@@ -122,17 +119,18 @@ def test_argoverses_logs_have_times_and_poses(shared_real):
     assert all(drive.times_ns is not None and drive.world_T_frame is not None for drive in data.drives())
 
 
-def test_delfts_clips_have_nominal_times_where_asked(delft_root):
-    tree = delft_root / "lidar" / "training"
+def test_delfts_clips_have_nominal_times_where_asked(tmp_path):
+    root = write_delft(tmp_path)
+    tree = root / "lidar" / "training"
     for frame in ("00002", "00004"):
         cloud = np.array([[10.0, 1.0, 0.5, 51.0]])
-        test_view_of_delft.write_tree(tree, cloud, np.zeros(3), test_view_of_delft.car_label(), frame)
-    data = ViewOfDelft(delft_root / "lidar")
+        write_tree(tree, cloud, np.zeros(3), car_label(), frame)
+    data = ViewOfDelft(root / "lidar")
     (drive,) = data.drives()
     assert (drive.name, drive.times_ns) == ("delft_1", None)
     with pytest.raises(DatasetError, match="no time"):
         data.mapped(Sweeps(2))[1]
-    timed = open_dataset(delft_root / "lidar", nominal_times=True)
+    timed = open_dataset(root / "lidar", nominal_times=True)
     agree_with_frames(timed)
     np.testing.assert_allclose(np.diff(timed.drives()[0].times_ns) / 1e9, [1 / 13, 2 / 13], atol=1e-9)
     lag_s = timed.mapped(Sweeps(2))[2].cloud("lidar").extra["lag_s"]
@@ -182,5 +180,5 @@ def test_annotations_come_without_frames_where_they_can(tmp_path, monkeypatch):
 
 def test_annotations_of_moved_frames_are_moved():
     data = Drive().turned(180)
-    np.testing.assert_array_equal(data.annotation(2).centre_m, data[2].boxes.centre_m)
+    np.testing.assert_array_equal(data.annotation(2).boxes.centre_m, data[2].boxes.centre_m)
     assert Path(data.files(2)[0]).name == "2.xyz"

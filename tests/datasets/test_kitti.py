@@ -2,40 +2,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trees import write_kitti, write_kitti_tracking
 
 from farfield.datasets import open_dataset
+from farfield.datasets.kitti.boxes import camera_from_calib
 from farfield.datasets.kitti.object import Kitti, boxes_from_objects, image_boxes, objects_from_boxes
 from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
 from farfield.errors import DatasetError
-from farfield.files.kitti import read_labels
+from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.geometry.poses import pose, rotation_from_quaternion
 
-CALIB = "\n".join(
-    [
-        *[f"P{i}: 700 0 600 45.0 0 700 180 -0.3 0 0 1 0.005" for i in range(4)],
-        "R0_rect: 1 0 0 0 1 0 0 0 1",
-        "Tr_velo_to_cam: 0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.33",
-        "Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0",
-    ]
-)
-LABELS = """Car 0.10 1 -1.57 100 100 200 200 1.5 1.8 4.0 2.0 1.7 20.0 -1.5707963267948966
-DontCare -1 -1 -10 503 169 590 190 -1 -1 -1 -1000 -1000 -1000 -10
-Cyclist 0.00 0 0.0 1 2 3 4 1.7 0.6 1.9 -3.0 1.6 30.0 0.0
-"""
-
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    for folder in ("velodyne", "calib", "label_2"):
-        (tmp_path / "training" / folder).mkdir(parents=True)
-    rows = np.array([[20.3, -2.0, -0.9, 0.5], [5.0, 5.0, -1.6, 0.1]], dtype="<f4")
-    (tmp_path / "training/velodyne/000007.bin").write_bytes(rows.tobytes())
-    (tmp_path / "training/calib/000007.txt").write_text(CALIB + "\n")
-    (tmp_path / "training/label_2/000007.txt").write_text(LABELS)
-    return tmp_path
+    return write_kitti(tmp_path)
 
 
 def test_objects_come_into_the_lidar_frame_with_their_centre(root):
@@ -50,14 +33,14 @@ def test_objects_come_into_the_lidar_frame_with_their_centre(root):
     assert len(frame.cloud().in_boxes(boxes)[0]) == 1
 
 
-def test_dont_care_and_image_facts_stay_in_the_metadata(root):
-    metadata = Kitti(root, classes="kitti")[0].metadata
-    assert metadata["kitti"].type.tolist() == ["Car", "DontCare", "Cyclist"]
-    assert metadata["kitti_index"].tolist() == [0, 2]
-    assert metadata["truncation"].tolist() == [0.1, 0.0]
-    assert metadata["occlusion"].tolist() == [1, 0]
-    assert metadata["dont_care_px"].tolist() == [[503, 169, 590, 190]]
-    assert metadata["raw_label"] == ("Car", "Cyclist")
+def test_dont_care_and_image_facts_stay_in_the_annotation(root):
+    annotation = Kitti(root, classes="kitti")[0].annotation
+    assert annotation.details["truncation"].tolist() == [0.1, 0.0]
+    assert annotation.details["occlusion"].tolist() == [1, 0]
+    assert annotation.details["box_px"].shape == (2, 4)
+    assert annotation.unboxed["dontcare_px"].tolist() == [[503, 169, 590, 190]]
+    assert annotation.original_label == ("Car", "Cyclist")
+    assert annotation[1:].details["occlusion"].tolist() == [0]
 
 
 def test_the_camera_projects_as_p2_does(root):
@@ -131,14 +114,7 @@ def test_a_box_behind_the_camera_has_no_2d_box():
 
 
 def test_tracking_layout(tmp_path):
-    base = tmp_path / "training"
-    for folder in ("velodyne/0003", "calib", "label_02"):
-        (base / folder).mkdir(parents=True)
-    for number in (0, 1):
-        np.ones((2, 4), "<f4").tofile(base / f"velodyne/0003/{number:06d}.bin")
-    (base / "calib/0003.txt").write_text(CALIB.replace("R0_rect:", "R_rect").replace("Tr_velo_to_cam:", "Tr_velo_cam"))
-    line = LABELS.splitlines()[0]
-    (base / "label_02/0003.txt").write_text(f"0 5 {line}\n1 5 {line}\n1 6 {line}\n")
+    write_kitti_tracking(tmp_path)
     data = open_dataset(tmp_path)
     assert data.name == "kitti_tracking"
     assert data.keys == (("0003", "000000"), ("0003", "000001"))
@@ -160,15 +136,15 @@ class TestReal:
         # Oracle: KITTI's own 2D boxes, drawn by people; objects that are whole and not occluded.
         errors = []
         for frame in open_dataset(shared_real / "kitti"):
-            whole = (frame.metadata["truncation"] == 0) & (frame.metadata["occlusion"] == 0)
+            whole = (frame.annotation.details["truncation"] == 0) & (frame.annotation.details["occlusion"] == 0)
             px, _ = image_boxes(frame.boxes, frame.cameras["camera"])
-            errors.append(np.abs(px - frame.metadata["boxes_px"])[whole])
+            errors.append(np.abs(px - frame.annotation.details["box_px"])[whole])
         assert np.median(np.concatenate(errors)) < 4.0
 
     def test_labels_come_back(self, shared_real):
         path = shared_real / "kitti/training/label_2/000134.txt"
         objects = read_labels(path)
-        calib = open_dataset(shared_real / "kitti")[2].metadata["camera_T_rect_lidar"]
+        calib = camera_from_calib(read_calib(shared_real / "kitti/training/calib/000134.txt"))
         boxes = boxes_from_objects(objects, calib)
         back = objects_from_boxes(boxes, Camera(matrix=np.eye(3), camera_T_lidar=calib), classes={})
         kept = objects[objects.has_box]

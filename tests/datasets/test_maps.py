@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drive import frame as kradar_frame
 from pydantic import BaseModel
 
 from farfield.api import as_trained
@@ -21,7 +22,6 @@ from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
 from farfield.frame import Frame
 from farfield.geometry.poses import invert, pose_from_yaw
-from tests.datasets.kradar.drive import frame as kradar_frame
 from tests.datasets.test_sweeps import Drive
 
 HALF_TURN = Move.turned(180)

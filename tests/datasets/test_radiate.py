@@ -1,50 +1,17 @@
 """RADIATE in its real layout: places and headings by hand, in the conventions of its documentation."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from trees import SECONDS, write_sequence
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.radiate import CELL_M, Radiate, find_sequences
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.radiate import read_times, read_tracks
 from farfield.inspection.doctor import examine
-
-SECONDS = 1574859771
-
-
-def write_sequence(folder: Path) -> Path:
-    """Two turns of the radar; sensors are stamped 0.25 s before the radar's picture that they belong to."""
-    for name in ("Navtech_Polar", "Navtech_Cartesian", "velo_lidar", "zed_left", "annotations"):
-        (folder / name).mkdir(parents=True)
-    for number in (1, 2):
-        polar, cartesian = np.zeros((576, 400), np.uint8), np.zeros((1152, 1152), np.uint8)
-        polar[100, 0], polar[200, 99], polar[300, 300] = 255, 102, 51  # ahead, to the right, to the left
-        cartesian[475, 576] = 255
-        Image.fromarray(polar).save(folder / "Navtech_Polar" / f"{number:06d}.png")
-        Image.fromarray(cartesian).save(folder / "Navtech_Cartesian" / f"{number:06d}.png")
-        Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(folder / "zed_left" / f"{number:06d}.png")
-    radar = [f"Frame: 00000{n} Time: {SECONDS}.{n * 250_000_000}" for n in (1, 2)]
-    (folder / "Navtech_Polar.txt").write_text("\n".join(radar) + "\n")
-    (folder / "Navtech_Cartesian.txt").write_text("\n".join(radar) + "\n")
-    # lidar 7 fits the first turn; 8 only the radar's stamp itself, not the moment it shows
-    (folder / "velo_lidar.txt").write_text(
-        f"Frame: 000007 Time: {SECONDS}.10000000\nFrame: 000008 Time: {SECONDS}.250000000\n"
-    )
-    (folder / "velo_lidar" / "000007.csv").write_text("3,10,-1,51,0\n-4,-20,2,255,31\n")
-    (folder / "zed_left.txt").write_text(f"Frame: 000001 Time: {SECONDS}.249000000\n")
-    (folder / "meta.json").write_text(json.dumps({"name": "fog_6_0", "type": "fog", "set": "test"}))
-    objects = [
-        # 40 cells ahead of the radar and 20 to its right, 30 long, 12 wide, oncoming
-        {"id": 1, "class_name": "bus", "bboxes": [{"position": [589.5, 520.5, 12, 30], "rotation": 180}, []]},
-        # 60 cells behind and 10 to the left, turning off to the right
-        {"id": 9, "class_name": "van", "bboxes": [[], {"position": [560.5, 622.5, 10, 26], "rotation": 274}]},
-    ]
-    (folder / "annotations" / "annotations.json").write_text(json.dumps(objects))
-    return folder
 
 
 @pytest.fixture
@@ -88,7 +55,7 @@ def test_the_radars_cells_go_clockwise_from_forward(sequence):
         [300 * np.sin(half), 300 * np.cos(half)],
     ]
     np.testing.assert_allclose(cloud.points_m[:, :2], np.array(expected) * CELL_M, atol=1e-4)
-    np.testing.assert_allclose(cloud.intensity, [1.0, 0.4, 0.2])
+    np.testing.assert_allclose(cloud.extra["strength"], [1.0, 0.4, 0.2])
     row, column = np.argwhere(frame.radar["cartesian"] == 1)[0]
     ahead_m, left_m = (575.5 - row) * CELL_M, (575.5 - column) * CELL_M
     np.testing.assert_allclose([ahead_m, left_m], cloud.points_m[0, :2], atol=CELL_M)
@@ -103,7 +70,7 @@ def test_the_lidar_is_the_sweep_of_the_moment_in_the_radars_axes(sequence):
     data = open_dataset(sequence)
     frame = data[0]
     # 0.25 s before the radar's stamp is second .0; sweep 7's ".10000000" are 10,000,000 ns
-    assert frame.times_ns["lidar"] == SECONDS * 10**9 + 10_000_000
+    assert frame.sensors["lidar"].time_ns == SECONDS * 10**9 + 10_000_000
     assert frame.time_ns == SECONDS * 10**9 + 250_000_000
     expected = [[10 - 0.120102, -3 - 0.6003, -1 + 0.250012], [-20 - 0.120102, 4 - 0.6003, 2 + 0.250012]]
     np.testing.assert_allclose(frame.clouds["lidar"].points_m, expected, atol=1e-5)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor, moved
+from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.inspection.statistics import Statistics, gather, map_statistics, power_map_db
 from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
 from farfield.inspection.statistics.radar import exponential_ratio
@@ -27,8 +28,8 @@ def cars(x_m, label="vehicle"):
 
 
 def frame_of(clouds, boxes=None, **rest):
-    annotation = None if boxes is None else lambda: boxes
-    return Frame(**{"sequence": "s", "frame_id": "0", "clouds": clouds, "annotation": annotation, **rest})
+    annotation = None if boxes is None else Given(Annotation(boxes=boxes))
+    return Frame(**{"sequence": "s", "frame_id": "0", "clouds": clouds, "load_annotation": annotation, **rest})
 
 
 def random_frames(rng, count=6):
@@ -64,8 +65,8 @@ def test_near_returns_are_left_out_of_the_far_shares():
 
 def test_missing_returns_do_not_count_and_shots_give_the_return_rate():
     cloud = Cloud.concatenate([cloud_at(np.zeros(30)), cloud_at(np.zeros(10), 0.0)])
-    for given in ({"shots": {"lidar": 40}}, {}):
-        frames = [frame_of({"lidar": cloud}, metadata=given)]
+    for given in ({"lidar": Sensor(kind="lidar", shots=40)}, {}):
+        frames = [frame_of({"lidar": cloud}, sensors=given)]
         found = gather(frames, shots={} if given else {"lidar": 40}).summary()["clouds"]["lidar"]
         assert found["points_per_frame"] == 30
         assert found["return_rate"] == 0.75
@@ -155,8 +156,7 @@ def test_what_is_missing_is_said_and_the_rest_is_kept():
 
 @pytest.mark.parametrize(("mark", "said"), [(True, True), (False, False), (None, None)])
 def test_simulated_frames_say_so(mark, said):
-    metadata = {} if mark is None else {"simulated": mark}
-    assert gather([frame_of({}, metadata=metadata)]).simulated is said
+    assert gather([frame_of({}, simulated=mark)]).simulated is said
 
 
 def picture_of_a_real_map(path):
@@ -213,9 +213,11 @@ def test_radar_excess_stands_where_the_vehicle_does_in_the_radars_frame():
         place = 108 * 0.462890625 * np.array([np.cos(np.radians(30)), np.sin(np.radians(30)), 0.0]) + pose[:3, 3]
         boxes = cars([0.0, 0.0]).replace(centre_m=np.stack([place, place * [1, -1, 1]]))
         radar = {"polar3d": polar}
-        frame = frame_of({}, boxes, radar=radar, conditions={"weather": weather}, metadata={"os2_T_radar": pose})
-        statistics = gather([frame])
-        np.testing.assert_allclose(statistics.objects.radar_excess, [amount, 0.0], atol=1e-4)
+        sensors = {"polar3d": Sensor(kind="radar", frame_T_sensor=pose, in_frame=False)}
+        frame = frame_of({}, boxes, radar=radar, conditions={"weather": weather}, sensors=sensors)
+        for seen in (frame, moved(frame, invert(pose)), moved(frame, pose_from_yaw(2.0))):  # wherever it is seen from
+            statistics = gather([seen])
+            np.testing.assert_allclose(statistics.objects.radar_excess, [amount, 0.0], atol=1e-4)
 
 
 def test_radar_change_by_weather_by_hand():

@@ -6,7 +6,7 @@ import pytest
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps import Sweeps, make
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor
 from farfield.geometry.poses import invert, pose_from_yaw
 
 WORLD_POINTS_M = np.array([[20.0, 1.0, 0.0], [60.0, -4.0, 2.0], [90.0, 7.0, 1.0], [35.0, 0.0, 0.5]])
@@ -39,10 +39,13 @@ class Drive(Dataset):
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
             time_ns=time_ns,
-            times_ns={"gaussian": time_ns, "uniform": time_ns + (20_000_000 if index == 0 else 0)},
+            sensors={
+                "gaussian": Sensor(kind="lidar", time_ns=time_ns),
+                "uniform": Sensor(kind="lidar", time_ns=time_ns + (20_000_000 if index == 0 else 0)),
+            },
             clouds=clouds,
-            annotation=lambda: boxes,
-            world_T_lidar=self.pose(index) if self.with_poses else None,
+            load_annotation=Given(Annotation(boxes=boxes)),
+            world_T_frame=self.pose(index) if self.with_poses else None,
         )
 
     def files(self, index: int) -> list[Path]:
@@ -115,8 +118,8 @@ def test_simulated_sweeps_line_up(tmp_path):
     first, second = open_dataset(tmp_path)
     cloud = open_dataset(tmp_path).mapped(Sweeps(2))[1].cloud("gaussian")
     earlier = cloud[cloud.extra["lag_s"] > 0]
-    then, now = first.metadata["full_boxes"], second.metadata["full_boxes"]
-    second_T_first = invert(second.world_T_lidar) @ first.world_T_lidar
+    then, now = first.annotation.full_boxes, second.annotation.full_boxes
+    second_T_first = invert(second.world_T_frame) @ first.world_T_frame
     shared = np.intersect1d(then.track_id, now.track_id)
     then, now = (boxes[[boxes.track_id.tolist().index(name) for name in shared]] for boxes in (then, now))
     parked = np.linalg.norm(then.transform(second_T_first).centre_m - now.centre_m, axis=1) < 0.01

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trees import LIDAR_T_RADAR_M, PITCH_RAD, RADAR_ROWS, write_delft, write_tree
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.recipes import recipe_of_experiment, replay
@@ -13,63 +14,17 @@ from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_
 from farfield.datasets.view_of_delft.layout import CLIPS, clip_of
 from farfield.datasets.view_of_delft.reader import ViewOfDelft, read_radar
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.files.clouds import write_bin
 from farfield.files.kitti import read_calib, read_labels
 from farfield.files.view_of_delft import read_camera_poses, read_objects
 from farfield.geometry.points import count_points_in_boxes
 from farfield.geometry.poses import transform_points
 
-PITCH_RAD = np.radians(7.0)
-LIDAR_T_RADAR_M = np.array([2.5, 0.1, -1.2])
 FRAMES = ("00549", "01047")
-
-
-def calib_text(offset_m: np.ndarray | None = None) -> str:
-    """A camera that looks down by seven degrees from the lidar's place, of a sensor that stands at ``offset_m``."""
-    sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
-    turn = np.array([[0.0, -1.0, 0.0], [-sin, 0.0, -cos], [cos, 0.0, -sin]])
-    motion = np.column_stack([turn, turn @ (np.zeros(3) if offset_m is None else offset_m)])
-    camera = "\n".join(f"P{i}: 1000 0 500 0 0 1000 300 0 0 0 1 0" for i in range(4))
-    numbers = " ".join(repr(float(value)) for value in motion.ravel())
-    return f"{camera}\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {numbers}\nTr_imu_to_velo:"
-
-
-def write_tree(tree: Path, cloud: np.ndarray, offset_m: np.ndarray, label: str | None, frame: str = "00001") -> None:
-    for name in ("velodyne", "label_2", "calib", "pose"):
-        (tree / name).mkdir(parents=True, exist_ok=True)
-    write_bin(tree / "velodyne" / f"{frame}.bin", cloud.astype(np.float32))
-    (tree / "calib" / f"{frame}.txt").write_text(calib_text(offset_m))
-    if label is not None:
-        (tree / "label_2" / f"{frame}.txt").write_text(label)
-    turn = [0, 0, 1, -1, 0, 0, 0, -1, 0]  # camera x, y, z ahead and down to odometry x, y, z
-    pose = [*turn[:3], 5.0, *turn[3:6], 7.0, *turn[6:], 1.3, 0, 0, 0, 1]
-    names = ("odomToCamera", "mapToCamera", "UTMToCamera")
-    (tree / "pose" / f"{frame}.json").write_text("\n".join(json.dumps({name: pose}) for name in names))
-
-
-def car_label(moving: int = 1) -> str:
-    """A car 20 m ahead on the level of the lidar, its length across the road."""
-    sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
-    return f"Car {moving} 0 0 0 0 1 1 1.5 1.8 4.2 0 {-20 * sin} {20 * cos} 0 1\n"
-
-
-RADAR_ROWS = np.array(
-    [  # x, y, z, RCS, v_r, v_r compensated, scan; the radar drives at 2, 0.5, 0 m/s, all but the last stand still
-        [10, 0, 0, -30, -2.0, 0.0, 0],
-        [0, 10, 0, 0, -0.5, 0.0, 0],
-        [0, 0, 4, 30, 0.0, 0.0, 0],
-        [3, 4, 0, 60, 1.0, 2.6, 0],
-        [5, 0, 0, 90, 9.0, 9.0, -2],
-    ]
-)
 
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    lidar = np.array([[10.0, 1.0, 0.5, 51.0], [20.0, 0.0, 0.75, 255.0]])
-    write_tree(tmp_path / "lidar" / "training", lidar, np.zeros(3), car_label())
-    write_tree(tmp_path / "radar" / "training", RADAR_ROWS, LIDAR_T_RADAR_M, None)
-    return tmp_path
+    return write_delft(tmp_path)
 
 
 def test_a_box_stands_upright_in_the_sensors_frame(root):
@@ -92,11 +47,11 @@ def test_everything_is_in_the_reference_sensors_frame(root, reference):
     np.testing.assert_allclose(frame.clouds["lidar"].points_m[1], [20, 0, 0.75] - offset_m, atol=1e-5)
     expected = RADAR_ROWS[:, :3] + LIDAR_T_RADAR_M - offset_m
     np.testing.assert_allclose(frame.clouds["radar"].points_m, expected, atol=1e-5)
-    np.testing.assert_allclose(frame.metadata["reference_T_radar"][:3, 3], LIDAR_T_RADAR_M - offset_m, atol=1e-9)
+    np.testing.assert_allclose(frame.sensors["radar"].frame_T_sensor[:3, 3], LIDAR_T_RADAR_M - offset_m, atol=1e-9)
     pixels, _, _ = frame.cameras["camera"].project(np.array([[20.0, 0.0, 0.0] - offset_m]))
     np.testing.assert_allclose(pixels, [[500, 300 - 1000 * np.tan(PITCH_RAD)]])
-    assert frame.metadata["moving"].tolist() == [True]
-    assert frame.metadata["truncation"].tolist() == [0.0]  # else KITTI's difficulties would drop what moves
+    assert frame.annotation.moving.tolist() == [True]
+    assert frame.annotation.details["truncation"].tolist() == [0.0]  # else KITTI's difficulties would drop what moves
     np.testing.assert_allclose(frame.metadata["radar_velocity_m_s"], [2.0, 0.5, 0.0], atol=1e-6)
 
 
@@ -120,7 +75,7 @@ def test_no_column_of_the_radar_is_lost(root):
     kept = np.column_stack([cloud.points_m, *(cloud.extra[name] for name in names)])
     np.testing.assert_array_equal(kept, RADAR_ROWS.astype(np.float32))
     np.testing.assert_array_equal(cloud.extra["doppler_m_s"], cloud.extra["v_r_m_s"])
-    np.testing.assert_allclose(cloud.intensity, [0.25, 0.5, 0.75, 1.0, 1.0])
+    assert cloud.intensity is None
     np.testing.assert_allclose(cloud.extra["lag_s"], [0, 0, 0, 0, 2 / 13], rtol=1e-6)
 
 
@@ -130,8 +85,8 @@ def test_the_lidars_reflectance_counts_to_255(root):
 
 def test_the_pose_is_the_reference_sensors_in_the_odometrys_frame(root):
     frame = open_dataset(root)[0]
-    assert frame.world_T_lidar is not None
-    ahead_m = transform_points(frame.world_T_lidar, np.array([[0.0, 0, 0], [10.0, 0, 0]]))
+    assert frame.world_T_frame is not None
+    ahead_m = transform_points(frame.world_T_frame, np.array([[0.0, 0, 0], [10.0, 0, 0]]))
     np.testing.assert_allclose(ahead_m[0], [5, 7, 1.3], atol=1e-9)
     np.testing.assert_allclose(ahead_m[1] - ahead_m[0], [10 * np.cos(PITCH_RAD), 0, 10 * np.sin(PITCH_RAD)], atol=1e-9)
     assert set(frame.metadata["world_T_camera"]) == {"odom", "map", "utm"}
@@ -223,12 +178,12 @@ def test_real_frames_fit_together(shared_real, index, reference):
     assert (inside > 0).mean() > 0.85
     assert np.median(inside) > 40
     if reference == "lidar":  # the authors: lidar to radar 2.516, 0.060 m (issue 34 of their repository)
-        np.testing.assert_allclose(frame.metadata["reference_T_radar"][:2, 3], [2.516, 0.060], atol=2e-3)
+        np.testing.assert_allclose(frame.sensors["radar"].frame_T_sensor[:2, 3], [2.516, 0.060], atol=2e-3)
     cloud = frame.clouds["radar"]
-    origin_m = frame.metadata["reference_T_radar"][:3, 3]
+    origin_m = frame.sensors["radar"].frame_T_sensor[:3, 3]
     rays = cloud.points_m - origin_m
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    velocity = frame.metadata["reference_T_radar"][:3, :3] @ frame.metadata["radar_velocity_m_s"]
+    velocity = frame.sensors["radar"].frame_T_sensor[:3, :3] @ frame.metadata["radar_velocity_m_s"]
     gained = cloud.extra["v_r_compensated_m_s"] - cloud.extra["v_r_m_s"]
     np.testing.assert_allclose(rays @ velocity, gained, atol=0.05)
     assert np.median(np.abs(cloud.extra["v_r_compensated_m_s"])) < 0.01  # most of what is seen stands still
@@ -240,9 +195,9 @@ def test_the_real_radars_folder_alone_has_its_json_labels(shared_real):
     for one, other in zip(alone, whole, strict=True):
         np.testing.assert_allclose(one.boxes.centre_m, other.boxes.centre_m, atol=1e-4)
         assert one.boxes.label.tolist() == other.boxes.label.tolist()
-        assert one.metadata["moving"].tolist() == other.metadata["moving"].tolist()
-        assert len(set(one.metadata["object_id"])) == len(one.boxes)
-        np.testing.assert_allclose(one.world_T_lidar, other.world_T_lidar)
+        assert one.annotation.moving.tolist() == other.annotation.moving.tolist()
+        assert len(set(one.annotation.details["object_id"])) == len(one.boxes)
+        np.testing.assert_allclose(one.world_T_frame, other.world_T_frame)
         np.testing.assert_array_equal(one.clouds["radar"].points_m, other.clouds["radar"].points_m)
 
 

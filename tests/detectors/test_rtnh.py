@@ -182,14 +182,15 @@ def test_doppler_is_read_where_asked_for(rng):
     doppler[3] = np.nan
     network = small_detector("rtnh", use_doppler=True, score_threshold=0.0)
     detector = Detector(network, precision="fp32", device="cpu")
-    cloud = Cloud(points, power, {"doppler_m_s": doppler})
+    cloud = Cloud(points, None, {"power": power, "doppler_m_s": doppler})
     tensor = cloud_tensor(cloud, network.config.extra_columns)
     assert tensor.shape == (200, 6)
     assert tensor[3, 5] == 0
-    moving, still = detector(cloud), detector(Cloud(points, power, {"doppler_m_s": np.zeros_like(doppler)}))
+    standing = Cloud(points, None, {"power": power, "doppler_m_s": np.zeros_like(doppler)})
+    moving, still = detector(cloud), detector(standing)
     assert moving.score.tolist() != still.score.tolist()
     with pytest.raises(ConfigError, match="doppler_m_s"):
-        detector(Cloud(points, power))
+        detector(Cloud(points, None, {"power": power}))
 
 
 def test_log_power_tames_strong_cells():

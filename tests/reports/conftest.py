@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.frame import Cloud, Frame
+from farfield.frame import Annotation, Cloud, Frame, Given, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.metrics.bootstrap import Bootstrap
@@ -55,7 +55,8 @@ def evaluation(camera: Camera) -> Evaluation:
             clouds=clouds,
             images=images,
             cameras={"camera": camera},
-            annotation=lambda boxes=boxes: boxes,
+            sensors={name: Sensor(kind="lidar") for name in clouds},
+            load_annotation=Given(Annotation(boxes=boxes)),
             conditions={"weather": "normal"},
         )
         frames.append(FrameView(frame=frame, predictions=dict.fromkeys(clouds, found), title=f"Frame <{number}>"))

@@ -27,12 +27,12 @@ def frame(request: pytest.FixtureRequest) -> Frame:
 
 def test_frame_carries_what_it_promises(frame: Frame) -> None:
     assert set(frame.clouds) == {"gaussian", "uniform"}
-    assert frame.frame_id == str(frame.time_ns) == str(frame.times_ns["gaussian"])
+    assert frame.frame_id == str(frame.time_ns) == str(frame.sensors["gaussian"].time_ns)
     assert "camera" in frame.images
     assert len(frame.frame_id) == 19
     assert frame.conditions["weather"] == "normal"
     assert frame.conditions["road"] == ("highway" if frame.sequence.endswith("00") else "urban")
-    assert frame.metadata["box_protocol"] == "visible"
+    assert frame.annotation.extent == "visible"
     for cloud in frame.clouds.values():
         assert cloud.points_m.dtype == cloud.intensity.dtype == np.float32
         assert 20_000 < len(cloud) < 60_032
@@ -58,8 +58,8 @@ def _standing(frame: Frame) -> set[int]:
     later = simulate_frame(SHORT, seed=12, sequence=int(frame.sequence[-2:]), index=4)
     places = []
     for each in (frame, later):
-        full = each.metadata["full_boxes"]
-        places.append(dict(zip(full.track_id, transform_points(each.world_T_lidar, full.centre_m), strict=True)))
+        full = each.annotation.full_boxes
+        places.append(dict(zip(full.track_id, transform_points(each.world_T_frame, full.centre_m), strict=True)))
     return {
         track
         for track in places[0].keys() & places[1].keys()
@@ -76,18 +76,18 @@ def test_boxes_hold_the_points_they_count(frame: Frame) -> None:
     assert boxes is not None
     still = _standing(frame)
     for name, share in (("gaussian", 0.9), ("uniform", 0.75)):
-        counted = frame.metadata[f"point_count_{name}"]
+        counted = frame.annotation.details[f"point_count_{name}"]
         inside = count_points_in_boxes(frame.clouds[name].points_m, boxes, margin_m=0.01)
         assert np.minimum(inside, counted).sum() >= share * counted.sum()
         standing = np.array([track in still for track in boxes.track_id], dtype=bool)
         assert (inside >= np.floor(0.95 * counted) - 1)[standing].all()
-    both = frame.metadata["point_count_gaussian"] + frame.metadata["point_count_uniform"]
+    both = frame.annotation.details["point_count_gaussian"] + frame.annotation.details["point_count_uniform"]
     assert (both >= 5).all()
-    assert (frame.metadata["point_count_gaussian"] >= 3).all()
+    assert (frame.annotation.details["point_count_gaussian"] >= 3).all()
 
 
 def test_visible_boxes_lie_within_full_ones(frame: Frame) -> None:
-    boxes, full = frame.boxes, frame.metadata["full_boxes"]
+    boxes, full = frame.boxes, frame.annotation.full_boxes
     assert boxes is not None
     np.testing.assert_array_equal(boxes.track_id, full.track_id)
     np.testing.assert_array_equal(boxes.yaw_rad, full.yaw_rad)
@@ -102,7 +102,7 @@ def test_visible_boxes_lie_within_full_ones(frame: Frame) -> None:
 
 
 def test_full_boxes_do_not_overlap_and_stand_on_the_road(frame: Frame) -> None:
-    full = frame.metadata["full_boxes"]
+    full = frame.annotation.full_boxes
     iou = pairwise_iou(full, full, kind="bev")
     np.fill_diagonal(iou, 0)
     assert iou.max() < 1e-6
@@ -114,7 +114,7 @@ def test_full_boxes_do_not_overlap_and_stand_on_the_road(frame: Frame) -> None:
 def test_gaussian_pattern_sees_more_of_far_objects(frame: Frame) -> None:
     assert frame.boxes is not None
     far = frame.boxes.range_m > 60
-    gaussian, uniform = (frame.metadata[f"point_count_{name}"][far].sum() for name in ("gaussian", "uniform"))
+    gaussian, uniform = (frame.annotation.details[f"point_count_{name}"][far].sum() for name in ("gaussian", "uniform"))
     assert 1.6 < gaussian / uniform < 3.2  # lines are 2.4 times as dense at the focus, less off it
 
 
@@ -148,7 +148,7 @@ def test_tracks_persist_and_move() -> None:
     shared = set(first.boxes.track_id) & set(second.boxes.track_id)
     assert len(shared) >= 5
     assert second.time_ns - first.time_ns == 500_000_000
-    moved = second.world_T_lidar[:3, 3] - first.world_T_lidar[:3, 3]
+    moved = second.world_T_frame[:3, 3] - first.world_T_frame[:3, 3]
     assert 0.2 < np.linalg.norm(moved) < 25
 
 
@@ -158,11 +158,11 @@ def test_a_later_uniform_sweep_sees_moving_bodies_elsewhere() -> None:
     for offset in (0.0, 80.0):
         later = find_preset("cirrus-sim-highway", duration_s=8.0, uniform_offset_ms=(offset, offset))
         frame = simulate_frame(later, seed=11, sequence=3, index=3)
-        full = frame.metadata["full_boxes"]
+        full = frame.annotation.full_boxes
         oncoming = full[np.cos(full.yaw_rad) < 0]
         assert len(oncoming) >= 3
-        assert frame.times_ns["uniform"] - frame.times_ns["gaussian"] == offset * 1e6
-        counted = frame.metadata["point_count_uniform"][np.cos(full.yaw_rad) < 0].sum()
+        assert frame.sensors["uniform"].time_ns - frame.sensors["gaussian"].time_ns == offset * 1e6
+        counted = frame.annotation.details["point_count_uniform"][np.cos(full.yaw_rad) < 0].sum()
         held = count_points_in_boxes(frame.clouds["uniform"].points_m, oncoming, margin_m=0.05).sum()
         inside[offset] = held / counted
     assert inside[0.0] > 0.85  # a sweep takes 0.1 s itself

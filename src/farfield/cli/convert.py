@@ -47,7 +47,7 @@ def run(
         format: Format of the source, if it is not to be recognised.
         roots: Further folders over which a K-Radar is spread.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
-        cloud: Which cloud to write (gaussian, uniform, merged...); the first unless given.
+        cloud: Which cloud to write (gaussian, uniform...); the first unless given.
         products: What a radar store keeps: cells, polar3d, or both with a comma between.
         region: Where a radar store keeps cells.
         rate: Share of cells that a radar store keeps; 1 keeps every cell of the region.

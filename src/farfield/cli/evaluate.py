@@ -42,8 +42,7 @@ def run(
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
         data: The data set; its format is recognised.
-        clouds: Which clouds, comma-separated; by default those of the kind that the detector learnt from. "merged"
-            joins all that the frames have.
+        clouds: Which clouds, comma-separated; by default those of the kind that the detector learnt from.
         split: train, val or test; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
@@ -121,7 +120,7 @@ def _settings(protocol: str, *, label: str | None, range_bins_m: str, epsilon: s
 def _of_kradar(data: "Dataset", classes: tuple[str, ...]) -> dict[str, Any]:
     """What K-Radar's protocols are told of the data: classes, the frame of the boxes, the annotations' version."""
     frame = data[0]
-    version = frame.metadata.get("label_version", "not stated")
+    version = (frame.annotation.version if frame.annotation is not None else "") or "not stated"
     frame_of_boxes = "radar" if frame.reference == "radar" else "os2-64"
     return {"classes": classes, "boxes_in": frame_of_boxes, "label_version": version}
 

@@ -37,7 +37,7 @@ def run(
         detector: A bundled detector's name, a run's folder, or a weights file.
         files: Clouds (.pcd, .bin, .npy, .xyz, .ffcloud), or one data set's folder.
         out: The CSV file; printed unless given.
-        cloud: Which of a data set's clouds; its first unless given, "merged" joins all.
+        cloud: Which of a data set's clouds; its first unless given.
         score_threshold: Boxes below this score are left out.
         rotate_deg: Turn every frame counter-clockwise about z first.
         precision: fp32, bf16, or what suits the processor.

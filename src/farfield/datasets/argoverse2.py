@@ -7,17 +7,17 @@ Coordinates are the ego vehicle's: origin at the rear axle, some 0.3 m above the
 from collections.abc import Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
-from farfield.frame import Boxes, Camera, Cloud, Frame, Lazy
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2
 
@@ -74,6 +74,14 @@ class _Log:
         assert self.annotations is not None
         return {name: number for number, name in enumerate(np.unique(self.annotations["track_uuid"].astype(str)))}
 
+    def annotated(self, rows: Int[np.ndarray, " n"]) -> tuple[Path, str, Table]:
+        """Where some rows of the annotations stand, and their columns with the tracks' numbers."""
+        assert self.annotations is not None
+        table = {name: values[rows] for name, values in self.annotations.items()}
+        table["track_id"] = np.array([self.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64)
+        where = f"rows {rows[0]} to {rows[-1]}" if len(rows) else "no rows"
+        return self.root / "annotations.feather", where, table
+
     @cached_property
     def poses(self) -> Table | None:
         path = self.root / "city_SE3_egovehicle.feather"
@@ -126,8 +134,8 @@ def _camera(lens: Table, row: int, ego_T_camera: Float[np.ndarray, "4 4"]) -> Ca
 class Argoverse2(Dataset):
     """Argoverse 2 sweeps: cloud ``"lidar"`` in ego coordinates, cameras by name, boxes with official point counts.
 
-    ``boxes.point_count`` is ``num_interior_pts``. ``frame.metadata`` holds ``files``, ``box_protocol`` ("full") and
-    ``raw_label`` (the categories).
+    ``boxes.point_count`` is ``num_interior_pts``; the annotation's ``original_label`` are the categories. The cloud is
+    that of two LiDARs on one mast, so it has no pose of its own.
 
     Args:
         root: One log, a folder of logs, or one with ``train``, ``val``, ``test``.
@@ -169,11 +177,6 @@ class Argoverse2(Dataset):
         rows = None if log.annotations is None else np.flatnonzero(log.annotations["timestamp_ns"] == time_ns)
         images = {name: _nearest(paths, time_ns) for name, paths in log.images.items()}
         present = {name: path for name, path in images.items() if path is not None}
-        files = [str(path) for path in self.files(index)]
-        metadata: dict[str, Any] = {"files": lambda: files, "box_protocol": lambda: "full"}
-        if log.annotations is not None and rows is not None:
-            categories = tuple(log.annotations["category"][rows].tolist())
-            metadata["raw_label"] = lambda: categories
         return Frame(
             sequence=self.sequences[index],
             frame_id=sweep.stem,
@@ -181,38 +184,40 @@ class Argoverse2(Dataset):
             clouds=Lazy({"lidar": partial(_read_sweep, sweep)}),
             images=Lazy({name: partial(read_image, path) for name, path in present.items()}),
             cameras=log.cameras,
-            annotation=None if rows is None else partial(self._boxes, log, rows),
-            world_T_lidar=_pose_near(log, time_ns),
-            times_ns={"lidar": time_ns} | {name: _time(path) for name, path in present.items()},
+            sensors={
+                "lidar": Sensor(kind="lidar", time_ns=time_ns),
+                **{name: camera_sensor(camera) for name, camera in log.cameras.items()},
+                **{name: camera_sensor(log.cameras.get(name), _time(path)) for name, path in present.items()},
+            },
+            load_annotation=None if rows is None else partial(_annotation, *log.annotated(rows), self.classes),
+            world_T_frame=_pose_near(log, time_ns),
             reference="ego",
-            metadata=Lazy(metadata),
+            metadata=Lazy({"files": Given([str(path) for path in self.files(index)])}),
         )
-
-    def _boxes(self, log: _Log, rows: np.ndarray) -> Boxes:
-        assert log.annotations is not None
-        table = {name: values[rows] for name, values in log.annotations.items()}
-        names = [str(name) for name in table["category"]]
-        if self.classes == "cirrus":
-            names = [CIRRUS_FROM_ARGOVERSE2.get(name, "unknown") for name in names]
-        quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
-        numbers = np.column_stack([table[name] for name in (*_SIZE, *_QUATERNION, *_TRANSLATION)])
-        try:
-            if not (np.abs(numbers) < 1e9).all():
-                raise ValueError("numbers that are not finite or above 1e9")
-            return Boxes(
-                centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
-                size_m=np.column_stack([table[name] for name in _SIZE]),
-                yaw_rad=yaw_from_quaternion(quaternion) if len(rows) else np.zeros(0),
-                label=names,
-                track_id=np.array([log.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64),
-                point_count=table["num_interior_pts"].astype(np.int64),
-            )
-        except ValueError as error:
-            path, where = log.root / "annotations.feather", f"rows {rows[0]} to {rows[-1]}"
-            raise FileFormatError(path, where=where, expected="possible boxes", found=str(error)) from error
 
 
 _SWEEPS = "sensors/lidar/*.feather"
+
+
+def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotation:
+    original = tuple(str(name) for name in table["category"])
+    names = [CIRRUS_FROM_ARGOVERSE2.get(name, "unknown") for name in original] if classes == "cirrus" else original
+    quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
+    numbers = np.column_stack([table[name] for name in (*_SIZE, *_QUATERNION, *_TRANSLATION)])
+    try:
+        if not (np.abs(numbers) < 1e9).all():
+            raise ValueError("numbers that are not finite or above 1e9")
+        boxes = Boxes(
+            centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
+            size_m=np.column_stack([table[name] for name in _SIZE]),
+            yaw_rad=yaw_from_quaternion(quaternion) if len(original) else np.zeros(0),
+            label=list(names),
+            track_id=table["track_id"],
+            point_count=table["num_interior_pts"].astype(np.int64),
+        )
+    except ValueError as error:
+        raise FileFormatError(path, where=where, expected="possible boxes", found=str(error)) from error
+    return Annotation(boxes=boxes, original_label=original)
 
 
 def _read_sweep(path: Path) -> Cloud:
@@ -223,6 +228,9 @@ def _read_sweep(path: Path) -> Cloud:
         found = str(points[row].tolist())
         raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", found=found)
     strength = table["intensity"].astype(np.float32) / np.float32(255)
+    if not ((strength >= 0) & (strength <= 1)).all():
+        found = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
+        raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", found=found)
     return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
 
 

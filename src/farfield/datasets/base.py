@@ -17,7 +17,7 @@ from farfield.datasets.maps.contract import FrameMap, described
 from farfield.datasets.maps.move import Move
 from farfield.datasets.splits import SPLIT_FILE, cut_in_time, deal_out, read_parts
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Boxes, Drive, Frame, Key
+from farfield.frame import Annotation, Drive, Frame, Key
 
 
 class Dataset(ABC):
@@ -53,9 +53,9 @@ class Dataset(ABC):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
 
-    def annotation(self, index: int) -> Boxes | None:
+    def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``, without its clouds; None where nothing was."""
-        return self.frame(index).boxes
+        return self.frame(index).annotation
 
     def __len__(self) -> int:
         return len(self.sequences)
@@ -258,7 +258,7 @@ class Subset(Dataset):
         """List the files that frame ``index`` of the selection is read from."""
         return self.parent.files(self.indices[index])
 
-    def annotation(self, index: int) -> Boxes | None:
+    def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index`` of the selection."""
         return self.parent.annotation(self.indices[index])
 
@@ -327,11 +327,11 @@ class Mapped(Subset):
         """Build frame ``index``, seen through the map."""
         return self.function(self.parent.frame(index), partial(self.parent.before, index))
 
-    def annotation(self, index: int) -> Boxes | None:
+    def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``, seen through the map."""
         if getattr(self.function, "keeps_annotation", False):
             return self.parent.annotation(index)
-        return self.frame(index).boxes
+        return self.frame(index).annotation
 
     def drives(self) -> tuple[Drive, ...]:
         """The drives; their poses where the map says what becomes of them."""

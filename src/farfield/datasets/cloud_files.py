@@ -96,7 +96,7 @@ def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | Non
             covers the file.
 
     Raises:
-        FileFormatError: If the file is damaged.
+        FileFormatError: If the file is damaged, or an intensity is negative or beyond the scale.
         DatasetError: If the suffix is unknown or x, y and z are missing.
     """
     if path.suffix == ".pcd":
@@ -137,6 +137,14 @@ def _from_named(path: Path, columns: Mapping[str, np.ndarray], scale: float | No
     if not np.isfinite(strength).all():
         raise DatasetError(f"{path}: expected finite intensities, got some that are not")
     scale = intensity_scale_of(float(strength.max(initial=0.0))) if scale is None else scale
+    if len(strength) and (strength.min() < 0 or strength.max() > scale * (1 + 1e-5)):
+        raise FileFormatError(
+            path,
+            where="the intensity column",
+            expected=f"values from 0 to {scale:g}",
+            found=f"{strength.min():g} to {strength.max():g}",
+            mend="Give the value that stands for full reflectance, such as intensity_scale=255, or mend the column.",
+        )
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
     return Cloud(points, np.clip(strength / np.float32(scale), 0.0, 1.0), extra)
 

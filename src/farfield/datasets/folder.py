@@ -27,7 +27,7 @@ from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.images import read_image
-from farfield.frame import Boxes, Frame, Lazy
+from farfield.frame import Annotation, Boxes, Frame, Lazy, Sensor, camera_sensor
 
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -105,8 +105,14 @@ def _time_ns(stem: str) -> int | None:
     return int(stem) if _NANOSECONDS.fullmatch(stem) else None
 
 
+def _read_annotation(path: Path) -> Annotation:
+    return Annotation(boxes=read_boxes(path))
+
+
 class Folder(Dataset):
     """The clouds of one folder, one sequence named like the folder, each frame named by its file's stem.
+
+    They are taken for a LiDAR's, whose pose is not known: these files have an intensity and no Doppler.
 
     Args:
         root: The folder.
@@ -141,10 +147,10 @@ class Folder(Dataset):
         beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
         return [self.clouds[index], *(path for path in beside if path)]
 
-    def annotation(self, index: int) -> Boxes | None:
+    def annotation(self, index: int) -> Annotation | None:
         """The boxes beside frame ``index``."""
         path = self._beside(index, _BOX_FOLDERS, [".json"])
-        return None if path is None else read_boxes(path)
+        return None if path is None else _read_annotation(path)
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(_time_ns(self.frame_ids[index]) for index in indices)
@@ -157,14 +163,20 @@ class Folder(Dataset):
             self._beside(index, ("", "images"), _IMAGE_SUFFIXES),
         )
         calibration = next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
+        images = Lazy({} if image is None else {"camera": partial(read_image, image)})
+        cameras = {} if calibration is None else read_calibration(calibration)
         load = partial(read_cloud, path, bin_columns=self.bin_columns, intensity_scale=self.intensity_scale)
         return Frame(
             sequence=self.sequences[index],
             frame_id=stem,
             time_ns=_time_ns(stem),
             clouds=Lazy({"lidar": load}),
-            images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
-            cameras={} if calibration is None else read_calibration(calibration),
-            annotation=None if boxes is None else partial(read_boxes, boxes),
+            images=images,
+            cameras=cameras,
+            sensors={
+                "lidar": Sensor(kind="lidar"),
+                **{name: camera_sensor(cameras.get(name)) for name in dict.fromkeys([*images, *cameras])},
+            },
+            load_annotation=None if boxes is None else partial(_read_annotation, boxes),
             metadata={"files": [str(file) for file in self.files(index)]},
         )

@@ -21,7 +21,8 @@ from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
 from farfield.files.xyz import read_xyz
-from farfield.frame import Boxes, Cloud, Frame, Lazy
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.geometry.poses import pose
 from farfield.vocabulary.classes import normalised_class
 
 CELL_M = 100.0 / 576  # of the polar picture along range, and of the Cartesian one along both axes
@@ -138,25 +139,38 @@ class Radiate(Dataset):
             clouds["radar"] = partial(radar_cloud, paths["polar"][0], self.radar_share)
         if "velo_lidar" in paths:
             clouds["lidar"] = partial(lidar_cloud, paths["velo_lidar"][0])
-        files = [str(path) for path in self.files(index)]
-        names = {"polar": "radar", "velo_lidar": "lidar"}
+        images = {name: paths[name] for name in ("zed_left", "zed_right") if name in paths}
         return Frame(
             sequence=sequence,
             frame_id=self.frame_ids[index],
             time_ns=self._time_ns(index),
             clouds=Lazy(clouds),
-            images=Lazy(
-                {name: partial(read_image, paths[name][0]) for name in ("zed_left", "zed_right") if name in paths}
-            ),
-            annotation=None if tracks is None else partial(boxes_of, tracks, number, classes=self.classes),
-            times_ns={names.get(name, name): time for name, (_, time) in paths.items() if time is not None},
+            images=Lazy({name: partial(read_image, path) for name, (path, _) in images.items()}),
+            sensors=_sensors(paths, self._time_ns(index)),
+            load_annotation=None if tracks is None else partial(annotation_of, tracks.of_frame(number), self.classes),
             conditions=_conditions(meta),
             radar=Lazy({name: partial(read_picture, paths[name][0], name) for name in _PICTURES if name in paths}),
             reference="radar",
-            metadata=Lazy(
-                {"files": lambda: files, "box_protocol": lambda: "full, height nominal", "meta": lambda: meta}
-            ),
+            metadata={
+                "files": [str(path) for path in self.files(index)],
+                "boxes": "height nominal: drawn from above",
+                "meta": meta,
+            },
         )
+
+
+def _sensors(paths: Mapping[str, tuple[Path, int | None]], time_ns: int | None) -> dict[str, Sensor]:
+    """Where each sensor stands in the radar's coordinates; of the cameras that is not known."""
+    times = {name: time for name, (_, time) in paths.items()}
+    known = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4), time_ns=time_ns)}
+    if "velo_lidar" in times:
+        radar_T_lidar = pose(np.eye(3), np.array(RADAR_T_LIDAR_M))
+        known["lidar"] = Sensor(kind="lidar", frame_T_sensor=radar_T_lidar, time_ns=times["velo_lidar"])
+    for name in _PICTURES:
+        if name in times:
+            known[name] = Sensor(kind="radar", frame_T_sensor=np.eye(4), in_frame=False, time_ns=times[name])
+    cameras = {name: camera_sensor(None, times[name]) for name in ("zed_left", "zed_right") if name in times}
+    return known | cameras
 
 
 def find_sequences(root: Path) -> list[Path]:
@@ -223,7 +237,8 @@ def read_picture(path: Path, name: str) -> Float32[np.ndarray, "height width"]:
 def radar_cloud(path: Path, share: float) -> Cloud:
     """The strongest cells of a polar picture as points at z = 0: those above the rest, at most ``share`` of all.
 
-    Cell (i, j) lies ``i`` cells away, in the middle of the j-th of 400 sectors, counted clockwise from forward.
+    Their column ``strength`` is the picture's, 0 to 1: decibels without a known scale. Cell (i, j) lies ``i`` cells
+    away, in the middle of the j-th of 400 sectors, counted clockwise from forward.
     """
     picture = read_picture(path, "polar")
     count = int(share * picture.size)
@@ -232,15 +247,24 @@ def radar_cloud(path: Path, share: float) -> Cloud:
     row, column = np.nonzero(picture > weakest)
     range_m, azimuth_rad = row * CELL_M, -(column + 0.5) * (2 * np.pi / POLAR_SHAPE[1])
     points = np.column_stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), np.zeros(len(row))])
-    return Cloud(points.astype(np.float32), picture[row, column])
+    return Cloud(points.astype(np.float32), None, {"strength": picture[row, column]})
 
 
 def lidar_cloud(path: Path) -> Cloud:
     """Read a lidar sweep (x right, y forward, z up, intensity 0 to 255, ring) into the radar's frame."""
     rows = read_xyz(path, columns=5, delimiter=",")
     points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
-    intensity = np.clip(rows[:, 3] / 255, 0, 1).astype(np.float32)
+    if not ((rows[:, 3] >= 0) & (rows[:, 3] <= 255)).all():
+        found = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
+        raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", found=found)
+    intensity = (rows[:, 3] / 255).astype(np.float32)
     return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
+
+
+def annotation_of(rows: RadiateTracks, classes: str = "cirrus") -> Annotation:
+    """One frame's boxes with the file's own class names."""
+    frame = int(rows.frame[0]) if len(rows.frame) else 0
+    return Annotation(boxes=boxes_of(rows, frame, classes=classes), original_label=tuple(map(str, rows.class_name)))
 
 
 def boxes_of(tracks: RadiateTracks, frame: int, *, classes: str = "cirrus") -> Boxes:

@@ -48,7 +48,7 @@ class Detector:
         device: Where to run; by default a GPU if there is one, else the CPU.
         precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
         cloud: Which of a frame's clouds to read; by default one that it learnt from, where a frame has none of them
-            its first; ``"merged"`` joins all.
+            its first.
 
     Raises:
         ConfigError: If the precision is unknown.
@@ -111,10 +111,10 @@ class Detector:
 
 
 def cloud_tensor(cloud: Cloud, extra_columns: Sequence[str] = ()) -> Tensor:
-    """A cloud as the tensor that networks read: x, y, z (metres), intensity, lag (seconds), shape (n, 5 + k), float32.
+    """A cloud as the tensor that networks read: x, y, z (metres), strength, lag (seconds), shape (n, 5 + k), float32.
 
-    The lag is the age of a point's sweep: the cloud's column ``lag_s``, or zero. Points that are not
-    finite are dropped.
+    The strength is a LiDAR's intensity or, of clouds without one, a radar's column ``power``. The lag is the age of a
+    point's sweep: the cloud's column ``lag_s``, or zero. Points that are not finite are dropped.
 
     Args:
         cloud: The cloud.
@@ -130,9 +130,20 @@ def cloud_tensor(cloud: Cloud, extra_columns: Sequence[str] = ()) -> Tensor:
             f"got {', '.join(cloud.extra) or 'no extra columns'}. Take a detector without it, or data that has it."
         )
     lag_s = cloud.extra["lag_s"] if "lag_s" in cloud.extra else np.zeros(len(cloud))
-    rows = np.column_stack([cloud.points_m, cloud.intensity, lag_s]).astype(np.float32, copy=False)
+    rows = np.column_stack([cloud.points_m, _strength(cloud), lag_s]).astype(np.float32, copy=False)
     kept = np.isfinite(rows).all(axis=1)
     if extra_columns:
         extra = np.column_stack([cloud.extra[name] for name in extra_columns]).astype(np.float32, copy=False)
         rows = np.concatenate([rows, np.where(np.isfinite(extra), extra, np.float32(0.0))], axis=1)
     return torch.from_numpy(rows[kept])
+
+
+def _strength(cloud: Cloud) -> np.ndarray:
+    if cloud.intensity is not None:
+        return cloud.intensity
+    if "power" in cloud.extra:
+        return cloud.extra["power"]
+    raise ConfigError(
+        f"Expected a cloud with intensity or with the column 'power'; got {', '.join(cloud.columns)}. Take data that "
+        "have one of them."
+    )

@@ -38,6 +38,13 @@ class RadiateTracks:
     def __len__(self) -> int:
         return len(self.class_name)
 
+    def of_frame(self, number: int) -> "RadiateTracks":
+        """The boxes of one radar frame."""
+        rows = np.flatnonzero(self.frame == number)
+        names = ("frame", "track_id", "corner_px", "size_px", "rotation_deg")
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in names}
+        return RadiateTracks(class_name=tuple(self.class_name[row] for row in rows), **columns)
+
 
 def read_times(path: Path | str) -> dict[int, int]:
     """Read a list of a sensor's frames: number to nanoseconds.

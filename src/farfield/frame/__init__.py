@@ -1,9 +1,28 @@
 """Frame: the one record that flows from readers and the simulator to detectors, metrics, reports and the studio."""
 
-from farfield.frame.annotation import Annotation, CameraField
+from farfield.frame.annotation import Annotation, CameraField, Footprints
+from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Drive, Key
-from farfield.frame.record import Cloud, Frame, Lazy
+from farfield.frame.lazy import Given, Lazy
+from farfield.frame.record import Frame, Pose, Sensor, camera_sensor, joined, moved
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 
-__all__ = ["Annotation", "Boxes", "Camera", "CameraField", "Cloud", "Drive", "Frame", "Key", "Lazy"]
+__all__ = [
+    "Annotation",
+    "Boxes",
+    "Camera",
+    "CameraField",
+    "Cloud",
+    "Drive",
+    "Footprints",
+    "Frame",
+    "Given",
+    "Key",
+    "Lazy",
+    "Pose",
+    "Sensor",
+    "camera_sensor",
+    "joined",
+    "moved",
+]

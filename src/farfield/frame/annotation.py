@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.geometry.poses import invert
+from farfield.geometry.poses import invert, transform_points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,6 +45,33 @@ class CameraField:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Footprints:
+    """Objects that were annotated from above only: they have no height and are no boxes.
+
+    Args:
+        label: Class of each as the data set spells it, length n.
+        centre_m: x, y of their centres, shape (n, 2).
+        size_m: Length and width, shape (n, 2).
+        yaw_rad: Headings, counter-clockwise from +x, shape (n,).
+    """
+
+    label: Sequence[str]
+    centre_m: Float[np.ndarray, "n 2"]
+    size_m: Float[np.ndarray, "n 2"]
+    yaw_rad: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Footprints":
+        """Move them rigidly into other coordinates, seen from above: their height is taken as 0."""
+        flat = np.column_stack([self.centre_m, np.zeros((len(self), 1))])
+        heading = np.column_stack([np.cos(self.yaw_rad), np.sin(self.yaw_rad)]) @ target_T_source[:2, :2].T
+        centre_m = transform_points(target_T_source, flat)[:, :2]
+        return replace(self, centre_m=centre_m, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Annotation:
     """The annotated boxes of a frame, and what is known of each.
 
@@ -56,7 +83,8 @@ class Annotation:
         extent: Whether a box is the whole body (``"full"``) or the part that the sensor sees (``"visible"``).
         full_boxes: The whole bodies of boxes of visible parts, where they are known, n boxes.
         details: Further rows by name, each of length n: ``truncation``, ``occlusion``, ``box_px``...
-        unboxed: What was annotated without a box: ``dontcare_px`` (image regions), ``from_above`` (footprints).
+        unboxed: What was annotated without a box: ``dontcare_px`` (image regions), ``from_above``
+            (:class:`Footprints`).
         region: Where was annotated; None for all around.
         version: The annotation's release, where there are several.
 
@@ -70,7 +98,7 @@ class Annotation:
     original_label: Sequence[str] | None = None
     extent: Literal["full", "visible"] = "full"
     full_boxes: Boxes | None = None
-    details: Mapping[str, Shaped[np.ndarray, "n *rest"]] = field(default_factory=dict)
+    details: Mapping[str, Shaped[np.ndarray, "n ..."]] = field(default_factory=dict)
     unboxed: Mapping[str, Any] = field(default_factory=dict)
     region: CameraField | None = None
     version: str = ""
@@ -107,7 +135,7 @@ class Annotation:
     def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Annotation":
         """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region."""
         unboxed = {
-            name: value.transform(target_T_frame) if isinstance(value, Boxes) else value
+            name: value.transform(target_T_frame) if isinstance(value, Boxes | Footprints) else value
             for name, value in self.unboxed.items()
         }
         return replace(

@@ -1,164 +1,273 @@
 """Frame: the one record that flows from readers and the simulator to detectors, metrics, reports and the studio.
 
-Coordinates: right-handed, x forward, y left, z up, metres, in the frame of the sensor that ``reference`` names.
+Coordinates: right-handed, x forward, y left, z up, metres. All data stand in the frame's one set of coordinates, unless
+their sensor says ``in_frame=False``.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
+from jaxtyping import Float, UInt8
 
+from farfield.errors import ConfigError
+from farfield.frame.annotation import Annotation
+from farfield.frame.cloud import Cloud
+from farfield.frame.drive import Key
+from farfield.frame.lazy import Given, Lazy
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.geometry.points import points_in_boxes
-from farfield.geometry.poses import transform_points
+from farfield.geometry.poses import invert
 
-__all__ = ["Boxes", "Camera", "Cloud", "Frame", "Lazy"]
+Pose = Float[np.ndarray, "4 4"]
+Kind = Literal["lidar", "radar", "camera"]
+_NO_LENGTH = 1e-9  # metres, and parts of a unit vector: what inverting and multiplying poses leaves
 
 
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """A point cloud with whatever columns its file had.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensor:
+    """Where a cloud, an image or a radar product comes from.
 
     Args:
-        points_m: x, y, z in metres, shape (n, 3), float32.
-        intensity: Return strength in [0, 1], shape (n,), float32.
-        extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``extra0``...
+        kind: What it is.
+        frame_T_sensor: Maps the sensor's own coordinates to the frame's; None where it is not known.
+        in_frame: Whether its data stand in the frame's coordinates; if not they keep the sensor's own axes, as images
+            and radar products do.
+        time_ns: Time of its measurement, or None.
+        holds: Names of the sensors whose points are among this one's, such as single sweeps of an accumulated cloud.
+        shots: How many pulses a LiDAR sends a frame, where that is known: what does not return has no point.
     """
 
-    points_m: Float32[np.ndarray, "n 3"]
-    intensity: Float32[np.ndarray, " n"]
-    extra: Mapping[str, Shaped[np.ndarray, " n"]] = field(default_factory=dict)
+    kind: Kind
+    frame_T_sensor: Pose | None = None
+    in_frame: bool = True
+    time_ns: int | None = None
+    holds: tuple[str, ...] = ()
+    shots: int | None = None
 
-    def __post_init__(self) -> None:
-        if len(self.points_m) != len(self.intensity) or any(len(v) != len(self.points_m) for v in self.extra.values()):
-            raise ValueError(f"Cloud: expected columns of equal length, got {len(self.points_m)} points")
-
-    def __len__(self) -> int:
-        return len(self.points_m)
-
-    def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "Cloud":
-        return Cloud(self.points_m[index], self.intensity[index], {k: v[index] for k, v in self.extra.items()})
-
-    @classmethod
-    def concatenate(cls, parts: "list[Cloud]") -> "Cloud":
-        """Join clouds; only the extra columns that all of them have are kept."""
-        shared = set.intersection(*(set(part.extra) for part in parts)) if parts else set()
-        return cls(
-            np.concatenate([part.points_m for part in parts]),
-            np.concatenate([part.intensity for part in parts]),
-            {name: np.concatenate([part.extra[name] for part in parts]) for name in sorted(shared)},
-        )
-
-    def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
-        """Move all points rigidly into another frame."""
-        moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
-        return Cloud(moved, self.intensity, self.extra)
-
-    def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
-        """Indices of the points inside each box, one array a box."""
-        return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
+    def moved(self, target_T_frame: Pose) -> "Sensor":
+        """The sensor as seen from other coordinates; one that then stands at their origin stands there exactly."""
+        if self.frame_T_sensor is None:
+            return self
+        target_T_sensor = target_T_frame @ self.frame_T_sensor
+        return replace(self, frame_T_sensor=np.eye(4) if _is_origin(target_T_sensor) else target_T_sensor)
 
 
-class Lazy(Mapping[str, Any]):
-    """A read-only mapping whose values are loaded at the first access and then kept.
-
-    >>> clouds = Lazy({"gaussian": lambda: 42})
-    >>> list(clouds), clouds["gaussian"]
-    (['gaussian'], 42)
-    """
-
-    def __init__(self, loaders: Mapping[str, Callable[[], Any]]) -> None:
-        self._loaders = dict(loaders)
-        self._loaded: dict[str, Any] = {}
-
-    def loader(self, key: str) -> Callable[[], Any]:
-        """The function that loads the value of a key, which a further mapping may wrap."""
-        return self._loaders[key]
-
-    def __getitem__(self, key: str) -> Any:
-        if key not in self._loaders:
-            raise KeyError(f"{key!r}; present: {', '.join(self._loaders) or 'nothing'}")
-        if key not in self._loaded:
-            self._loaded[key] = self._loaders[key]()
-        return self._loaded[key]
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._loaders  # Mapping's own would load the value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._loaders)
-
-    def __len__(self) -> int:
-        return len(self._loaders)
-
-    def __repr__(self) -> str:
-        return f"Lazy({', '.join(key + ('' if key in self._loaded else ' (not loaded)') for key in self._loaders)})"
+def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
+    """The sensor of a camera: images keep its own axes (x right, y down, z forward)."""
+    pose = None if camera is None else invert(camera.camera_T_lidar)
+    return Sensor(kind="camera", frame_T_sensor=pose, in_frame=False, time_ns=time_ns)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
     """One moment of one drive: what the sensors gave, what was annotated, and how it was taken.
 
+    It pickles, and travels light: what loads when it is read is loaded again by the receiver.
+
     Args:
         sequence: Name of the drive or segment.
         frame_id: Name of the frame within its sequence.
         time_ns: Reference time in nanoseconds, or None.
+        reference: Name of the sensor whose frame the coordinates are in; with a ``'`` where they were moved away from
+            it.
+        sensors: What is known of the sensors, by the names of clouds, images and radar products.
         clouds: Point clouds by sensor or pattern (``"gaussian"``, ``"uniform"``, ``"lidar"``), loaded when read.
         images: Images by camera, shape (height, width, 3), uint8, loaded when read.
+        radar: Radar products by name, loaded when read; each in its sensor's own axes.
         cameras: Calibrations by camera; their poses refer to this frame's coordinates.
-        annotation: Loads the annotated boxes; None where the frame has no annotation.
-        world_T_lidar: Pose of the reference sensor, or None.
-        times_ns: Time of each sensor's measurement, by the keys of ``clouds`` and ``images``.
+        load_annotation: Loads what was annotated; None where the frame has no annotation.
+        world_T_frame: Pose of the frame's coordinates, or None.
         conditions: Weather, road, time of day...
-        radar: Radar products by name, loaded when read.
-        reference: Name of the sensor whose frame the coordinates are in.
-        metadata: What else is known: source files, box protocol ("visible" or "full").
+        indices: Number of each sensor's measurement in its recording, where sensors count apart (K-Radar).
+        simulated: Whether it was simulated; None where nothing says so.
+        metadata: What else is known, files and words for people; nothing that other code reads.
     """
 
     sequence: str
     frame_id: str
     time_ns: int | None = None
+    reference: str = "lidar"
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
     clouds: Lazy | Mapping[str, Cloud] = field(default_factory=dict)
     images: Lazy | Mapping[str, UInt8[np.ndarray, "height width 3"]] = field(default_factory=dict)
+    radar: Lazy | Mapping[str, Any] = field(default_factory=dict)
     cameras: Mapping[str, Camera] = field(default_factory=dict)
-    annotation: Callable[[], Boxes] | None = None
-    world_T_lidar: Float[np.ndarray, "4 4"] | None = None
-    times_ns: Mapping[str, int] = field(default_factory=dict)
+    load_annotation: Callable[[], Annotation] | None = None
+    world_T_frame: Pose | None = None
     conditions: Mapping[str, str] = field(default_factory=dict)
-    radar: Mapping[str, Any] = field(default_factory=dict)
-    reference: str = "lidar"
+    indices: Mapping[str, int] = field(default_factory=dict)
+    simulated: bool | None = None
     metadata: Lazy | Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, cloud: Cloud, boxes: Boxes | None = None, *, name: str = "lidar", **rest: Any) -> "Frame":
-        """Make a frame from one cloud (and its boxes) already in memory."""
-        rest = {"sequence": "memory", "frame_id": "0", **rest}
-        return cls(clouds={name: cloud}, annotation=None if boxes is None else lambda: boxes, **rest)
+    def of(cls, cloud: Cloud, boxes: Boxes | Annotation | None = None, *, name: str = "lidar", **rest: Any) -> "Frame":
+        """Make a frame from one cloud (and what was annotated) already in memory.
+
+        Its sensor is a LiDAR if the cloud has intensities and else a radar, unless ``sensors`` says otherwise; that
+        kind also names the coordinates, unless ``reference`` does.
+        """
+        annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
+        kind: Kind = "radar" if cloud.intensity is None else "lidar"
+        given: dict[str, Any] = {"sequence": "memory", "frame_id": "0", "reference": kind}
+        rest = {**given, "sensors": {name: Sensor(kind=kind)}, **rest}
+        return cls(clouds={name: cloud}, load_annotation=None if annotation is None else Given(annotation), **rest)
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """(sequence, frame): what pairs predictions with annotations."""
         return self.sequence, self.frame_id
 
+    @property
+    def has_annotation(self) -> bool:
+        """Whether the frame was annotated; known without loading anything."""
+        return self.load_annotation is not None
+
     @cached_property
+    def annotation(self) -> Annotation | None:
+        """What was annotated, loaded at the first access; None where nothing was: that is not "nothing there"."""
+        return None if self.load_annotation is None else self.load_annotation()
+
+    @property
     def boxes(self) -> Boxes | None:
-        """The annotated boxes, loaded at the first access; None where nothing was annotated."""
-        return None if self.annotation is None else self.annotation()
+        """The annotated boxes; None where the frame was not annotated."""
+        return None if self.annotation is None else self.annotation.boxes
+
+    def annotated(self, annotation: Annotation | None) -> "Frame":
+        """The same frame with another annotation, or with none."""
+        return replace(self, load_annotation=None if annotation is None else Given(annotation))
 
     def cloud(self, name: str | None = None) -> Cloud:
-        """One cloud by name; without a name the only or first one; ``"merged"`` joins all of them.
+        """One cloud by name; without a name the only or first one.
 
         Raises:
             KeyError: If there is no such cloud.
         """
-        if name == "merged" and "merged" not in self.clouds:
-            return Cloud.concatenate([self.clouds[key] for key in self.clouds])
         if name is None:
             name = next(iter(self.clouds), None)
         if name is None or name not in self.clouds:
             raise KeyError(f"frame {self.key} has no cloud {name!r}; present: {', '.join(self.clouds) or 'none'}")
-        return self.clouds[name]
+        cloud: Cloud = self.clouds[name]
+        return cloud
+
+    @property
+    def reference_kind(self) -> Kind | None:
+        """Kind of the sensor that ``reference`` names; where it names none, the kind of all clouds that stand in it."""
+        named = self.sensors.get(self.reference.removesuffix("'"))
+        if named is not None:
+            return named.kind
+        known = [self.sensors[name] for name in self.clouds if name in self.sensors]
+        kinds = {sensor.kind for sensor in known if sensor.in_frame}
+        return kinds.pop() if len(kinds) == 1 else None
+
+    def time_ns_of(self, name: str) -> int | None:
+        """Time of a sensor's measurement; the frame's where its own is not known."""
+        sensor = self.sensors.get(name)
+        return self.time_ns if sensor is None or sensor.time_ns is None else sensor.time_ns
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "annotation"}
+
+
+def joined(frame: Frame, names: Sequence[str]) -> Cloud:
+    """Join clouds of one frame; only the columns that all of them have are kept.
+
+    Args:
+        frame: The frame.
+        names: Its clouds to join, in this order.
+
+    Raises:
+        KeyError: If the frame has no such cloud.
+        ConfigError: If the clouds cannot be joined: of different kinds, one of them not in the frame's coordinates, or
+            one that holds the points of another.
+    """
+    if not names or len(set(names)) < len(names):
+        raise ConfigError(f"joined: expected the names of clouds, each once, got {', '.join(names) or 'none'}")
+    absent = [name for name in names if name not in frame.clouds]
+    if absent:
+        frame.cloud(absent[0])  # raises
+    unknown = [name for name in names if name not in frame.sensors]
+    if unknown:
+        raise ConfigError(f"joined: expected the sensor of each cloud in frame.sensors, got none of {unknown[0]!r}")
+    sensors = {name: frame.sensors[name] for name in names}
+    if len({sensor.kind for sensor in sensors.values()}) > 1:
+        what = ", ".join(f"{name} is of a {sensor.kind}" for name, sensor in sensors.items())
+        raise ConfigError(f"joined: expected clouds of one kind of sensor; {what}. Leave one out.")
+    for name, sensor in sensors.items():
+        if not sensor.in_frame:
+            raise ConfigError(
+                f"joined: expected clouds in the frame's coordinates ({frame.reference}); {name} keeps its sensor's "
+                "own. Leave it out, or move it by its frame_T_sensor if that is known."
+            )
+        held = [other for other in sensor.holds if other in sensors]
+        if held:
+            raise ConfigError(f"joined: {name} holds the points of {', '.join(held)} already; take one of them")
+    return Cloud.concatenate([frame.cloud(name) for name in names])
+
+
+def moved(frame: Frame, target_T_frame: Pose, *, reference: str | None = None) -> Frame:
+    """Express a frame in other coordinates.
+
+    Clouds in the frame's coordinates, what was annotated, the sensors' and the cameras' poses and the pose in the world
+    move. Data that keep their sensor's own axes (``in_frame=False``) stay as they are; their pose moves.
+
+    Args:
+        frame: The frame; its clouds stay unread until they are asked for.
+        target_T_frame: Maps the frame's coordinates to the new ones.
+        reference: Name of the sensor in whose coordinates the frame then stands. Left out, the old name stays if that
+            sensor still stands at the origin, else it gets a ``'``: the coordinates are no longer its.
+
+    Raises:
+        ConfigError: If ``reference`` names a sensor that would not stand at the origin.
+    """
+    frame_T_target = invert(target_T_frame)
+    sensors = {name: sensor.moved(target_T_frame) for name, sensor in frame.sensors.items()}
+    return replace(
+        frame,
+        reference=_reference(frame, sensors, target_T_frame) if reference is None else _checked(reference, sensors),
+        sensors=sensors,
+        clouds=Lazy({name: partial(_moved_cloud, frame, name, target_T_frame) for name in frame.clouds}),
+        cameras={
+            name: replace(camera, camera_T_lidar=camera.camera_T_lidar @ frame_T_target)
+            for name, camera in frame.cameras.items()
+        },
+        load_annotation=None if frame.load_annotation is None else partial(_moved_annotation, frame, target_T_frame),
+        world_T_frame=None if frame.world_T_frame is None else frame.world_T_frame @ frame_T_target,
+    )
+
+
+def _is_origin(pose: Pose) -> bool:
+    return np.allclose(pose, np.eye(4), rtol=0.0, atol=_NO_LENGTH)
+
+
+def _reference(frame: Frame, sensors: Mapping[str, Sensor], target_T_frame: Pose) -> str:
+    """``lidar`` becomes ``lidar'``: coordinates that were moved are no longer that sensor's, unless it still fits."""
+    own = frame.reference.removesuffix("'")
+    pose = sensors[own].frame_T_sensor if own in sensors else None
+    if pose is None:
+        return frame.reference if _is_origin(target_T_frame) else own + "'"
+    return own if _is_origin(pose) else own + "'"
+
+
+def _checked(reference: str, sensors: Mapping[str, Sensor]) -> str:
+    pose = sensors[reference].frame_T_sensor if reference in sensors else None
+    if pose is not None and not _is_origin(pose):
+        raise ConfigError(
+            f"moved: expected coordinates in which {reference} stands at the origin, but it would stand at "
+            f"{np.round(pose[:3, 3], 3).tolist()}. Give the inverse of its frame_T_sensor, or leave reference out."
+        )
+    return reference
+
+
+def _moved_cloud(frame: Frame, name: str, target_T_frame: Pose) -> Cloud:
+    cloud: Cloud = frame.clouds[name]
+    stays = name in frame.sensors and not frame.sensors[name].in_frame
+    return cloud if stays else cloud.transform(target_T_frame)
+
+
+def _moved_annotation(frame: Frame, target_T_frame: Pose) -> Annotation:
+    annotation = frame.annotation
+    assert annotation is not None  # the moved frame has a loader only where this one has
+    return annotation.moved(target_T_frame)

@@ -54,7 +54,7 @@ def convert(
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
         to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
-        boxes: Which boxes to label: the frame's own or ``metadata["full_boxes"]``.
+        boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
         cloud: Which cloud KITTI's velodyne and Cirrus's Gaussian files get; None takes the first.
         overwrite: Write everything anew.
         store: What a radar store keeps.
@@ -121,10 +121,9 @@ def _to_cache(dataset: Dataset, overwrite: bool, step: Progress) -> Outcome:
 def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
     if source == "boxes" or frame.annotation is None:
         return frame.boxes
-    if "full_boxes" not in frame.metadata:
-        raise DatasetError(f"frame {frame.key}: expected metadata['full_boxes'], which boxes='full_boxes' asks for")
-    found: Boxes = frame.metadata["full_boxes"]
-    return found
+    if frame.annotation.full_boxes is None:
+        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
+    return frame.annotation.full_boxes
 
 
 def _each(
@@ -210,13 +209,14 @@ def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
     else:
         chosen = {name: frame.clouds[name] for name in ("gaussian", "uniform") if name in clouds}
     camera = next(iter(frame.images), None)
+    timed = frame.time_ns is not None  # made-up times are the frame's alone
     return replace(
         frame,
         time_ns=time_ns,
         clouds=chosen,
         images={} if camera is None else {"camera": frame.images[camera]},
         cameras={"camera": frame.cameras[camera]} if camera is not None and camera in frame.cameras else {},
-        times_ns=frame.times_ns if frame.time_ns is not None else {},
+        sensors=frame.sensors if timed else {name: replace(s, time_ns=None) for name, s in frame.sensors.items()},
     )
 
 

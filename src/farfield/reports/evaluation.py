@@ -46,7 +46,7 @@ class FrameView:
         """Predictions by cloud name, in the order of the frame's clouds; only clouds that were asked for."""
         if isinstance(self.predictions, Mapping):
             given = self.predictions
-            return {name: given[name] for name in [*self.frame.clouds, "merged"] if name in given}
+            return {name: given[name] for name in self.frame.clouds if name in given}
         first = next(iter(self.frame.clouds), None)
         return {} if first is None else {first: self.predictions}
 

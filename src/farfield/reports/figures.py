@@ -209,7 +209,7 @@ def birdseye(
     Args:
         frame: The frame.
         predictions: Predicted boxes.
-        cloud: Which cloud; None takes the first, ``"merged"`` all.
+        cloud: Which cloud; None takes the first.
         labels: Classes that the detector was asked for; others are drawn in grey.
         window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
     """
@@ -261,7 +261,7 @@ def show_frame(frame: Frame, predictions: Boxes | None = None, *, cloud: str | N
     Args:
         frame: The frame.
         predictions: Predicted boxes.
-        cloud: Which cloud; None takes the first, ``"merged"`` all.
+        cloud: Which cloud; None takes the first.
 
     Returns:
         The figure; ``figure.savefig("frame.png", dpi=150)`` writes it.

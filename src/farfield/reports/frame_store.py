@@ -12,7 +12,7 @@ from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.clouds import read_cache, write_cache
 from farfield.files.images import read_image, write_image
-from farfield.frame import Cloud, Frame, Lazy
+from farfield.frame import Annotation, Cloud, Frame, Given, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 
@@ -38,7 +38,8 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
     arrays: dict[str, np.ndarray] = {}
     for cloud_name, cloud in frame.clouds.items():
         arrays[f"cloud/{cloud_name}/points_m"] = cloud.points_m
-        arrays[f"cloud/{cloud_name}/intensity"] = cloud.intensity
+        if cloud.intensity is not None:
+            arrays[f"cloud/{cloud_name}/intensity"] = cloud.intensity
     for set_name, boxes in sets.items():
         present = {part: getattr(boxes, part) for part in _BOX_ARRAYS}
         arrays |= {f"boxes/{set_name}/{part}": array for part, array in present.items() if array is not None}
@@ -52,6 +53,7 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
         "time_ns": frame.time_ns,
         "reference": frame.reference,
         "conditions": dict(frame.conditions),
+        "sensors": {name: _sensor_json(sensor) for name, sensor in frame.sensors.items()},
         "clouds": list(frame.clouds),
         "images": list(frame.images),
         "labels": {set_name: np.asarray(boxes.label).tolist() for set_name, boxes in sets.items()},
@@ -75,7 +77,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
         arrays = read_cache(folder / f"{name}.ffcloud")
         sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
         clouds = {
-            part: Cloud(arrays[f"cloud/{part}/points_m"], arrays[f"cloud/{part}/intensity"])
+            part: Cloud(arrays[f"cloud/{part}/points_m"], arrays.get(f"cloud/{part}/intensity"))
             for part in content["clouds"]
         }
         images = {camera: folder / f"{name}_{_plain(camera)}.jpg" for camera in content["images"]}
@@ -89,7 +91,8 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
             clouds=clouds,
             images=Lazy({camera: partial(read_image, image) for camera, image in images.items()}),
             cameras={camera: _camera(values) for camera, values in content["cameras"].items()},
-            annotation=None if annotated is None else lambda: annotated,
+            sensors={part: _sensor(values) for part, values in content.get("sensors", {}).items()},
+            load_annotation=None if annotated is None else Given(Annotation(boxes=annotated)),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         found = f"{type(error).__name__}: {error}"[:200]
@@ -107,6 +110,30 @@ def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Bo
 
 def _plain(name: str) -> str:
     return "".join(letter if letter.isalnum() else "-" for letter in name)[:64] or "camera"
+
+
+def _sensor_json(sensor: Sensor) -> dict[str, Any]:
+    pose = sensor.frame_T_sensor
+    return {
+        "kind": sensor.kind,
+        "frame_T_sensor": None if pose is None else pose.tolist(),
+        "in_frame": sensor.in_frame,
+        "time_ns": sensor.time_ns,
+        "holds": list(sensor.holds),
+    }
+
+
+def _sensor(values: Mapping[str, Any]) -> Sensor:
+    kind, pose = values["kind"], values["frame_T_sensor"]
+    if kind not in ("lidar", "radar", "camera"):
+        raise ValueError(f"expected a sensor of kind lidar, radar or camera, got {kind!r}")
+    return Sensor(
+        kind=kind,
+        frame_T_sensor=None if pose is None else np.array(pose, dtype=np.float64).reshape(4, 4),
+        in_frame=bool(values["in_frame"]),
+        time_ns=values["time_ns"],
+        holds=tuple(str(name) for name in values["holds"]),
+    )
 
 
 def _camera_json(camera: Camera) -> dict[str, Any]:

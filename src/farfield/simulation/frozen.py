@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Boxes, Frame
 
 FROZEN = ("cirrus-sim-val-v2",)
@@ -49,9 +49,14 @@ def frame_record(frame: Frame) -> FrameRecord:
     clouds = [frame.clouds[name] for name in ("gaussian", "uniform")]
     for cloud in clouds:
         content.update(np.round(cloud.points_m.astype(np.float64) * 1000).astype("<i4").tobytes())
+        if cloud.intensity is None:
+            raise DatasetError(f"frame {frame.key}: expected clouds with intensities, which the digest holds; got none")
         content.update(np.round(cloud.intensity * 255).astype("<u1").tobytes())
-    boxes = frame.boxes if frame.boxes is not None else Boxes.empty()
-    for each in (boxes, frame.metadata["full_boxes"]):
+    annotation = frame.annotation
+    if annotation is None or annotation.full_boxes is None:
+        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which the digest holds")
+    boxes = annotation.boxes
+    for each in (boxes, annotation.full_boxes):
         content.update(_boxes_bytes(each))
     return FrameRecord(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
 

@@ -39,7 +39,7 @@ def posed_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors
     """A planned frame with the pose of its reference sensor, which needs the sequence's world but no ray."""
     frame = planned_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors)
     drive = drive_of(preset, seed, sequence)
-    return replace(frame, world_T_lidar=_world_T_lidar(drive, index))
+    return replace(frame, world_T_frame=_world_T_lidar(drive, index))
 
 
 def _world_T_lidar(drive: Drive, index: int) -> Any:
@@ -67,8 +67,8 @@ def simulate_frame(
 
     Returns:
         The Cirrus rig gives clouds "gaussian" and "uniform" in the Gaussian sensor's frame (x forward, y left, z up,
-        ground near z = -2), image "camera", and the boxes of the visible parts; ``metadata`` holds ``full_boxes`` (the
-        whole bodies, in the same order), ``point_count_gaussian`` and ``point_count_uniform``. The K-Radar rig gives
+        ground near z = -2), image "camera", and the boxes of the visible parts; the annotation's ``full_boxes`` are
+        the whole bodies, its ``details`` ``point_count_gaussian`` and ``point_count_uniform``. The K-Radar rig gives
         clouds "os2-64" (the reference frame) and "os1-128", images "cam-front" and "cam-front-right"..., radar products
         in the radar's frame, and full boxes.
 

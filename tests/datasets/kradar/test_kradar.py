@@ -17,6 +17,7 @@ from farfield.datasets.kradar.layout import is_sequence
 from farfield.datasets.kradar.sequence_files import quarters, whole_sequences
 from farfield.datasets.kradar.texts import format_camera, read_camera, read_odometry
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.frame import Annotation, Frame
 
 FRAMES = [("1", 1, 32), ("1", 2, 32), ("1", 3, 32), ("25", 2, -1), ("25", 3, -1)]
 
@@ -43,6 +44,13 @@ def same_pose(one: np.ndarray, other: np.ndarray, atol: float = 1e-14) -> None:
     np.testing.assert_allclose(one, other, rtol=0, atol=atol)
 
 
+def times(of: Frame) -> dict[str, int]:
+    """Times of the sensors that have files of their own, and of the radar; right eyes share their left one's."""
+    names = ("os2-64", "os1-128", "cam-front", "radar")
+    known = {name: of.sensors[name].time_ns for name in names if name in of.sensors}
+    return {name: time for name, time in known.items() if time is not None}
+
+
 def test_a_frame_comes_back_as_it_was(root: Path) -> None:
     dataset = open_dataset(root)
     assert isinstance(dataset, KRadar)
@@ -54,12 +62,12 @@ def test_a_frame_comes_back_as_it_was(root: Path) -> None:
     for (sequence, number, lead), back in zip(FRAMES, dataset, strict=True):
         given = frame(number, sequence=sequence, lead=lead)
         assert (back.sequence, back.time_ns, back.reference) == (sequence, given.time_ns, "os2-64")
-        assert back.times_ns == given.times_ns
+        assert times(back) == times(given)
         assert back.conditions == given.conditions
-        assert back.metadata["indices"] == given.metadata["indices"]
-        assert np.array_equal(back.metadata["os2_T_os1"], OS2_T_OS1)
-        assert back.metadata["os2_T_radar"][:3, 3].tolist() == [2.54, -0.3, -0.7]
-        assert np.array_equal(back.world_T_lidar, given.world_T_lidar)
+        assert back.indices == given.indices
+        assert np.array_equal(back.sensors["os1-128"].frame_T_sensor, OS2_T_OS1)
+        assert back.sensors["radar"].frame_T_sensor[:3, 3].tolist() == [2.54, -0.3, -0.7]
+        assert np.array_equal(back.world_T_frame, given.world_T_frame)
         for name, cloud in given.clouds.items():
             assert np.array_equal(back.clouds[name].points_m, cloud.points_m)
             assert np.array_equal(back.clouds[name].intensity, cloud.intensity)
@@ -77,8 +85,8 @@ def test_a_frame_comes_back_as_it_was(root: Path) -> None:
         assert np.array_equal(back.boxes.centre_m, kept.centre_m)
         assert np.array_equal(back.boxes.size_m, kept.size_m)
         assert back.boxes.track_id.tolist() == kept.track_id.tolist()
-        assert back.metadata["availability"] == ["R", "L", "L1", "R", "R"]
-        assert back.metadata["box_protocol"] == "full"
+        assert list(back.annotation.visibility) == ["R", "L", "L1", "R", "R"]
+        assert back.annotation.extent == "full"
 
 
 def test_the_tree_is_the_real_one(root: Path) -> None:
@@ -119,18 +127,18 @@ def test_paths_load_nothing_and_the_record_goes_last(root: Path) -> None:
     def fail(*_: object) -> None:
         raise AssertionError
 
-    given = replace(frame(1), annotation=fail)
+    given = replace(frame(1), load_annotation=fail)
     paths = KRadarWriter(root).paths(given)
     assert all(path.is_file() for path in paths.values())
     assert list(paths)[-3:] == ["label_v1.0", "label_v2.1", "record"]
     assert "label_v1.0" not in KRadarWriter(root, labels=("v2.1",)).paths(given)
-    assert not [key for key in KRadarWriter(root).paths(replace(given, annotation=None)) if "label" in key]
+    assert not [key for key in KRadarWriter(root).paths(replace(given, load_annotation=None)) if "label" in key]
 
 
 def test_a_broken_off_frame_has_no_record(tmp_path: Path) -> None:
     writer = KRadarWriter(tmp_path, columns=512)
-    with pytest.raises(DatasetError, match=r"expected availability R, L or L1 of 6 boxes, got 1 of \['X'\]"):
-        writer.write(replace(frame(1), metadata=frame(1).metadata | {"availability": ["X"]}))
+    with pytest.raises(DatasetError, match=r"expected visibility R, L or L1 of each box, got X"):
+        writer.write(frame(1).annotated(replace(frame(1).annotation, visibility=["X"] * 6)))
     assert not list(tmp_path.rglob("*.json"))
     assert writer.finish() == []
 
@@ -139,9 +147,9 @@ def test_a_broken_off_frame_has_no_record(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"sequence": "segment_01"}, "expected a sequence such as '1'"),
-        ({"metadata": {}}, r"metadata\['indices'\]"),
-        ({"time_ns": None, "times_ns": {}}, "expected time_ns"),
-        ({"metadata": {"indices": {"radar": 1, "os2-64": 1}}}, r"\['os1-128'\], which numbers its os1-128 file"),
+        ({"indices": {}}, "and indices with"),
+        ({"time_ns": None, "sensors": {}}, "expected time_ns"),
+        ({"indices": {"radar": 1, "os2-64": 1}}, r"\['os1-128'\], which numbers its os1-128 file"),
     ],
 )
 def test_what_names_the_files_is_asked_for(tmp_path: Path, change: dict, message: str) -> None:
@@ -162,8 +170,10 @@ def test_options_are_checked(root: Path, tmp_path: Path) -> None:
 
 def test_both_versions_of_the_annotations(root: Path) -> None:
     new, old = KRadar(root, labels="v2.1")[0], KRadar(root, labels="v1.0")[0]
-    assert "availability" in new.metadata
-    assert "availability" not in old.metadata
+    assert new.annotation.visibility is not None
+    assert old.annotation.visibility is None
+    assert new.boxes.track_id is not None
+    assert old.boxes.track_id is None  # v1 numbers the objects of a frame: no identity
     assert np.array_equal(new.boxes.centre_m, old.boxes.centre_m)
 
 
@@ -204,11 +214,11 @@ def test_poses_come_from_odometry_where_there_are_no_records(root: Path, tmp_pat
     shutil.copytree(root, tmp_path / "x")
     for path in (tmp_path / "x").rglob("*.json"):
         path.unlink()
-    back, given = KRadar(tmp_path / "x")[1], [frame(number).world_T_lidar for number in (1, 2)]
-    same_pose(back.world_T_lidar, np.linalg.inv(given[0]) @ given[1], atol=2e-6)
+    back, given = KRadar(tmp_path / "x")[1], [frame(number).world_T_frame for number in (1, 2)]
+    same_pose(back.world_T_frame, np.linalg.inv(given[0]) @ given[1], atol=2e-6)
     assert back.time_ns == frame(2).time_ns
-    assert set(back.times_ns) == {"os2-64", "os1-128", "cam-front"}
-    assert "os2_T_os1" not in back.metadata
+    assert set(times(back)) == {"os2-64", "os1-128", "cam-front"}
+    assert back.sensors["os1-128"].frame_T_sensor is None
     assert (back.clouds["os1-128"].extra["time_ns"].min(), frame(2).clouds["os1-128"].extra["time_ns"].min() < 0) == (
         0,
         True,
@@ -333,8 +343,7 @@ def test_boxes_without_tracks_or_availability(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     plain = replace(boxes(rng), track_id=None)
     given = frame(1)
-    metadata = {name: value for name, value in given.metadata.items() if name != "availability"}
-    KRadarWriter(tmp_path, columns=512).write(replace(given, annotation=lambda: plain, metadata=metadata))
+    KRadarWriter(tmp_path, columns=512).write(given.annotated(Annotation(boxes=plain)))
     back = KRadar(tmp_path)[0]
     assert back.boxes.track_id.tolist() == [0, 1, 2, 3, 4]
-    assert back.metadata["availability"] == ["R"] * 5
+    assert list(back.annotation.visibility) == ["R"] * 5

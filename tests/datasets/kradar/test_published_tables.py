@@ -187,7 +187,7 @@ def test_the_real_annotations_have_their_published_totals(shared_real: Path, tmp
         "test": 0.17,
     }
     frame = dataset.split("test")[0]
-    assert (frame.sequence, frame.conditions["weather"], frame.metadata["label_version"]) == ("4", "normal", "v2.1")
+    assert (frame.sequence, frame.conditions["weather"], frame.annotation.version) == ("4", "normal", "v2.1")
 
 
 def test_a_bare_tree_of_annotations_opens_at_any_height(shared_real: Path, tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_the_version_of_a_bare_folder_is_seen_in_its_lines(tmp_path: Path, line:
     (tmp_path / "7").mkdir()
     (tmp_path / "7" / "00034_00001.txt").write_text(f"{HEADER}\n{line}")
     dataset = open_dataset(tmp_path)
-    assert dataset[0].metadata["label_version"] == version
+    assert dataset[0].annotation.version == version
     assert (dataset.sequences, dataset.frame_ids) == (("7",), ("00034_00001",))
 
 

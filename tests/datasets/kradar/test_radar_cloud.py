@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.datasets.kradar.drive import frame
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
@@ -11,7 +12,6 @@ from farfield.errors import ConfigError
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import polar3d_from_moments, zyx_cube
-from tests.datasets.kradar.drive import frame
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +36,15 @@ def test_cells_and_cube_give_the_same_points(root: Path) -> None:
     cells, cube = data[0].clouds["radar"], data[1].clouds["radar"]
     assert len(cells) > 100
     np.testing.assert_array_equal(cells.points_m, cube.points_m)
-    np.testing.assert_array_equal(cells.intensity, cube.intensity)
+    np.testing.assert_array_equal(cells.extra["power"], cube.extra["power"])
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_the_strongest_point_is_the_target(root: Path, index: int) -> None:
-    cloud = open_dataset(root, format="kradar", reference="radar", radar_rate=0.01, radar_region="narrow")[
-        index
-    ].clouds["radar"]
-    np.testing.assert_allclose(cloud.points_m[cloud.intensity.argmax()], [27.77, 0.0, 0.0], atol=0.45)
-    assert 10 < cloud.intensity.max() <= 20.01  # a node of the Cartesian grid lies beside the polar cell
+    view = {"reference": "radar", "radar_rate": 0.01, "radar_region": "narrow"}
+    cloud = open_dataset(root, format="kradar", **view)[index].clouds["radar"]
+    np.testing.assert_allclose(cloud.points_m[cloud.extra["power"].argmax()], [27.77, 0.0, 0.0], atol=0.45)
+    assert 10 < cloud.extra["power"].max() <= 20.01  # a node of the Cartesian grid lies beside the polar cell
     assert ("doppler_m_s" in cloud.extra) == (index == 2)
 
 
@@ -59,7 +58,7 @@ def test_a_share_of_the_region_is_the_same_from_every_product(root: Path) -> Non
     np.testing.assert_array_equal(cells.points_m, cube.points_m)
     every = open_dataset(root, format="kradar", radar_rate=1, **options)[2].clouds["radar"]
     assert len(polar) == pytest.approx(0.1 * len(every), abs=2)
-    assert polar.intensity.min() >= np.sort(every.intensity)[-len(polar)]
+    assert polar.extra["power"].min() >= np.sort(every.extra["power"])[-len(polar)]
 
 
 def test_a_frame_is_moved_as_a_whole(root: Path) -> None:
@@ -74,7 +73,7 @@ def test_a_frame_is_moved_as_a_whole(root: Path) -> None:
     for name, camera in ours.cameras.items():
         moved = theirs.cameras[name].camera_T_lidar @ np.append(theirs.boxes.centre_m[0], 1.0)
         np.testing.assert_allclose(moved, camera.camera_T_lidar @ point, atol=1e-9)
-    np.testing.assert_allclose(theirs.world_T_lidar[:3, 3], (ours.world_T_lidar @ np.append(origin, 1.0))[:3])
+    np.testing.assert_allclose(theirs.world_T_frame[:3, 3], (ours.world_T_frame @ np.append(origin, 1.0))[:3])
 
 
 def test_wrong_settings_of_the_radar_are_told(root: Path) -> None:
@@ -100,7 +99,7 @@ def test_every_published_cloud_is_read(tmp_path: Path, product: str, columns: in
     back = open_dataset(tmp_path, format="kradar", reference="radar", radar_region="cube")[0]
     np.testing.assert_array_equal(back.radar[product], points)
     np.testing.assert_allclose(back.clouds["radar"].points_m, points[:, :3], rtol=1e-6)
-    np.testing.assert_allclose(back.clouds["radar"].intensity, points[:, 3], rtol=1e-6)
+    np.testing.assert_allclose(back.clouds["radar"].extra["power"], points[:, 3], rtol=1e-6)
     assert ("doppler_m_s" in back.clouds["radar"].extra) == (columns > 4)
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from farfield.datasets.cirrus.mapping import Labels
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
 from farfield.vocabulary.classes import normalised_class
 
@@ -192,6 +192,28 @@ def boxes_from_labels(raw: RawLabels, settings: Labels, *, full: bool = False) -
         label=[normalised_class(name, settings.aliases) for name in raw.classes],
         track_id=_integers(raw, "track_id"),
         point_count=_integers(raw, "point_count_gaussian"),
+    )
+
+
+def annotation_from_labels(raw: RawLabels, settings: Labels) -> Annotation:
+    """Convert annotations with all that the file says of each box.
+
+    Args:
+        raw: What :func:`read_labels` gave.
+        settings: Orders and meanings.
+
+    Raises:
+        FileFormatError: As :func:`boxes_from_labels`.
+    """
+    whole = len(raw) > 0 and all("full_position" in label and "full_size" in label for label in raw.extra)
+    counts = [label.get("point_count_uniform") for label in raw.extra]
+    counted = bool(counts) and all(isinstance(count, int) for count in counts)
+    return Annotation(
+        boxes=boxes_from_labels(raw, settings),
+        original_label=raw.classes,
+        extent="visible",
+        full_boxes=boxes_from_labels(raw, settings, full=True) if whole else None,
+        details={"point_count_uniform": np.array(counts, dtype=np.int64)} if counted else {},
     )
 
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
-from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels, read_labels
+from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import Entry, expectation, find_parts, index_frames, time_of
 from farfield.datasets.cirrus.mapping import Mapping, read_mapping
-from farfield.datasets.cloud_files import intensity_scale_of, read_rows
+from farfield.datasets.cirrus.sweeps import IntensityScale, Sweep
 from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
-from farfield.frame import Camera, Cloud, Frame, Lazy
+from farfield.frame import Annotation, Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
 from farfield.vocabulary.patterns import PATTERNS
 
 
@@ -27,9 +27,10 @@ class Cirrus(Dataset):
     Gaussian clock. ``frame_id`` is the time in nanoseconds as the file name has it; sequences are segments recovered
     from pauses.
 
-    ``frame.metadata`` holds ``files``, ``pair_dt_ms`` (uniform minus Gaussian), ``camera_dt_ms``, ``box_protocol``
-    ("visible": Cirrus draws boxes round what the cloud shows), ``intensity_scale``, ``raw_label``, and, where the file
-    gives them, ``full_boxes`` and ``point_count_uniform``.
+    Cirrus draws boxes round what the cloud shows: the annotation's ``extent`` is ``"visible"``. ``full_boxes`` and
+    ``details["point_count_uniform"]`` are there where the file gives them. Where the two LiDARs stand is not known.
+    ``frame.metadata`` holds ``files``, ``pair_dt_ms`` (uniform minus Gaussian), ``camera_dt_ms`` and
+    ``intensity_scale``.
 
     Args:
         root: One ``Cirrus_dataset<N>``, a folder of several, or the authors' ``dataset``.
@@ -85,51 +86,51 @@ class Cirrus(Dataset):
             sequence=entry.sequence,
             frame_id=entry.key.stem,
             time_ns=time_of(entry.key),
-            clouds=Lazy({name: partial(self.cloud, index, name) for name in PATTERNS if name in present}),
+            clouds=Lazy({name: self._sweep(index, name) for name in PATTERNS if name in present}),
             images=Lazy(image),
             cameras=self.cameras,
-            annotation=None if raw is None else partial(boxes_from_labels, raw, self.mapping.labels),
-            world_T_lidar=_pose(raw),
-            times_ns={name: time for name, time in times.items() if time is not None},
+            sensors=self._sensors(times),
+            load_annotation=None if raw is None else partial(annotation_from_labels, raw, self.mapping.labels),
+            world_T_frame=_pose(raw),
             conditions=_conditions(raw),
-            metadata=Lazy(self._metadata(index, entry, raw)),
+            metadata=Lazy(self._metadata(index, entry)),
         )
+
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``."""
+        raw = self.raw_labels(index)
+        return None if raw is None else annotation_from_labels(raw, self.mapping.labels)
 
     def raw_labels(self, index: int) -> RawLabels | None:
         """Read the annotations of frame ``index`` as the file has them; None where there are none."""
         path = self.entries[index].labels
         return None if path is None else read_labels(path, self.mapping.labels)
 
-    def _metadata(self, index: int, entry: Entry, raw: RawLabels | None) -> dict[str, Callable[[], Any]]:
-        files = [str(path) for path in self.files(index)]
-        known: dict[str, Callable[[], Any]] = {
-            "files": lambda: files,
-            "pair_dt_ms": lambda: entry.pair_dt_ms,
-            "camera_dt_ms": lambda: entry.camera_dt_ms,
-            "box_protocol": lambda: "visible",
-            "intensity_scale": lambda: self.intensity_scale,
-        }
-        if raw is not None:
-            known["raw_label"] = lambda: raw.classes
-            if len(raw) and all("full_position" in label and "full_size" in label for label in raw.extra):
-                known["full_boxes"] = partial(boxes_from_labels, raw, self.mapping.labels, full=True)
-            counts = [label.get("point_count_uniform") for label in raw.extra]
-            if counts and all(isinstance(count, int) for count in counts):
-                known["point_count_uniform"] = lambda: np.array(counts, dtype=np.int64)
-        return known
+    def _sensors(self, times: dict[str, int | None]) -> dict[str, Sensor]:
+        known = {name: Sensor(kind="lidar", time_ns=times[name]) for name in PATTERNS if name in times}
+        cameras = {name: camera_sensor(self.cameras.get(name)) for name in self.cameras}
+        if "camera" in times:
+            cameras["camera"] = camera_sensor(self.cameras.get("camera"), times["camera"])
+        return known | cameras
 
-    def cloud_columns(self, index: int, pattern: str) -> dict[str, np.ndarray]:
-        """Columns of a cloud by the mapping's names, in the file's own units."""
+    def _metadata(self, index: int, entry: Entry) -> dict[str, Callable[[], Any]]:
+        return {
+            "files": Given([str(path) for path in self.files(index)]),
+            "pair_dt_ms": Given(entry.pair_dt_ms),
+            "camera_dt_ms": Given(entry.camera_dt_ms),
+            "intensity_scale": self._scale,
+        }
+
+    def _sweep(self, index: int, pattern: str) -> Sweep:
         entry = self.entries[index]
         path = entry.gaussian if pattern == "gaussian" else entry.uniform
         if path is None:
             raise KeyError(f"frame {entry.key.stem} has no {pattern} sweep")
-        names = getattr(self.mapping.xyz.columns, pattern)
-        count = None if len(names) in (5, 8) else len(names)
-        columns = read_rows(path, entry.part.root, columns=count, delimiter=self.mapping.xyz.delimiter)
-        names = (*names, *(f"extra{number}" for number in range(len(names) - 4, len(columns) - 4)))
-        keep = len(columns) if self.mapping.xyz.on_extra_columns == "keep" else 4
-        return dict(list(zip(names, columns, strict=False))[:keep])
+        return Sweep(path, entry.part.root, pattern, self.mapping.xyz, self._scale)
+
+    def cloud_columns(self, index: int, pattern: str) -> dict[str, np.ndarray]:
+        """Columns of a cloud by the mapping's names, in the file's own units."""
+        return self._sweep(index, pattern).columns()
 
     def cloud(self, index: int, pattern: str) -> Cloud:
         """Read one sweep of frame ``index``; intensity is brought to 0..1.
@@ -137,35 +138,21 @@ class Cirrus(Dataset):
         Raises:
             FileFormatError: If the file is damaged or its intensity exceeds the scale.
         """
-        columns = self.cloud_columns(index, pattern)
-        scale = self.intensity_scale[pattern]
-        strength = columns["intensity"].astype(np.float32) / np.float32(scale)
-        if len(strength) and (strength.max() > 1 + 1e-5 or strength.min() < 0):
-            raise FileFormatError(
-                getattr(self.entries[index], pattern),
-                where="the intensity column",
-                expected=f"values from 0 to {scale:g}",
-                found=f"{columns['intensity'].min():g} to {columns['intensity'].max():g}",
-                mend="Give the true full scale in the mapping: xyz: {intensity_scale: 255}.",
-            )
-        points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
-        extra = {name: column for name, column in columns.items() if name not in ("x", "y", "z", "intensity")}
-        return Cloud(points, np.minimum(strength, np.float32(1.0)), extra)
+        return self._sweep(index, pattern)()
 
-    @cached_property
+    @property
     def intensity_scale(self) -> dict[str, float]:
         """Value that stands for full reflectance, by pattern: given, or decided from up to three files."""
-        given = self.mapping.xyz.intensity_scale
-        scales: dict[str, float] = {}
-        for pattern in PATTERNS:
-            have = [i for i, entry in enumerate(self.entries) if getattr(entry, pattern) is not None]
-            if have and given == "auto":
-                sample = sorted({have[0], have[len(have) // 2], have[-1]})
-                largest = max(float(self.cloud_columns(i, pattern)["intensity"].max(initial=0.0)) for i in sample)
-                scales[pattern] = intensity_scale_of(largest)
-            elif have:
-                scales[pattern] = float(given)
-        return scales
+        return self._scale.by_pattern
+
+    @cached_property
+    def _scale(self) -> IntensityScale:
+        files = {}
+        for name in PATTERNS:
+            have = [(path, e.part.root) for e in self.entries if (path := getattr(e, name)) is not None]
+            if have:
+                files[name] = tuple(dict.fromkeys((have[0], have[len(have) // 2], have[-1])))
+        return IntensityScale(files, self.mapping.xyz)
 
     @cached_property
     def calibration_file(self) -> Path | None:

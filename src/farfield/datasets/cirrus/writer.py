@@ -13,7 +13,7 @@ from farfield.errors import DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.images import write_image
 from farfield.files.xyz import write_xyz
-from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.geometry.poses import quaternion_from_yaw
 
 _EXTRA_COLUMNS = {"gaussian": 1, "uniform": 4}
@@ -44,9 +44,9 @@ class CirrusWriter:
         Raises:
             DatasetError: If the frame has no time.
         """
-        times = {name: frame.times_ns.get(name, self._time_ns(frame)) for name in ("gaussian", "uniform", "camera")}
+        times = {name: self._time_ns(frame, name) for name in ("gaussian", "uniform", "camera")}
         found = {name: self._folder(name) / f"{times[name]}.xyz" for name in _EXTRA_COLUMNS if name in frame.clouds}
-        if frame.annotation is not None:
+        if frame.has_annotation:
             found["annotation"] = self._folder("annotation") / f"{times['gaussian']}.json"
         if "camera" in frame.images:
             found["camera"] = self._folder("camera") / f"{times['camera']}.jpg"
@@ -57,8 +57,8 @@ class CirrusWriter:
 
         Args:
             frame: Clouds ``gaussian`` and ``uniform``, boxes, image and calibration ``camera``: what there is.
-            box_label_source: ``"boxes"`` labels the frame's boxes (Cirrus: the visible part) and adds
-                ``metadata["full_boxes"]`` as extra keys; ``"full_boxes"`` labels those instead.
+            box_label_source: ``"boxes"`` labels the frame's boxes (Cirrus: the visible part) and adds the annotation's
+                ``full_boxes`` as extra keys; ``"full_boxes"`` labels those instead.
 
         Returns:
             The files written, by kind.
@@ -91,14 +91,19 @@ class CirrusWriter:
         return self.root / f"dataset{self.number}_{kind}"
 
     @staticmethod
-    def _time_ns(frame: Frame) -> int:
-        if frame.time_ns is not None:
-            return frame.time_ns
+    def _time_ns(frame: Frame, name: str) -> int:
+        time_ns = frame.time_ns_of(name)
+        if time_ns is not None:
+            return time_ns
         raise DatasetError(f"frame {frame.key}: expected time_ns, which names the files of Cirrus; got None")
 
 
 def cloud_rows(cloud: Cloud, extra_columns: int) -> Float[np.ndarray, "n c"]:
     """Rows x, y, z, intensity and the extra columns ``extra0``..., 0 where the cloud has none."""
+    if cloud.intensity is None:
+        raise DatasetError(
+            "Cirrus holds LiDAR clouds with intensity: expected one, got a radar's. Choose it by `cloud`."
+        )
     zero = np.zeros(len(cloud))
     extra = [cloud.extra.get(f"extra{number}", zero) for number in range(extra_columns)]
     return np.column_stack([cloud.points_m.astype(np.float64), cloud.intensity.astype(np.float64), *extra])
@@ -106,14 +111,14 @@ def cloud_rows(cloud: Cloud, extra_columns: int) -> Float[np.ndarray, "n c"]:
 
 def annotation(frame: Frame, source: str = "boxes") -> dict[str, Any]:
     """Build the annotation file's content for a frame; lengths to a micrometre."""
-    boxes = frame.boxes if frame.boxes is not None else Boxes.empty()
-    full = frame.metadata.get("full_boxes")
+    known = frame.annotation or Annotation(boxes=Boxes.empty())
+    boxes, full = known.boxes, known.full_boxes
     if source == "full_boxes":
         if full is None:
-            raise DatasetError(f"frame {frame.key}: expected metadata['full_boxes'], which box_label_source asks for")
+            raise DatasetError(
+                f"frame {frame.key}: expected full_boxes in its annotation, which box_label_source takes"
+            )
         boxes, full = full, None
-    if full is not None and len(full) != len(boxes):
-        raise DatasetError(f"frame {frame.key}: expected as many full boxes as boxes ({len(boxes)}), got {len(full)}")
     columns: dict[str, list[Any]] = {
         "label_class": np.asarray(boxes.label).tolist(),
         "position": _rounded(boxes.centre_m),
@@ -124,23 +129,22 @@ def annotation(frame: Frame, source: str = "boxes") -> dict[str, Any]:
         columns |= {"full_position": _rounded(full.centre_m), "full_size": _rounded(np.maximum(full.size_m, 1e-6))}
     if boxes.track_id is not None:
         columns["track_id"] = boxes.track_id.tolist()
-    columns |= _point_counts(frame, boxes)
+    columns |= _point_counts(known, boxes)
     content: dict[str, Any] = {"label_type": "cuboid"}
-    if frame.world_T_lidar is not None:
-        content["world_T_lidar"] = np.round(frame.world_T_lidar, 12).tolist()
+    if frame.world_T_frame is not None:
+        content["world_T_lidar"] = np.round(frame.world_T_frame, 12).tolist()
     if frame.conditions:
         content["conditions"] = dict(sorted(frame.conditions.items()))
     content["labels"] = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     return content
 
 
-def _point_counts(frame: Frame, boxes: Boxes) -> Mapping[str, list[int]]:
+def _point_counts(annotation: Annotation, boxes: Boxes) -> Mapping[str, list[int]]:
     counts: dict[str, list[int]] = {}
     if boxes.point_count is not None:
         counts["point_count_gaussian"] = boxes.point_count.tolist()
-    uniform = frame.metadata.get("point_count_uniform")
-    if uniform is not None:
-        counts["point_count_uniform"] = np.asarray(uniform).tolist()
+    if "point_count_uniform" in annotation.details:
+        counts["point_count_uniform"] = annotation.details["point_count_uniform"].tolist()
     return counts
 
 

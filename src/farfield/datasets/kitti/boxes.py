@@ -8,6 +8,15 @@ from jaxtyping import Float
 from farfield.errors import DatasetError
 from farfield.frame import Camera
 
+_RECTIFIED_PX = {
+    721.5377: (1242, 375),  # 2011_09_26
+    707.0493: (1224, 370),  # 2011_09_28
+    718.3351: (1238, 374),  # 2011_09_29
+    707.0912: (1226, 370),  # 2011_09_30
+    718.856: (1241, 376),  # 2011_10_03
+}
+_SAME_FOCAL_PX = 0.01
+
 
 def camera_from_calib(calib: Mapping[str, np.ndarray]) -> Float[np.ndarray, "4 4"]:
     """Map of lidar to rectified camera coordinates: ``R0_rect @ Tr_velo_to_cam``.
@@ -34,6 +43,22 @@ def _shaped(matrix: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray
     if matrix.shape != shape:
         raise DatasetError(f"calibration: expected {name} of shape {shape}, got {matrix.shape}")
     return np.asarray(matrix, dtype=np.float64)
+
+
+def image_size(matrix: Float[np.ndarray, "3 3"]) -> tuple[int, int]:
+    """Width and height of the rectified colour images of a calibration, where the image itself is absent.
+
+    KITTI rectified each day's drives to a size of its own, which its focal length tells. The image of another
+    calibration is taken to be twice as wide and high as its principal point lies from the corner: near enough to tell
+    the field of view.
+
+    >>> image_size(np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]]))
+    (1242, 375)
+    """
+    for focal_px, size in _RECTIFIED_PX.items():
+        if abs(matrix[0, 0] - focal_px) < _SAME_FOCAL_PX:
+            return size
+    return max(round(2 * float(matrix[0, 2])) + 1, 1), max(round(2 * float(matrix[1, 2])) + 1, 1)
 
 
 def camera_of(calib: Mapping[str, np.ndarray], *, width_px: int = 0, height_px: int = 0) -> Camera:

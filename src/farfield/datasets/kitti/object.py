@@ -7,7 +7,7 @@ Tr_velo_to_cam, with their centre instead of the centre of their bottom.
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -16,11 +16,11 @@ from PIL import Image
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.drives import Indices
-from farfield.datasets.kitti.boxes import camera_from_calib, camera_of
+from farfield.datasets.kitti.boxes import camera_from_calib, camera_of, image_size
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
-from farfield.frame import Boxes, Camera, Frame, Lazy
+from farfield.frame import Annotation, Boxes, Camera, CameraField, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
 
@@ -30,9 +30,8 @@ _IMAGE_SUFFIXES = (".png", ".jpg")
 class Kitti(Dataset):
     """KITTI object frames: cloud ``"lidar"``, image ``"camera"`` (image_2), boxes of the full objects.
 
-    ``frame.metadata`` holds ``kitti`` (the file's objects as they are, ``DontCare`` included, for KITTI's AP),
-    ``kitti_index`` (row in it of each box), ``truncation``, ``occlusion``, ``boxes_px`` and ``raw_label`` of the boxes,
-    ``dont_care_px`` (2D boxes), ``camera_T_rect_lidar`` (lidar to rectified camera) and ``box_protocol`` ("full").
+    The annotation's ``details`` are ``truncation``, ``occlusion``, ``box_px`` and ``alpha_rad`` of each box, its
+    ``unboxed["dontcare_px"]`` the 2D boxes of ``DontCare``. Only what the camera sees was annotated: its ``region``.
 
     Args:
         root: The folder with ``training`` or ``testing``, or one of those itself.
@@ -99,27 +98,43 @@ class Kitti(Dataset):
         calib = None if calib_path is None else read_calib(calib_path)
         if labels is not None and calib is None:
             raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
-        annotation, metadata = None, {}
+        annotation, cameras = None, {} if calib is None else {"camera": sized_camera(calib, image)}
         if labels is not None and calib is not None:
-            objects = Lazy({"all": partial(read_labels, labels)})
-            metadata = object_metadata(objects, camera_from_calib(calib))
-            annotation = partial(_boxes_of, objects, camera_from_calib(calib), self.classes)
-        files = [str(path) for path in self.files(index)]
+            region = CameraField(camera=cameras["camera"], name="the left colour camera")
+            annotation = partial(_read_annotation, labels, camera_from_calib(calib), self.classes, region)
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
             clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], intensity_scale=1.0)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
-            cameras={} if calib is None else {"camera": sized_camera(calib, image)},
-            annotation=annotation,
-            metadata=Lazy({"files": lambda: files, "box_protocol": lambda: "full", **metadata}),
+            cameras=cameras,
+            sensors=mounted(cameras, image is not None),
+            load_annotation=annotation,
+            metadata={"files": [str(path) for path in self.files(index)]},
         )
 
 
-def sized_camera(calib: Mapping[str, np.ndarray], image: Path | None) -> Camera:
-    """Camera P2 with the size of its image, from the image's header."""
+def mounted(cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
+    """The lidar, in whose coordinates a frame is, and the camera, if it has a calibration or an image."""
+    known = {"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))}
+    if cameras or pictured:
+        known["camera"] = camera_sensor(cameras.get("camera"))
+    return known
+
+
+def sized_camera(
+    calib: Mapping[str, np.ndarray], image: Path | None, *, size_px: tuple[int, int] | None = None
+) -> Camera:
+    """Camera P2 with the size of its image, from the image's header.
+
+    Args:
+        calib: The calibration file's matrices.
+        image: The image, or None.
+        size_px: Width and height where there is no image; None takes those of KITTI's drives, see :func:`image_size`.
+    """
     if image is None:
-        return camera_of(calib)
+        width, height = size_px or image_size(camera_of(calib).matrix)
+        return camera_of(calib, width_px=width, height_px=height)
     try:
         with Image.open(image, formats=("JPEG", "PNG")) as picture:
             width, height = picture.size
@@ -128,26 +143,30 @@ def sized_camera(calib: Mapping[str, np.ndarray], image: Path | None) -> Camera:
     return camera_of(calib, width_px=width, height_px=height)
 
 
-def object_metadata(objects: Lazy, camera_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Any]:
-    """Loaders of what KITTI knows beyond boxes; ``objects["all"]`` holds the file's rows."""
+def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | None) -> Annotation:
+    """What KITTI knows of its objects beyond their boxes.
 
-    def kept() -> KittiObjects:
-        return objects["all"][objects["all"].has_box]
+    Args:
+        objects: Rows of a label file, ``DontCare`` included.
+        boxes: Boxes of those that have one, in the same order.
+        region: Where was annotated.
+    """
+    kept = objects[objects.has_box]
+    details = {name: getattr(kept, name) for name in ("truncation", "occlusion", "box_px", "alpha_rad")}
+    return Annotation(
+        boxes=boxes,
+        original_label=tuple(kept.type.tolist()),
+        details=details,
+        unboxed={"dontcare_px": objects[objects.type == "DontCare"].box_px},
+        region=region,
+    )
 
-    return {
-        "kitti": lambda: objects["all"],
-        "kitti_index": lambda: np.flatnonzero(objects["all"].has_box),
-        "truncation": lambda: kept().truncation,
-        "occlusion": lambda: kept().occlusion,
-        "boxes_px": lambda: kept().box_px,
-        "raw_label": lambda: tuple(kept().type.tolist()),
-        "dont_care_px": lambda: objects["all"][objects["all"].type == "DontCare"].box_px,
-        "camera_T_rect_lidar": lambda: camera_T_lidar,
-    }
 
-
-def _boxes_of(objects: Lazy, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str) -> Boxes:
-    return boxes_from_objects(objects["all"], camera_T_lidar, classes=classes)
+def _read_annotation(
+    path: Path, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str, region: CameraField
+) -> Annotation:
+    objects = read_labels(path)
+    return annotation_of(objects, boxes_from_objects(objects, camera_T_lidar, classes=classes), region)
 
 
 def boxes_from_objects(

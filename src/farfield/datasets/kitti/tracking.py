@@ -5,20 +5,21 @@ alone (``label_02`` or ``label``) opens too: frames without clouds, boxes on pla
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.object import boxes_from_objects, object_metadata, sized_camera
+from farfield.datasets.kitti.object import annotation_of, boxes_from_objects, mounted, sized_camera
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
-from farfield.files.kitti import KittiObjects, KittiTracks, read_calib, read_tracking
-from farfield.frame import Boxes, Frame, Lazy
+from farfield.files.kitti import KittiTracks, read_calib, read_tracking
+from farfield.frame import Annotation, CameraField, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
@@ -27,8 +28,9 @@ _LABEL_FOLDERS = ("label_02", "label")
 class KittiTracking(Dataset):
     """KITTI tracking frames; ``frame_id`` is the number with six digits, boxes carry ``track_id``.
 
-    ``frame.metadata`` is that of :class:`farfield.datasets.kitti.object.Kitti`, and ``calibrated`` tells whether there
-    was a calibration file; without one, boxes are turned to lidar axes but keep the camera's origin.
+    The annotation is that of :class:`farfield.datasets.kitti.object.Kitti`. ``metadata["calibrated"]`` tells whether
+    there was a calibration file; without one, boxes are turned to lidar axes but keep the camera's origin, and the
+    annotated region is not known.
 
     Args:
         root: The folder with ``training`` or ``testing``, or one of those itself.
@@ -50,9 +52,9 @@ class KittiTracking(Dataset):
     ) -> None:
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
-        self._tracks: dict[str, KittiTracks] = {}
         names = {path.parent.name for path in self.folder.glob("velodyne/*/*.bin")}
         self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/*.txt")}
+        self._tracks = {sequence: _TrackFile(path) for sequence, path in self.labels.items()}
         names |= self.labels.keys()
         keys = [(name, stem) for name in sorted(names) for stem in self._stems(name)]
         if not keys:
@@ -70,9 +72,7 @@ class KittiTracking(Dataset):
 
     def tracks(self, sequence: str) -> KittiTracks:
         """Read the label file of a sequence, once."""
-        if sequence not in self._tracks:
-            self._tracks[sequence] = read_tracking(self.labels[sequence])
-        return self._tracks[sequence]
+        return self._tracks[sequence].rows
 
     def _file(self, index: int, kind: str, *suffixes: str) -> Path | None:
         places = (
@@ -100,36 +100,40 @@ class KittiTracking(Dataset):
         cloud, image = self._file(index, "velodyne", ".bin"), self._file(index, "image_02", ".png", ".jpg")
         calib_path = self._calib(index)
         calib = None if calib_path is None else read_calib(calib_path)
-        camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
-        files = [str(path) for path in self.files(index)]
-        metadata: dict[str, Any] = {}
+        cameras = {} if calib is None else {"camera": sized_camera(calib, image)}
+        annotation = None
         if sequence in self.labels:
-            metadata = object_metadata(Lazy({"all": partial(self._objects, sequence, stem)}), camera_T_lidar)
+            camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
+            field = CameraField(camera=cameras["camera"], name="the left colour camera") if cameras else None
+            annotation = partial(self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.classes, field)
         return Frame(
             sequence=sequence,
             frame_id=stem,
             clouds=Lazy({} if cloud is None else {"lidar": partial(read_cloud, cloud, intensity_scale=1.0)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
-            cameras={} if calib is None else {"camera": sized_camera(calib, image)},
-            annotation=partial(self._boxes, sequence, stem, camera_T_lidar) if sequence in self.labels else None,
-            metadata=Lazy(
-                {
-                    "files": lambda: files,
-                    "box_protocol": lambda: "full",
-                    "calibrated": lambda: calib is not None,
-                    **metadata,
-                }
-            ),
+            cameras=cameras,
+            sensors=mounted(cameras, image is not None),
+            load_annotation=annotation,
+            metadata={"files": [str(path) for path in self.files(index)], "calibrated": calib is not None},
         )
 
-    def _rows(self, sequence: str, stem: str) -> KittiTracks:
-        tracks = self.tracks(sequence)
-        return tracks[tracks.frame == int(stem)]
 
-    def _objects(self, sequence: str, stem: str) -> KittiObjects:
-        return self._rows(sequence, stem).objects
+class _TrackFile:
+    """The label file of a sequence, read at the first access; the rows stay behind when it is pickled."""
 
-    def _boxes(self, sequence: str, stem: str, camera_T_lidar: np.ndarray) -> Boxes:
-        rows = self._rows(sequence, stem)
-        boxes = boxes_from_objects(rows.objects, camera_T_lidar, classes=self.classes)
-        return boxes.replace(track_id=rows.track_id[rows.objects.has_box])
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def rows(self) -> KittiTracks:
+        return read_tracking(self.path)
+
+    def annotation(
+        self, number: int, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str, field: CameraField | None
+    ) -> Annotation:
+        rows = self.rows[self.rows.frame == number]
+        boxes = boxes_from_objects(rows.objects, camera_T_lidar, classes=classes)
+        return annotation_of(rows.objects, boxes.replace(track_id=rows.track_id[rows.objects.has_box]), field)
+
+    def __getstate__(self) -> dict[str, Path]:
+        return {"path": self.path}

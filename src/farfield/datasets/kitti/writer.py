@@ -44,14 +44,14 @@ class KittiWriter:
         Args:
             number: 0 to 999999.
             frame: The frame.
-            cloud: Which cloud; None takes the first, ``"merged"`` joins all.
+            cloud: Which cloud; None takes the first; it must be one with intensity.
             boxes: Boxes to label instead of the frame's.
 
         Returns:
             The files written, by kind.
 
         Raises:
-            DatasetError: If the number has more than six digits.
+            DatasetError: If the number has more than six digits, or the cloud is a radar's, without intensity.
         """
         if not 0 <= number <= 999_999:
             raise DatasetError(f"frame {frame.key}: expected a KITTI number from 0 to 999999, got {number}")
@@ -59,6 +59,11 @@ class KittiWriter:
         camera = frame.cameras[name] if name is not None else next(iter(frame.cameras.values()), VIRTUAL_CAMERA)
         boxes = frame.boxes if boxes is None else boxes
         points = frame.cloud(cloud)
+        if points.intensity is None:
+            raise DatasetError(
+                f"frame {frame.key}: KITTI's velodyne files hold LiDAR clouds with intensity, got a cloud of "
+                f"{', '.join(points.columns)}. Choose by `cloud` one of {', '.join(frame.clouds)} that has it."
+            )
         paths = {"velodyne": self._path("velodyne", number, "bin"), "calib": self._path("calib", number, "txt")}
         write_bin(paths["velodyne"], np.column_stack([points.points_m, points.intensity]))
         write_text(paths["calib"], calibration_text(camera))

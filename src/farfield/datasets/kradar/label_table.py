@@ -65,7 +65,7 @@ class LabelTable:
         frame: Row of the frame of each object, rising.
         name: K-Radar's class of each object, as written.
         availability: ``R``, ``L`` or ``L1`` of each object; empty where the version does not say.
-        track: Track (v2) or number (v1) of each object.
+        track: Track (v2) or number within its frame (v1, no identity) of each object.
         centre_m: Centre of each box in the os2-64's frame.
         size_m: Full length, width and height: twice what the file has.
         yaw_deg: Yaw as written: degrees, not wrapped.
@@ -98,20 +98,27 @@ class LabelTable:
         """Ground distance of each box's centre from the os2-64."""
         return np.hypot(self.centre_m[:, 0], self.centre_m[:, 1])
 
+    @property
+    def tracked(self) -> Bool[np.ndarray, " n"]:
+        """Which objects have a track: those of version 2."""
+        return ~np.char.startswith(self.version[self.frame].astype(np.str_), "v1")
+
     def tracks(self) -> dict[str, int]:
-        """Number of tracks of each class; a track is one within its sequence."""
-        keys = {*zip(self.name.tolist(), self.sequence[self.frame].tolist(), self.track.tolist(), strict=True)}
+        """Number of tracks of each class; a track is one within its sequence. Version 1 has none."""
+        columns = (self.name, self.sequence[self.frame], self.track)
+        keys = set(zip(*(column[self.tracked].tolist() for column in columns), strict=True))
         return dict(Counter(name for name, _, _ in keys).most_common())
 
     def boxes(self) -> Boxes:
-        """All objects in one, with Cirrus' class names."""
+        """All objects in one, with Cirrus' class names; ``track_id`` is -1 for objects of version 1."""
+        tracked = self.tracked
         ours = {name: normalised_class(name, CIRRUS_FROM_KRADAR) for name in set(self.name.tolist())}
         return Boxes(
             centre_m=self.centre_m,
             size_m=self.size_m,
             yaw_rad=np.deg2rad(self.yaw_deg),
             label=[ours[name] for name in self.name.tolist()],
-            track_id=self.track,
+            track_id=np.where(tracked, self.track, -1) if tracked.any() or not len(tracked) else None,
         )
 
     def boxes_by_frame(self) -> dict[tuple[str, str], Boxes]:

@@ -18,11 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int
 
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes, Footprints
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS, normalised_class
 
 MAX_BYTES = 4 << 20
@@ -44,7 +45,7 @@ class KRadarLabels:
         indices: Index of each sensor's frame by its name (``radar``, ``os2-64``, ``cam-front``, ``os1-128``,
             ``cam-lrr``), or empty where the header has another form.
         time_ns: Time of the os2-64's sweep, or None.
-        boxes: The objects; ``track_id`` is v2's track and v1's number of the object.
+        boxes: The objects; ``track_id`` is v2's track. v1 only numbers the objects of a frame, which identifies none.
         raw_label: Class of each object as written.
         availability: ``R`` (the radar sees it), ``L`` (only the LiDAR does) or ``L1`` (not known) of each object; empty
             in versions that do not say.
@@ -141,7 +142,7 @@ def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
         size_m=2 * table[:, 4:],
         yaw_rad=np.deg2rad(table[:, 3]),
         label=[normalised_class(line.name, CIRRUS_FROM_KRADAR) for line in found.lines],
-        track_id=np.array([line.numbers[0] for line in found.lines], dtype=np.int64),
+        track_id=_tracks(found.lines),
     )
     known = tuple(line.availability for line in found.lines if line.availability)
     return KRadarLabels(
@@ -151,6 +152,35 @@ def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
         raw_label=tuple(line.name for line in found.lines),
         availability=known if len(known) == len(found.lines) else (),
         from_above=found.from_above,
+    )
+
+
+def _tracks(lines: Sequence[LabelLine]) -> Int[np.ndarray, " n"] | None:
+    """v2's tracks; None where a line has v1's two numbers, the object's in its frame and in the frame before."""
+    if any(len(line.numbers) > 1 for line in lines):
+        return None
+    return np.array([line.numbers[0] for line in lines], dtype=np.int64)
+
+
+def footprints(rows: Sequence[tuple[str, tuple[float, ...]]]) -> Footprints:
+    """Objects seen from above (class, x, y, azimuth in degrees, half the length and width) in Farfield's units."""
+    table = np.array([values for _, values in rows], dtype=np.float64).reshape(-1, 5)
+    return Footprints(
+        label=tuple(name for name, _ in rows),
+        centre_m=table[:, :2],
+        size_m=2 * table[:, 3:],
+        yaw_rad=np.deg2rad(table[:, 2]),
+    )
+
+
+def annotation_of(labels: KRadarLabels, version: str) -> Annotation:
+    """One file's content as an annotation of its version; only version 2 has tracks."""
+    return Annotation(
+        boxes=labels.boxes.replace(track_id=None) if version.startswith("v1") else labels.boxes,
+        visibility=labels.availability if len(labels.availability) == len(labels.boxes) else None,
+        original_label=labels.raw_label,
+        unboxed={"from_above": footprints(labels.from_above)},
+        version=version,
     )
 
 

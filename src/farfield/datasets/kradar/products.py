@@ -160,7 +160,8 @@ def first_shot_ns(cloud: Cloud) -> int:
 def _fields(cloud: Cloud) -> dict[str, Shaped[np.ndarray, " n"]]:
     extra: Mapping[str, np.ndarray] = cloud.extra
     zero = np.zeros(len(cloud))
-    signal = extra.get("signal", cloud.intensity * np.float32(INTENSITY_COUNTS))
+    intensity = zero if cloud.intensity is None else cloud.intensity
+    signal = extra.get("signal", intensity * np.float32(INTENSITY_COUNTS))
     distance_mm = np.rint(np.linalg.norm(cloud.points_m.astype(np.float64), axis=1) * 1000)
     rest = {name: extra.get(name, zero) for name in ("reflectivity", "ring", "ambient")}
     x, y, z = cloud.points_m.T

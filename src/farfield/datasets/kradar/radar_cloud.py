@@ -17,7 +17,7 @@ from farfield.datasets.kradar.layout import SPARSE_COLUMNS
 from farfield.datasets.maps import Earlier, Placed
 from farfield.datasets.maps.sweeps import Stacked
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Lazy
+from farfield.frame import Cloud, Frame, Given, Lazy, Pose
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 
@@ -92,7 +92,7 @@ class RadarView:
         kept = {name: _loader(frame, name) for name in frame.clouds}
         if isinstance(kept.get(RADAR_CLOUD), Stacked):
             raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
-        loader = Placed(partial(_read, frame.radar, source, self), _frame_T_radar(frame))
+        loader = Placed(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
         return replace(frame, clouds=Lazy(kept | {RADAR_CLOUD: loader}))
 
 
@@ -104,25 +104,24 @@ def _source(frame: Frame, view: RadarView) -> str | None:
 
 
 def _loader(frame: Frame, name: str) -> Callable[[], Any]:
-    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else partial(_item, frame.clouds, name)
-
-
-def _item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
-    return clouds[name]
+    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Given(frame.clouds[name])
 
 
 def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:
     return radar_cloud(source, products[source], view)
 
 
-def _frame_T_radar(frame: Frame) -> Float[np.ndarray, "4 4"]:
-    if frame.reference == "radar":
-        return np.eye(4)
-    return np.asarray(frame.metadata["os2_T_radar"])
+def _frame_T_radar(frame: Frame, source: str) -> Pose:
+    """Pose of the radar that a product is from, or else of the frame's radar."""
+    known = (frame.sensors[name].frame_T_sensor for name in (source, RADAR_CLOUD) if name in frame.sensors)
+    pose = next((one for one in known if one is not None), None)
+    if pose is None:
+        raise ConfigError(f"radar_view: expected frame {frame.key} to know where the radar of {source!r} stands.")
+    return pose
 
 
 def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
-    """A cloud in the radar's frame: intensity is power over 1e13, extra column ``doppler_m_s`` where it is known.
+    """A cloud in the radar's frame: column ``power`` is power over 1e13, ``doppler_m_s`` stands where it is known.
 
     Args:
         product: Name of a radar product.
@@ -136,7 +135,8 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         if view.over != "region" or view.rate == 1:
             return _of_columns(polar_cloud(polar, min(view.rate, _NEARLY_ALL)), view)
         inside = _of_columns(polar_cloud(polar, _NEARLY_ALL), view)
-        return inside[inside.intensity > np.quantile(inside.intensity, 1 - view.rate)] if len(inside) else inside
+        power = inside.extra["power"]
+        return inside[power > np.quantile(power, 1 - view.rate)] if len(inside) else inside
     doppler = None
     if product in ("moments", "tesseract"):
         reduced = values if product == "moments" else moments(np.asarray(values, dtype=np.float32))
@@ -146,7 +146,7 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         cells = cells_of_cube(np.asarray(values, np.float32), view.region, doppler_m_s=doppler)
     chosen = cells.select(view.region, view.rate, over=cast(Over, view.over))
     extra = {} if chosen.doppler_m_s is None else {"doppler_m_s": chosen.doppler_m_s}
-    return Cloud(chosen.points_m(), chosen.power, extra)
+    return Cloud(chosen.points_m(), None, {"power": chosen.power, **extra})
 
 
 def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
@@ -154,4 +154,4 @@ def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
     bounds = np.array([region.x_m, region.y_m, region.z_m], dtype=np.float64)
     kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
     extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
-    return Cloud(kept[:, :3], kept[:, 3], extra)
+    return Cloud(kept[:, :3], None, {"power": kept[:, 3], **extra})

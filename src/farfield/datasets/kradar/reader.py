@@ -3,7 +3,7 @@
 Paek et al., "K-Radar: 4D Radar Object Detection for Autonomous Driving in Various Weather Conditions", NeurIPS 2022.
 """
 
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.datasets.kradar.index import Entry, Files, find_sequences, index_sequence, radar_geometry
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
-from farfield.datasets.kradar.labels import KRadarLabels, read_labels
+from farfield.datasets.kradar.labels import KRadarLabels, annotation_of, read_labels
 from farfield.datasets.kradar.layout import (
     CAMERAS,
     INDEX_NAMES,
@@ -31,7 +31,7 @@ from farfield.datasets.kradar.layout import (
 )
 from farfield.datasets.kradar.motion import TimedTable
 from farfield.datasets.kradar.products import read_eye, read_lidar, read_radar
-from farfield.datasets.kradar.radar_cloud import RadarView
+from farfield.datasets.kradar.radar_cloud import RADAR_CLOUD, RadarView
 from farfield.datasets.kradar.record import FrameRecord, read_record, record_path
 from farfield.datasets.kradar.sequence import RELEASES, SequenceFacts, annotated_poses, read_sequence
 from farfield.datasets.kradar.sequence_files import quarters
@@ -39,9 +39,11 @@ from farfield.datasets.kradar.splits import read_split_list, split_of_sequences
 from farfield.datasets.kradar.tesseract import read_moments
 from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Frame, Key, Lazy
+from farfield.frame import Annotation, Camera, Frame, Given, Key, Lazy, Sensor, camera_sensor
 
 _USUAL_VIEW = RadarView()
+MOMENTS = "moments"
+"""What a tesseract gives while it is read, see :class:`~farfield.radar.products.Moments`."""
 
 
 class KRadar(Dataset):
@@ -50,17 +52,18 @@ class KRadar(Dataset):
     Frames are those that are annotated; without annotations, those with a LiDAR or radar file. ``frame_id`` is
     ``<radar>_<os2-64>``. What a frame has depends on the files that are there:
 
-    - clouds ``os2-64`` and ``os1-128``, without missing returns. The os1-128's cloud is in its own sensor's frame: no
-      official calibration between the two exists; ``metadata["os2_T_os1"]`` gives it where the writer knew it.
-    - cloud ``radar``: the radar's strongest cells as points, intensity their power over 1e13 (linear), extra column
+    - clouds ``os2-64`` and ``os1-128``, without missing returns. The os1-128's cloud keeps its own sensor's axes: no
+      official calibration between the two exists; ``sensors["os1-128"].frame_T_sensor`` is known where the writer was.
+    - cloud ``radar``: the radar's strongest cells as points, column ``power`` their power over 1e13 (linear),
       ``doppler_m_s`` where it is known; see :mod:`~farfield.datasets.kradar.radar_cloud`.
-    - radar ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` in the radar's frame
-      (``metadata["os2_T_radar"]``), angles, y and z rising to the left and up; see
+    - radar ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` on the radar's axes
+      (``sensors["radar"].frame_T_sensor`` places it), angles, y and z rising to the left and up; see
       :func:`~farfield.datasets.kradar.products.write_radar`.
     - images ``cam-front`` (left eye), ``cam-front-right``, likewise ``cam-left``, ``cam-right``, ``cam-rear``, and
       their cameras.
-    - full boxes with Cirrus' class names; ``metadata`` has ``raw_label``, ``availability``, ``from_above`` (see
-      :class:`~farfield.datasets.kradar.labels.KRadarLabels`), ``label_version``, ``indices`` and ``files``.
+    - an annotation of full boxes with Cirrus' class names, ``visibility`` (``R``, ``L`` or ``L1``), ``original_label``,
+      ``version`` and, in ``unboxed["from_above"]``, the objects without a height.
+    - ``indices`` of the sensors' files, by the names in :data:`~farfield.datasets.kradar.layout.INDEX_NAMES`.
     - ``metadata["video"]``, the path of the dashboard camera's film, and ``gps``, ``gps_local``, ``imu``, ``imu_2``,
       the measurement nearest in time.
     - conditions from ``description.txt``; without it those that are published of a real sequence, as
@@ -129,6 +132,11 @@ class KRadar(Dataset):
         path = self.entries[index].label
         return None if path is None else read_labels(path)
 
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``."""
+        raw = self.labels(index)
+        return None if raw is None else annotation_of(raw, self.entries[index].version or "")
+
     def label_table(self, *, progress: Callable[[int], None] | None = None) -> LabelTable:
         """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
         return read_label_table(self.entries, progress=progress)
@@ -163,6 +171,7 @@ class KRadar(Dataset):
         paths = self._paths(entry, indices)
         times = _times(shared.times_ns, paths, record)
         time_ns = times.get("os2-64", raw.time_ns if raw is not None else None)
+        os2_T_radar = self._os2_T_radar(index)
         frame = Frame(
             sequence=entry.sequence,
             frame_id=entry.stem,
@@ -170,13 +179,14 @@ class KRadar(Dataset):
             clouds=Lazy(_clouds(paths, record)),
             images=Lazy(_eyes(paths)),
             cameras=shared.cameras,
-            annotation=None if raw is None else lambda: raw.boxes,
-            world_T_lidar=self._pose(index, record),
-            times_ns=times,
+            load_annotation=None if raw is None else partial(annotation_of, raw, entry.version or ""),
+            world_T_frame=self._pose(index, record),
             conditions=shared.conditions,
+            indices=indices,
             radar=Lazy(_products(paths)),
             reference="os2-64",
-            metadata=Lazy(self._metadata(index, raw, record, indices) | _measured(shared, time_ns)),
+            sensors=_sensors(paths, shared.cameras, times, os2_T_radar, record),
+            metadata=Lazy(_files(entry, self._record_path(entry), paths) | _measured(shared, time_ns)),
         )
         return _USUAL_VIEW(frame, none_before)
 
@@ -260,24 +270,6 @@ class KRadar(Dataset):
         _, x_m, y_m = self._geometry[self.sequences[index]]
         return os2_T_radar() if x_m is None or y_m is None else os2_T_radar(x_m, y_m)
 
-    def _metadata(
-        self, index: int, raw: KRadarLabels | None, record: FrameRecord | None, indices: dict[str, int]
-    ) -> dict[str, Callable[[], Any]]:
-        known: dict[str, Callable[[], Any]] = {
-            "files": lambda: [str(path) for path in self.files(index)],
-            "indices": lambda: indices,
-            "box_protocol": lambda: "full",
-            "os2_T_radar": lambda: self._os2_T_radar(index),
-        }
-        if raw is not None:
-            known |= {"raw_label": lambda: raw.raw_label, "from_above": lambda: raw.from_above}
-            known["label_version"] = lambda: self.entries[index].version
-        if raw is not None and len(raw.availability) == len(raw.boxes):
-            known["availability"] = lambda: list(raw.availability)
-        if record is not None and record.os2_T_os1 is not None:
-            known["os2_T_os1"] = lambda: record.pose("os2_T_os1")
-        return known
-
 
 def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
     present = [name for name in CAMERAS if name in paths]
@@ -291,12 +283,38 @@ def _clouds(paths: dict[str, Path], record: FrameRecord | None) -> dict[str, Cal
     return {name: partial(read_lidar, paths[name], name, first_ns=first_ns.get(name, 0)) for name in names}
 
 
-def _products(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
+def _products(paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
     """Loaders of the radar's products, and of a tesseract's moments, for which it is reduced while it is read."""
     loaders: dict[str, Callable[[], Any]] = {
         name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths
     }
-    return loaders | ({"moments": partial(read_moments, paths["tesseract"])} if "tesseract" in paths else {})
+    return loaders | ({MOMENTS: partial(read_moments, paths["tesseract"])} if "tesseract" in paths else {})
+
+
+def _sensors(
+    paths: dict[str, Path],
+    cameras: Mapping[str, Camera],
+    times: Mapping[str, int],
+    os2_T_radar: Float[np.ndarray, "4 4"],
+    record: FrameRecord | None,
+) -> dict[str, Sensor]:
+    """Where each sensor stands in the os2-64's coordinates, in which its own cloud and the radar's points are."""
+    known = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=times.get("os2-64"))}
+    if "os1-128" in paths:
+        pose = record.pose("os2_T_os1") if record is not None else None
+        known["os1-128"] = Sensor(kind="lidar", frame_T_sensor=pose, in_frame=False, time_ns=times.get("os1-128"))
+    products = [name for name in RADAR_PRODUCTS if name in paths]
+    taken_ns = next((times[name] for name in (RADAR_CLOUD, *products) if name in times), None)
+    known[RADAR_CLOUD] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, time_ns=taken_ns)
+    for name in (*products, *([MOMENTS] if "tesseract" in products else [])):
+        known[name] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, in_frame=False, time_ns=times.get(name))
+    for name in sorted({*_eyes(paths), *cameras}):
+        known[name] = camera_sensor(cameras.get(name), times.get(name.removesuffix(RIGHT_EYE)))
+    return known
+
+
+def _files(entry: Entry, record: Path | None, paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
+    return {"files": Given([str(path) for path in (entry.label, record, *paths.values()) if path is not None])}
 
 
 def _times(of_files: dict[str, int], paths: dict[str, Path], record: FrameRecord | None) -> dict[str, int]:
@@ -310,14 +328,14 @@ def _measured(shared: SequenceFacts, time_ns: int | None) -> dict[str, Callable[
     """The film, where the conditions come from, and the GPS's and IMUs' measurements nearest to a frame."""
     known: dict[str, Callable[[], Any]] = {}
     if shared.conditions_from:
-        known["conditions_from"] = lambda: shared.conditions_from
+        known["conditions_from"] = Given(shared.conditions_from)
     if shared.video is not None:
-        known["video"] = lambda: str(shared.video)
+        known["video"] = Given(str(shared.video))
     if time_ns is not None:
-        known |= {name: partial(_nearest, shared, name, time_ns) for name in shared.motion}
+        known |= {name: partial(_nearest, shared.motion, name, time_ns) for name in shared.motion}
     return known
 
 
-def _nearest(shared: SequenceFacts, name: str, time_ns: int) -> dict[str, float] | None:
-    table: TimedTable = shared.motion[name]
+def _nearest(motion: Lazy, name: str, time_ns: int) -> dict[str, float] | None:
+    table: TimedTable = motion[name]
     return table.nearest(time_ns)

@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.datasets.kradar.layout import EYES, LIDARS, label_stem
+from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RADAR_PRODUCTS, label_stem
 from farfield.datasets.kradar.products import first_shot_ns
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Camera, Frame
 
 _MAX_BYTES = 1 << 20
+_TIMED = (*LIDARS, *CAMERAS, *RADAR_PRODUCTS, "radar")  # what has a file of its own, and the radar
 Number = Annotated[float, Field(allow_inf_nan=False, gt=-1e12, lt=1e12)]
 Whole = Annotated[int, Field(ge=-(1 << 62), le=1 << 62)]
 Row = tuple[Number, Number, Number, Number]
@@ -73,13 +74,15 @@ class FrameRecord(BaseModel):
     @classmethod
     def of(cls, frame: Frame, indices: dict[str, int], time_ns: int) -> "FrameRecord":
         """Record a frame."""
-        poses = {"world_T_lidar": frame.world_T_lidar, "os2_T_os1": frame.metadata.get("os2_T_os1")}
+        high = frame.sensors.get("os1-128")
+        poses = {"world_T_lidar": frame.world_T_frame, "os2_T_os1": None if high is None else high.frame_T_sensor}
+        times = {name: frame.sensors[name].time_ns for name in _TIMED if name in frame.sensors}
         return cls.model_validate(
             {
                 "sequence": frame.sequence,
                 "indices": dict(sorted(indices.items())),
                 "time_ns": time_ns,
-                "times_ns": dict(sorted(frame.times_ns.items())),
+                "times_ns": {name: known for name, known in sorted(times.items()) if known is not None},
                 "first_shot_ns": {name: first_shot_ns(frame.clouds[name]) for name in LIDARS if name in frame.clouds},
                 "conditions": dict(sorted(frame.conditions.items())),
                 "cameras": {name: CameraRecord.of(frame.cameras[name]) for name in EYES if name in frame.cameras},

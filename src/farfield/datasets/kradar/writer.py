@@ -1,6 +1,5 @@
 """Write frames in the layout of K-Radar, so that simulated data travels every path that real data does."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from farfield.datasets.kradar.record import FrameRecord, record_path, write_reco
 from farfield.datasets.kradar.sequence_files import write_sequence_files
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
-from farfield.frame import Boxes, Frame
+from farfield.frame import Annotation, Boxes, Frame
 
 VERSIONS = ("v1.0", "v2.1")
 
@@ -35,15 +34,15 @@ class KRadarWriter:
     A frame's coordinates are the os2-64's: x forward, y left, z up. It brings what there is of
 
     - ``sequence``: a number from 1 to 999 without zeros before it; ``conditions``: ``road``, ``time``, ``weather``;
-    - ``metadata["indices"]``: index of ``radar`` and ``os2-64``, and of ``cam-front``, ``os1-128`` and ``cam-lrr`` (the
+    - ``indices``: index of ``radar`` and ``os2-64``, and of ``cam-front``, ``os1-128`` and ``cam-lrr`` (the
       other three cameras) where there are such files;
-    - clouds ``os2-64`` and ``os1-128``, the latter in its own sensor's frame, which ``metadata["os2_T_os1"]`` places;
-      their columns are described at :func:`~farfield.datasets.kradar.products.write_lidar`;
+    - clouds ``os2-64`` and ``os1-128``, the latter on its own sensor's axes, which its ``frame_T_sensor`` places; their
+      columns are described at :func:`~farfield.datasets.kradar.products.write_lidar`;
     - radar products ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` in the radar's frame, described at
       :func:`~farfield.datasets.kradar.products.write_radar`;
     - images ``cam-front`` (left eye) and ``cam-front-right``, likewise ``cam-left``, ``cam-right`` and ``cam-rear``,
       and cameras of the same names;
-    - full boxes, with ``metadata["availability"]`` (``R``, ``L`` or ``L1`` of each), ``time_ns`` and ``world_T_lidar``.
+    - an annotation: full boxes, with ``visibility`` (``R``, ``L`` or ``L1`` of each); ``time_ns``, ``world_T_frame``.
 
     A frame is complete when its record (``<sequence>/frame_record``) is there: it goes last. :meth:`finish` then writes
     what tells of whole sequences.
@@ -91,11 +90,11 @@ class KRadarWriter:
         for product in products:
             index = indices.get(index_name(product))
             if index is None:
-                missing = f"metadata['indices'][{index_name(product)!r}], which numbers its {product} file"
+                missing = f"indices[{index_name(product)!r}], which numbers its {product} file"
                 raise DatasetError(f"frame {frame.key}: expected {missing}")
             found[product] = self.root / product_path(product, frame.sequence, index)
         stem = label_stem(indices["radar"], indices["os2-64"])
-        if frame.annotation is not None:
+        if frame.has_annotation:
             folders = {version: LABEL_TREES[version][0].format(seq=frame.sequence) for version in self.labels}
             found |= {f"label_{version}": self.root / folder / f"{stem}.txt" for version, folder in folders.items()}
         return found | {"record": self.root / record_path(frame.sequence, stem)}
@@ -112,7 +111,7 @@ class KRadarWriter:
         paths = self.paths(frame)
         for product, path in paths.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._write_one(frame, product)(path)
+            self._write_one(frame, product, path)
         return paths
 
     def finish(self) -> list[Path]:
@@ -126,57 +125,42 @@ class KRadarWriter:
         """
         return write_sequence_files(self.root)
 
-    def _write_one(self, frame: Frame, product: str) -> Callable[[Path], None]:
-        def radar(path: Path) -> None:
+    def _write_one(self, frame: Frame, product: str, path: Path) -> None:
+        if product in RADAR_PRODUCTS:
             options: dict[str, Any] = {"dtype": self.tesseract_dtype, "compress": self.compress}
             values = frame.radar[product]
             write_radar(path, product, values if product == "cells" else np.asarray(values), **options)
-
-        def lidar(path: Path) -> None:
+        elif product in LIDARS:
             write_lidar(path, frame.clouds[product], lines=LIDARS[product], columns=self.columns)
-
-        def stereo(path: Path) -> None:
-            left, right = (frame.images.get(name) for name in (product, product + RIGHT_EYE))
-            write_stereo(path, left, right)
-
-        def label(path: Path) -> None:
+        elif product in CAMERAS:
+            write_stereo(path, *(frame.images.get(name) for name in (product, product + RIGHT_EYE)))
+        elif product == "record":
+            write_record(path, FrameRecord.of(frame, self._indices(frame), self._time_ns(frame)))
+        else:
             write_text(path, self._labels(frame, product.removeprefix("label_")))
 
-        def record(path: Path) -> None:
-            write_record(path, FrameRecord.of(frame, self._indices(frame), self._time_ns(frame)))
-
-        if product in RADAR_PRODUCTS:
-            return radar
-        if product in LIDARS:
-            return lidar
-        if product in CAMERAS:
-            return stereo
-        return record if product == "record" else label
-
     def _labels(self, frame: Frame, version: str) -> str:
-        boxes = frame.boxes if frame.boxes is not None else Boxes.empty()
-        availability = list(frame.metadata.get("availability") or [])
-        if availability and (len(availability) != len(boxes) or not set(availability) <= {"R", "L", "L1"}):
-            found = f"{len(availability)} of {sorted(set(availability))}"
-            raise DatasetError(
-                f"frame {frame.key}: expected availability R, L or L1 of {len(boxes)} boxes, got {found}"
-            )
+        annotation = frame.annotation or Annotation(boxes=Boxes.empty())
+        boxes, availability = annotation.boxes, list(annotation.visibility or ())
+        if not set(availability) <= {"R", "L", "L1"}:
+            found = ", ".join(sorted(set(availability)))
+            raise DatasetError(f"frame {frame.key}: expected visibility R, L or L1 of each box, got {found}")
         indices, time_ns = self._indices(frame), self._time_ns(frame)
         return format_labels(boxes, indices, time_ns, version=version, availability=availability)
 
     @staticmethod
     def _indices(frame: Frame) -> dict[str, int]:
-        indices = frame.metadata.get("indices") or {}
+        indices = frame.indices
         if not is_sequence(frame.sequence) or not {"radar", "os2-64"} <= set(indices):
             raise DatasetError(
-                f"frame {frame.key}: expected a sequence such as '1' and metadata['indices'] with 'radar' and "
+                f"frame {frame.key}: expected a sequence such as '1' and indices with 'radar' and "
                 "'os2-64', which name the files of K-Radar"
             )
         return {name: int(index) for name, index in indices.items()}
 
     @staticmethod
     def _time_ns(frame: Frame) -> int:
-        time_ns = frame.times_ns.get("os2-64", frame.time_ns)
+        time_ns = frame.time_ns_of("os2-64")
         if time_ns is None:
             raise DatasetError(f"frame {frame.key}: expected time_ns, which the annotation's header gives; got None")
         return time_ns

@@ -5,18 +5,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
-import numpy as np
-from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.maps.contract import Earlier
 from farfield.datasets.maps.placed import Placed
-from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Lazy
+from farfield.frame import Cloud, Frame, Lazy, Pose, moved
 from farfield.geometry.poses import invert
-
-_OWN_FRAME = ("os1-128",)  # no calibration between it and the others was ever published
 
 
 class CoordinatesSettings(BaseModel):
@@ -31,7 +26,8 @@ class CoordinatesSettings(BaseModel):
 class Coordinates:
     """Every frame (clouds, boxes, poses, cameras) in the coordinates of the sensor ``reference``.
 
-    A cloud that is read in its own sensor's coordinates is not moved there and back.
+    A cloud that is read in its own sensor's coordinates is not moved there and back; data that keep their sensor's own
+    axes (``in_frame=False``) stay as they are.
 
     Args:
         reference: Name of a sensor whose pose the frames know, one of the data set's ``references``.
@@ -59,29 +55,23 @@ class Coordinates:
         if frame.reference == self.reference:
             return frame
         target_T_frame = invert(_frame_T_sensor(frame, self.reference))
-        moved = move_frame(frame, target_T_frame)
-        clouds: dict[str, Callable[[], Cloud]] = {name: partial(_item, moved.clouds, name) for name in moved.clouds}
-        for name in frame.clouds:
-            loader = frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else None
-            if name in _OWN_FRAME:
-                clouds[name] = partial(_item, frame.clouds, name)
-            elif isinstance(loader, Placed):
-                clouds[name] = loader.moved(target_T_frame)
-        return replace(moved, clouds=Lazy(clouds), reference=self.reference)
+        seen = moved(frame, target_T_frame, reference=self.reference)
+        placed = {name: frame.clouds.loader(name) for name in frame.clouds} if isinstance(frame.clouds, Lazy) else {}
+        once = {name: one.moved(target_T_frame) for name, one in placed.items() if isinstance(one, Placed)}
+        rest: dict[str, Callable[[], Any]] = {name: partial(item, seen.clouds, name) for name in seen.clouds}
+        return replace(seen, clouds=Lazy(rest | once))
 
 
-def _item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
+def item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
+    """One cloud, read when it is asked for."""
     return clouds[name]
 
 
-def _frame_T_sensor(frame: Frame, name: str) -> Float[np.ndarray, "4 4"]:
-    """Pose of a sensor in the frame's coordinates."""
-    known = [key for key in ("os2_T_radar", "lidar_T_radar", "reference_T_radar") if key in frame.metadata]
-    if known and name == "radar":
-        return np.asarray(frame.metadata[known[0]])
-    if known and frame.reference == "radar" and known[0] != "reference_T_radar":
-        return invert(np.asarray(frame.metadata[known[0]]))
-    raise ConfigError(
-        f"Coordinates: expected frame {frame.key} to know where its sensor {name!r} stands; it does not. It is in the "
-        f"coordinates of {frame.reference!r}."
-    )
+def _frame_T_sensor(frame: Frame, name: str) -> Pose:
+    sensor = frame.sensors.get(name)
+    if sensor is None or sensor.frame_T_sensor is None:
+        known = ", ".join(name for name, one in frame.sensors.items() if one.frame_T_sensor is not None) or "no sensor"
+        raise ConfigError(
+            f"coordinates: expected frame {frame.key} to know where its sensor {name!r} stands; it knows {known}."
+        )
+    return sensor.frame_T_sensor

@@ -9,9 +9,8 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.maps.contract import Earlier
-from farfield.datasets.moving import move_frame
 from farfield.errors import ConfigError
-from farfield.frame import Frame
+from farfield.frame import Frame, moved
 from farfield.geometry.poses import invert, pose_from_yaw
 
 _Row = tuple[float, float, float, float]
@@ -67,7 +66,7 @@ class Move:
     def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
         """The frame, moved."""
         del earlier
-        return move_frame(frame, self.pose)
+        return moved(frame, self.pose)
 
 
 def _is_rigid(pose: Float[np.ndarray, "4 4"]) -> bool:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.maps.contract import Earlier
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Cloud, Frame, Lazy
+from farfield.frame import Cloud, Frame, Lazy, Pose
 from farfield.geometry.poses import invert
 
 LAG_COLUMN = "lag_s"
@@ -84,19 +84,32 @@ class Stacked:
     def __call__(self) -> Cloud:
         """The clouds, one after another."""
         present, name = self.present, self.cloud
-        assert present.world_T_lidar is not None
-        lidar_T_world = invert(present.world_T_lidar)
+        present_T_world = invert(_world_T_cloud(present, name))
         parts = [_aged(present.clouds[name], 0.0)]
         for frame in self.before:
             if name in frame.clouds:
-                assert frame.world_T_lidar is not None
                 lag_s = (_time_ns(present, name) - _time_ns(frame, name)) / 1e9
-                parts.append(_aged(frame.clouds[name].transform(lidar_T_world @ frame.world_T_lidar), lag_s))
+                motion = present_T_world @ _world_T_cloud(frame, name)
+                parts.append(_aged(frame.clouds[name].transform(motion), lag_s))
         return Cloud.concatenate(parts)
 
 
+def _world_T_cloud(frame: Frame, name: str) -> Pose:
+    """Pose of the coordinates in which a cloud stands: the frame's, or its sensor's own."""
+    assert frame.world_T_frame is not None
+    sensor = frame.sensors.get(name)
+    if sensor is None or sensor.in_frame:
+        return frame.world_T_frame
+    if sensor.frame_T_sensor is None:
+        raise DatasetError(
+            f"Several sweeps need to know where {name} stands, since it keeps its own axes; frame {frame.key} does not "
+            "say. Take one sweep (data.sweeps=1), or another cloud."
+        )
+    return frame.world_T_frame @ sensor.frame_T_sensor
+
+
 def _checked(frame: Frame) -> Frame:
-    missing = [name for name, value in (("pose", frame.world_T_lidar), ("time", frame.time_ns)) if value is None]
+    missing = [name for name, value in (("pose", frame.world_T_frame), ("time", frame.time_ns)) if value is None]
     if missing:
         raise DatasetError(
             f"Several sweeps a frame need each frame's pose and time; frame {frame.key} has no "
@@ -113,5 +126,6 @@ def _aged(cloud: Cloud, lag_s: float) -> Cloud:
 
 
 def _time_ns(frame: Frame, name: str) -> int:
-    assert frame.time_ns is not None
-    return frame.times_ns.get(name, frame.time_ns)
+    time_ns = frame.time_ns_of(name)
+    assert time_ns is not None
+    return time_ns

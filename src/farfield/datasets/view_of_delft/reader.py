@@ -4,7 +4,7 @@ Palffy et al.: "Multi-class Road User Detection with 3+1D Radar in the View-of-D
 has a tree in KITTI's layout.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.drives import Indices, all_known
 from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.object import object_metadata, sized_camera
+from farfield.datasets.kitti.object import annotation_of, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, Placed
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects, kitti_names
@@ -26,16 +26,26 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.clouds import read_bin
 from farfield.files.images import read_image
-from farfield.files.kitti import KittiObjects, read_calib, read_labels
-from farfield.files.view_of_delft import DelftObjects, read_camera_poses, read_objects
-from farfield.frame import Boxes, Cloud, Frame, Lazy
+from farfield.files.kitti import read_calib, read_labels
+from farfield.files.view_of_delft import read_camera_poses, read_objects
+from farfield.frame import (
+    Annotation,
+    Camera,
+    CameraField,
+    Cloud,
+    Frame,
+    Given,
+    Lazy,
+    Sensor,
+    camera_sensor,
+)
 
-RCS_LIMIT_DBSM = 60.0
-"""Radar cross sections from minus to plus this become the intensities 0 to 1, linear in decibels."""
 REFLECTANCE_FULL = 255.0  # the lidar's, unlike KITTI's
 RADAR_RATE_HZ = 13.0  # nominal; files count scans and give no times
 
-Sensor = Literal["lidar", "radar"]
+IMAGE_PX = (1936, 1216)
+Reference = Literal["lidar", "radar"]
+_HOLDS = {"radar_3frames": ("radar",), "radar_5frames": ("radar", "radar_3frames")}
 _COMPANIONS = {"image_2": (".jpg", ".png"), "label_2": (".txt", ".json"), "pose": (".json",), "calib": (".txt",)}
 _NEEDED_POINTS = 3
 
@@ -44,11 +54,11 @@ _NEEDED_POINTS = 3
 class _Rig:
     """What a frame's calibration files say: sensors to camera, and which of them the frame's coordinates belong to."""
 
-    camera_T: Mapping[Sensor, Float[np.ndarray, "4 4"]]
-    calib: Mapping[Sensor, Mapping[str, np.ndarray]]
-    reference: Sensor
+    camera_T: Mapping[Reference, Float[np.ndarray, "4 4"]]
+    calib: Mapping[Reference, Mapping[str, np.ndarray]]
+    reference: Reference
 
-    def reference_T(self, sensor: Sensor) -> Float[np.ndarray, "4 4"]:
+    def reference_T(self, sensor: Reference) -> Float[np.ndarray, "4 4"]:
         return np.asarray(np.linalg.inv(self.camera_T[self.reference]) @ self.camera_T[sensor])
 
 
@@ -58,19 +68,22 @@ class ViewOfDelft(Dataset):
     Clouds are ``"lidar"``, ``"radar"`` (one scan), ``"radar_3frames"`` and ``"radar_5frames"``, those that are there.
     A radar cloud keeps all columns of its file in ``extra``:
 
-    - ``rcs_dbsm``, which its intensity is too, see :data:`RCS_LIMIT_DBSM`,
+    - ``rcs_dbsm``, the radar cross section,
     - ``v_r_m_s``, radial velocity relative to the radar, positive away from it; once more as ``doppler_m_s``, the name
       that detectors of radar cells ask for,
     - ``v_r_compensated_m_s``, the same over ground, without the ego vehicle's motion,
     - ``scan``, 0 for the newest, -1, -2...; ``lag_s`` is its age at :data:`RADAR_RATE_HZ`.
 
-    Radial means along the ray from the radar, which stands at ``metadata["reference_T_radar"]``.
+    Radial means along the ray from the radar, which stands at ``sensors["radar"].frame_T_sensor``. Clouds of several
+    scans hold the points of the others.
 
-    ``world_T_lidar`` is the pose of the reference sensor in the odometry's frame, which is smooth within a drive and
-    begins anew with the next; ``metadata["world_T_camera"]`` has the camera's poses in ``odom``, ``map`` and ``utm``.
-    Further ``metadata``: ``moving`` (of each box, from the label's truncation column, which tells nothing else),
-    ``radar_velocity_m_s`` (x, y, z in the radar's frame, solved from the two velocity columns), and what
-    :class:`~farfield.datasets.kitti.object.Kitti` gives. Labels in JSON add ``activity`` and ``object_id``.
+    ``world_T_frame`` is the pose of the reference sensor in the odometry's frame, which is smooth within a drive and
+    begins anew with the next; ``metadata["world_T_camera"]`` has the camera's poses in ``odom``, ``map`` and ``utm``,
+    ``metadata["radar_velocity_m_s"]`` the radar's own velocity (x, y, z in its frame, see :func:`radar_velocity_m_s`).
+
+    The annotation tells what :class:`~farfield.datasets.kitti.object.Kitti`'s does, and which objects are ``moving``
+    (from the label's truncation column, which tells nothing else). Labels in JSON have ``activity`` and ``object_id``
+    for ``details``.
 
     A sequence is a clip of the data set's documentation, or the part's name for frames that are in none.
 
@@ -97,7 +110,7 @@ class ViewOfDelft(Dataset):
         *,
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
-        reference: Sensor | None = None,
+        reference: Reference | None = None,
         nominal_times: bool = False,
     ) -> None:
         for option, value, known in (
@@ -111,7 +124,7 @@ class ViewOfDelft(Dataset):
         self.trees = find_trees(self.root, part)
         if not self.trees:
             raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
-        self.reference: Sensor = reference or ("lidar" if "lidar" in self.trees else "radar")
+        self.reference: Reference = reference or ("lidar" if "lidar" in self.trees else "radar")
         self._clouds = {name: {p.stem: p for p in tree.glob("velodyne/*.bin")} for name, tree in self.trees.items()}
         self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
         self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
@@ -175,20 +188,9 @@ class ViewOfDelft(Dataset):
         """
         rig, image, pose = self._rig(index), self._file(index, "image_2"), self._file(index, "pose")
         clouds = self._cloud_loaders(index, rig)
-        metadata: dict[str, Callable[[], Any]] = {
-            "files": lambda: [str(path) for path in self.files(index)],
-            "box_protocol": lambda: "full",
-        }
-        annotation, details = self._labels(index, rig)
-        metadata |= details
-        if "radar" in rig.camera_T:
-            metadata["reference_T_radar"] = lambda: rig.reference_T("radar")
-        if "radar" in clouds:
-            path = self._clouds["radar"][self.frame_ids[index]]
-            metadata["radar_velocity_m_s"] = lambda: radar_velocity_m_s(read_radar(path))
+        calib = rig.calib.get(rig.reference)
+        cameras = {} if calib is None else {"camera": sized_camera(calib, image, size_px=IMAGE_PX)}
         world_T_camera = {} if pose is None else read_camera_poses(pose)
-        if world_T_camera:
-            metadata["world_T_camera"] = lambda: world_T_camera
         known = "odom" in world_T_camera and rig.reference in rig.camera_T
         return Frame(
             sequence=self.sequences[index],
@@ -196,15 +198,23 @@ class ViewOfDelft(Dataset):
             time_ns=self._time_ns(index),
             clouds=Lazy(clouds),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
-            cameras={"camera": sized_camera(rig.calib[rig.reference], image)} if rig.reference in rig.calib else {},
-            annotation=annotation,
-            world_T_lidar=world_T_camera["odom"] @ rig.camera_T[rig.reference] if known else None,
+            cameras=cameras,
+            sensors=_sensors(rig, clouds, cameras, image is not None),
+            load_annotation=self._labels(index, rig, cameras.get("camera")),
+            world_T_frame=world_T_camera["odom"] @ rig.camera_T[rig.reference] if known else None,
             reference=self.reference,
-            metadata=Lazy(metadata),
+            metadata=Lazy(self._metadata(index, world_T_camera)),
         )
 
+    def _metadata(self, index: int, world_T_camera: Mapping[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
+        known: dict[str, Callable[[], Any]] = {"files": Given([str(path) for path in self.files(index)])}
+        if self.frame_ids[index] in self._clouds.get("radar", ()):
+            path = self._clouds["radar"][self.frame_ids[index]]
+            known["radar_velocity_m_s"] = partial(_velocity, path)
+        return known | ({"world_T_camera": Given(world_T_camera)} if world_T_camera else {})
+
     def _rig(self, index: int) -> _Rig:
-        calib: dict[Sensor, Mapping[str, np.ndarray]] = {}
+        calib: dict[Reference, Mapping[str, np.ndarray]] = {}
         for name in self.trees:
             path = self._file(index, "calib", name)
             if path is not None:
@@ -229,67 +239,74 @@ class ViewOfDelft(Dataset):
             loaders[name] = read
         return loaders
 
-    def _labels(self, index: int, rig: _Rig) -> tuple[Callable[[], Boxes] | None, dict[str, Callable[[], Any]]]:
-        """Loaders of the boxes and of what else the label file tells."""
+    def _labels(self, index: int, rig: _Rig, camera: Camera | None) -> Callable[[], Annotation] | None:
+        """A loader of what the label file tells, in the reference's coordinates."""
         path = self._file(index, "label_2")
         if path is None:
-            return None, {}
-        upright: Sensor = "radar" if "radar" in rig.camera_T or path.suffix == ".json" else "lidar"
+            return None
+        region = None if camera is None else CameraField(camera=camera, name="the camera")
+        upright: Reference = "radar" if "radar" in rig.camera_T or path.suffix == ".json" else "lidar"
         if path.suffix == ".json":
             if rig.reference != "radar":
                 self._need(index, rig, ("radar", rig.reference), f"{path}: its boxes are in the radar's frame")
-            objects = Lazy({"all": partial(read_objects, path)})
-            boxes, details = partial(_boxes_of_json, objects, self.classes), json_metadata(objects)
+            read = partial(_read_json, path, self.classes)
         else:
             self._need(index, rig, (rig.reference,), f"{path}: its boxes are in the camera's frame")
-            objects = Lazy({"raw": partial(read_labels, path), "all": lambda: _without_flags(objects["raw"])})
-            boxes = partial(_boxes_of, objects, rig.camera_T[upright], self.classes)
-            details = object_metadata(objects, rig.camera_T[rig.reference])
-            details["moving"] = lambda: objects["raw"][objects["raw"].has_box].truncation > 0
-        if upright == rig.reference:
-            return boxes, details
-        return partial(_moved_boxes, boxes, rig.reference_T(upright)), details
+            read = partial(_read_text, path, rig.camera_T[upright], self.classes)
+        moves = None if upright == rig.reference else rig.reference_T(upright)
+        return partial(_placed_annotation, read, moves, region)
 
-    def _need(self, index: int, rig: _Rig, sensors: Sequence[Sensor], why: str) -> None:
+    def _need(self, index: int, rig: _Rig, sensors: Sequence[Reference], why: str) -> None:
         missing = [sensor for sensor in sensors if sensor not in rig.camera_T]
         if missing:
             raise DatasetError(f"{why}, expected {missing[0]}/.../calib/{self.frame_ids[index]}.txt, found none")
 
 
-def _sensor(cloud: str) -> Sensor:
+def _sensor(cloud: str) -> Reference:
     return "lidar" if cloud == "lidar" else "radar"
 
 
-def _moved_boxes(read: Callable[[], Boxes], target_T_source: Float[np.ndarray, "4 4"]) -> Boxes:
-    return read().transform(target_T_source)
-
-
-def _without_flags(objects: KittiObjects) -> KittiObjects:
-    """The rows without the two columns that mean something else here: moving for truncation, 1 for score."""
-    return replace(objects, truncation=np.zeros(len(objects)), score=None)
-
-
-def _boxes_of(objects: Lazy, camera_T_sensor: Float[np.ndarray, "4 4"], classes: str) -> Boxes:
-    return boxes_from_labels(objects["all"], camera_T_sensor, classes=classes)
-
-
-def _boxes_of_json(objects: Lazy, classes: str) -> Boxes:
-    return boxes_from_objects(objects["all"], classes=classes)
-
-
-def json_metadata(objects: Lazy) -> dict[str, Callable[[], Any]]:
-    """Loaders of what a JSON label file tells beyond boxes; ``objects["all"]`` holds its objects."""
-
-    def activity() -> tuple[str, ...]:
-        found: DelftObjects = objects["all"]
-        return tuple(str(attributes.get("activity", "")) for attributes in found.attributes)
-
-    return {
-        "raw_label": lambda: tuple(kitti_names(objects["all"])),
-        "activity": activity,
-        "moving": lambda: np.array([name == "moving" for name in activity()], dtype=np.bool_),
-        "object_id": lambda: objects["all"].object_id,
+def _sensors(rig: _Rig, clouds: Collection[str], cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
+    """Where the sensors stand in the reference's coordinates, in which all clouds are."""
+    places = {name: rig.reference_T(name) for name in rig.camera_T} if rig.reference in rig.camera_T else {}
+    places[rig.reference] = np.eye(4)
+    known = {
+        name: Sensor(kind=_sensor(name), frame_T_sensor=places.get(_sensor(name)), holds=_HOLDS.get(name, ()))
+        for name in dict.fromkeys([*clouds, *places])
     }
+    if cameras or pictured:
+        known["camera"] = camera_sensor(cameras.get("camera"))
+    return known
+
+
+def _velocity(path: Path) -> Float[np.ndarray, " 3"] | None:
+    return radar_velocity_m_s(read_radar(path))
+
+
+def _placed_annotation(
+    read: Callable[[], Annotation], target_T_source: Float[np.ndarray, "4 4"] | None, region: CameraField | None
+) -> Annotation:
+    annotation = read()
+    return replace(annotation if target_T_source is None else annotation.moved(target_T_source), region=region)
+
+
+def _read_text(path: Path, camera_T_sensor: Float[np.ndarray, "4 4"], classes: str) -> Annotation:
+    """Labels in KITTI's form; two columns mean something else here: moving for truncation, and 1 for score."""
+    raw = read_labels(path)
+    objects = replace(raw, truncation=np.zeros(len(raw)), score=None)
+    annotation = annotation_of(objects, boxes_from_labels(objects, camera_T_sensor, classes=classes), None)
+    return replace(annotation, moving=raw[raw.has_box].truncation > 0)
+
+
+def _read_json(path: Path, classes: str) -> Annotation:
+    objects = read_objects(path)
+    activity = [str(attributes.get("activity", "")) for attributes in objects.attributes]
+    return Annotation(
+        boxes=boxes_from_objects(objects, classes=classes),
+        original_label=tuple(kitti_names(objects)),
+        moving=np.array([name == "moving" for name in activity], dtype=np.bool_),
+        details={"activity": np.array(activity, dtype=np.str_), "object_id": np.asarray(objects.object_id)},
+    )
 
 
 def read_radar(path: Path) -> Cloud:
@@ -308,8 +325,7 @@ def read_radar(path: Path) -> Cloud:
         "scan": rows[:, 6],
         "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
     }
-    intensity = np.clip((rcs_dbsm / np.float32(RCS_LIMIT_DBSM) + 1) / 2, 0.0, 1.0)
-    return Cloud(rows[:, :3].copy(), intensity, {name: np.ascontiguousarray(column) for name, column in extra.items()})
+    return Cloud(rows[:, :3].copy(), None, {name: np.ascontiguousarray(column) for name, column in extra.items()})
 
 
 def radar_velocity_m_s(cloud: Cloud) -> Float[np.ndarray, " 3"] | None:

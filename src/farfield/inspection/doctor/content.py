@@ -36,21 +36,26 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         points = np.concatenate([cloud.points_m for cloud in read])
         reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
         per_sweep = sorted(len(cloud) for cloud in read)
-        strength = np.concatenate([cloud.intensity for cloud in read])
-        scale = _scale_text(found, name)
-        columns = ["x", "y", "z", "intensity", *read[0].extra]
+        given = [cloud.intensity for cloud in read if cloud.intensity is not None]
+        strength = np.concatenate(given) if given else None
+        columns = ["x", "y", "z", *["intensity"] * bool(given), *read[0].extra]
         facts.setdefault("clouds", {})[name] = {
             "points": per_sweep[len(per_sweep) // 2],
             "reach_m": round(reach, 1),
             "columns": columns,
-            "intensity": [float(strength.min(initial=1.0)), float(strength.max(initial=0.0))],
+            "intensity": None
+            if strength is None
+            else [float(strength.min(initial=1.0)), float(strength.max(initial=0.0))],
         }
         what = (
             f"{len(columns)} columns ({', '.join(columns)}), {per_sweep[0]}..{per_sweep[-1]} points a sweep, reach "
-            f"{reach:.0f} m, intensity {strength.min(initial=1.0):.3f}..{strength.max(initial=0.0):.3f}{scale}"
+            f"{reach:.0f} m"
         )
+        if strength is not None:
+            low, high = strength.min(initial=1.0), strength.max(initial=0.0)
+            what += f", intensity {low:.3f}..{high:.3f}{_scale_text(found, name)}"
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
-        if not strength.any():
+        if strength is not None and not strength.any():
             mend = "A detector trained with intensity will not work here: name the right column in the mapping."
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
         yield from _units_of_points(name, reach)

@@ -1,8 +1,6 @@
 """Conventions decided from the data: quaternion order, size order, heading, centre or bottom, axes."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels
 from farfield.datasets.maps import none_before
 from farfield.errors import FarfieldError
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes
 from farfield.inspection.doctor.evidence import (
     HEADINGS,
     READINGS,
@@ -138,9 +136,8 @@ def _in_decided_order(found: Survey, key: tuple[str, str], boxes: Boxes, facts: 
     index = reader.keys.index(key)
     raw = reader.raw_labels(index)
     assert raw is not None
-    frame = reader.frame(index)
-    read = partial(boxes_from_labels, raw, reader.mapping.labels.model_copy(update={"quat_order": order}))
-    seen = replace(frame, annotation=read)
+    read = boxes_from_labels(raw, reader.mapping.labels.model_copy(update={"quat_order": order}))
+    seen = reader.frame(index).annotated(Annotation(boxes=read))
     for function in found.dataset.maps:
         seen = function(seen, none_before)
     return boxes if seen.boxes is None else seen.boxes

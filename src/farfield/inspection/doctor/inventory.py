@@ -69,7 +69,7 @@ def _cirrus_folders(found: Survey, reader: Cirrus) -> Iterator[Finding]:
         facts = counted(files, f"{word} frame")
         alone = "" if used == files or pattern == "gaussian" else f", {used} frames have one"
         yield Finding(severity="ok", topic=f"{word} sweeps", what=facts + alone)
-    parts = {entry.part.root: entry.part for entry in chosen}.values() if not whole else reader.parts
+    parts = reader.parts if whole else {(one.part.root, one.part.number): one.part for one in chosen}.values()
     stems = {path.stem for part in reader.parts for path in part.files["gaussian"]}
     orphans = [path for part in parts for path in part.files["labels"] if path.stem not in stems]
     if orphans:

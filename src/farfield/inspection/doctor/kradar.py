@@ -26,7 +26,7 @@ _LOOK_AT = {  # defects that are left as they are; the others are read as they w
     "odd_size": "Look at them in the pictures; leave them out of training.",
     "doubled_track": "Two objects share a track: a tracker's scores will count one as wrong.",
     "odd_index": "Header and name disagree about the frame: trust the name, which the split files use.",
-    "without_height": "They have no height and are no boxes; metadata['from_above'] has them.",
+    "without_height": "They have no height and are no boxes; annotation.unboxed['from_above'] has them.",
 }
 _SEDAN_LENGTH_M = (3.0, 6.5)
 _LEAST_BOXES = 200

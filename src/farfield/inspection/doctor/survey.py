@@ -108,18 +108,19 @@ def _note(found: Survey, frame: Frame) -> None:
         found.images[name] = found.images.get(name, 0) + 1
     found.cameras |= set(frame.cameras)
     found.times_ns.append(frame.time_ns)
-    dt_ms = frame.metadata.get("pair_dt_ms")
-    if dt_ms is not None:
-        found.pair_dt_ms.append(float(dt_ms))
+    times = [frame.sensors[name].time_ns for name in ("gaussian", "uniform") if name in frame.sensors]
+    if len(times) == 2 and times[0] is not None and times[1] is not None:
+        found.pair_dt_ms.append((times[1] - times[0]) / 1e6)
 
 
 def _boxes(found: Survey, frame: Frame) -> Boxes | None:
     try:
-        boxes = frame.boxes
-        if boxes is None:
+        annotation = frame.annotation
+        if annotation is None:
             found.unlabelled += 1
             return None
-        for name in frame.metadata.get("raw_label", ()):
+        boxes = annotation.boxes
+        for name in annotation.original_label or ():
             found.raw_labels[str(name)] = found.raw_labels.get(str(name), 0) + 1
     except (FarfieldError, OSError, ValueError) as error:
         found.damaged.append(str(error))

@@ -28,7 +28,7 @@ class Statistics:
     Args:
         focus_deg: Elevation about which the shares are also counted, where a Gaussian pattern has its focus.
         vehicle_labels: Classes that count as vehicles.
-        shots: Shots a frame by cloud, where the frames' own ``metadata["shots"]`` does not say.
+        shots: Shots a frame by cloud, where the frames' own ``Sensor.shots`` does not say.
     """
 
     focus_deg: float = FOCUS_DEG
@@ -50,11 +50,11 @@ class Statistics:
         for name, counter in self.conditions.items():
             if name in frame.conditions:
                 counter[str(frame.conditions[name])] += 1
-        simulated = frame.metadata.get("simulated", frame.conditions.get("simulated"))
+        simulated = frame.conditions.get("simulated") if frame.simulated is None else frame.simulated
         self.marked_simulated[str(simulated).lower() if simulated is not None else "unmarked"] += 1
-        if "box_protocol" in frame.metadata:
-            self.protocols[str(frame.metadata["box_protocol"])] += 1
-        shots = {**self.shots, **frame.metadata.get("shots", {})}
+        if frame.annotation is not None:
+            self.protocols[frame.annotation.extent] += 1
+        shots = {**self.shots, **{name: one.shots for name, one in frame.sensors.items() if one.shots is not None}}
         loaded = {name: frame.cloud(name) for name in frame.clouds}
         for name, cloud in loaded.items():
             tally = self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg))
@@ -68,7 +68,8 @@ class Statistics:
     @staticmethod
     def _excess(frame: Frame, power_db: np.ndarray, floor_db: float) -> np.ndarray | None:
         """Radar excess at each box, where the frame says where its radar stands."""
-        pose = frame.metadata.get("os2_T_radar", frame.metadata.get("lidar_T_radar"))
+        known = [frame.sensors[name] for name in (*frame.radar, "radar") if name in frame.sensors]
+        pose = next((one.frame_T_sensor for one in known if one.frame_T_sensor is not None), None)
         if pose is None or frame.boxes is None:
             return None
         return box_excess(power_db, transform_points(invert(pose), frame.boxes.centre_m), floor_db)

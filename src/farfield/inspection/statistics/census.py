@@ -194,7 +194,7 @@ def _census_of_kradar(dataset: Dataset, reader: KRadar, progress: Progress | Non
         range_m=table.range_m,
         size_m=table.size_m,
         visibility=_sight(table),
-        track=table.track,
+        track=table.track if table.tracked.all() else None,
         farfield_class=dict(zip(table.name.tolist(), label, strict=True)),
         damaged=table.damaged,
     )
@@ -257,17 +257,17 @@ def _census_of_frames(dataset: Dataset, progress: Progress | None) -> Census:
 
 def class_names(frame: Frame, boxes: Boxes) -> list[str]:
     """Class of each box as the data set's files have it, where the reader tells; else Farfield's."""
-    raw = list(frame.metadata.get("raw_label") or ())
-    return [str(name) for name in raw] if len(raw) == len(boxes) else np.asarray(boxes.label).tolist()
+    raw = None if frame.annotation is None else frame.annotation.original_label
+    return np.asarray(boxes.label).tolist() if raw is None else [str(name) for name in raw]
 
 
 def visibility(frame: Frame, boxes: Boxes) -> list[str]:
     """How each box is seen: K-Radar's availability, KITTI's occlusion, or the points inside; else ``unknown``."""
-    flags = list(frame.metadata.get("availability") or ())
-    if len(boxes) and len(flags) == len(boxes):
-        return [_KRADAR_SIGHT.get(str(flag), UNKNOWN) for flag in flags]
-    hidden = frame.metadata.get("occlusion")
-    if hidden is not None and len(hidden) == len(boxes):
+    annotation = frame.annotation
+    if annotation is not None and annotation.visibility is not None:
+        return [_KRADAR_SIGHT.get(str(flag), UNKNOWN) for flag in annotation.visibility]
+    hidden = None if annotation is None else annotation.details.get("occlusion")
+    if hidden is not None:
         return [_KITTI_SIGHT[int(level)] if 0 <= int(level) < 3 else UNKNOWN for level in hidden]
     if boxes.point_count is not None:
         place = np.digitize(boxes.point_count, (0, 1, 10)) - 1

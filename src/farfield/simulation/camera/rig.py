@@ -14,9 +14,11 @@ from jaxtyping import Float
 
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES, Camera
-from farfield.geometry.poses import invert, pose_from_yaw
+from farfield.geometry.poses import invert, pose, pose_from_yaw
 
 STEREO_BASELINE_M = 0.12
+_SIDES = ("front", "left", "right", "rear")
+_RACK_M = 2.0  # height of the LiDAR at which the place of Cirrus' camera on the rack was chosen
 
 
 @dataclass(frozen=True)
@@ -106,3 +108,16 @@ def rig_cameras(rig: str, ego_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Ca
     if rig not in MOUNTS:
         raise ConfigError(f"camera rig: expected one of {', '.join(MOUNTS)}; got {rig!r}")
     return {name: mount.camera(ego_T_lidar) for name, mount in MOUNTS[rig].items()}
+
+
+def kradar_cameras(ego_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Camera]:
+    """Left and right eyes of K-Radar's four stereo cameras, by its names: ``cam-front``, ``cam-front-right``..."""
+    eyes = rig_cameras("kradar", ego_T_lidar)
+    names = {"left": "", "right": "-right"}
+    return {f"cam-{side}{names[eye]}": eyes[f"{side}_{eye}"] for side in _SIDES for eye in names}
+
+
+def cirrus_camera() -> Camera:
+    """The front camera; it stands on the LiDARs' rack, so that one calibration holds for all sequences."""
+    (camera,) = rig_cameras("cirrus", pose(np.eye(3), np.array([0.0, 0.0, _RACK_M]))).values()
+    return camera

@@ -13,14 +13,12 @@ from farfield.frame import Camera, Cloud
 from farfield.geometry.poses import invert, pose
 from farfield.simulation import labels
 from farfield.simulation.camera.render import render
-from farfield.simulation.camera.rig import rig_cameras
+from farfield.simulation.camera.rig import cirrus_camera
 from farfield.simulation.lidar.model import LUMINAR_H2, LidarModel
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
 from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
 from farfield.simulation.world.scene import Window
-
-_RACK_M = 2.0  # height of the LiDAR at which the camera's place on the rack was chosen
 
 
 class CirrusMoment(Moment):
@@ -85,9 +83,8 @@ class CirrusMoment(Moment):
 
     @cached_property
     def camera(self) -> Camera:
-        """The front camera; it stands on the LiDARs' rack, so that one calibration holds for all sequences."""
-        (camera,) = rig_cameras("cirrus", pose(np.eye(3), np.array([0.0, 0.0, _RACK_M]))).values()
-        return camera
+        """The front camera."""
+        return cirrus_camera()
 
     @cached_property
     def image(self) -> UInt8[np.ndarray, "height width 3"]:

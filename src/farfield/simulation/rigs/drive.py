@@ -2,11 +2,13 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.frame import Annotation, Cloud, Given, Lazy
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.presets import Mounting, Number, Preset, Segment
 from farfield.simulation.weather.conditions import Weather, draw_weather
@@ -63,6 +65,9 @@ class Drive:
     preset: Preset
     seed: int
     sequence: int
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return drive_of, (self.preset, self.seed, self.sequence)  # worlds do not travel: the receiver builds its own
 
     @cached_property
     def segment(self) -> Segment:
@@ -153,3 +158,47 @@ class Moment(ABC):
     def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the reference LiDAR."""
         return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
+
+
+class Planned(ABC):
+    """One frame of a sequence before it is measured: it pickles without what was measured so far.
+
+    Args:
+        drive: The sequence.
+        index: Number of the frame.
+    """
+
+    def __init__(self, drive: Drive, index: int) -> None:
+        self.drive, self.index = drive, index
+
+    @cached_property
+    @abstractmethod
+    def moment(self) -> Any:
+        """What measures it, made at the first access."""
+
+    def cloud(self, name: str) -> Cloud:
+        """One cloud."""
+        return self.moment.cloud(name)
+
+    @abstractmethod
+    def annotation(self) -> Annotation:
+        """What its annotators would draw."""
+
+    def metadata(self) -> Lazy:
+        """What was simulated, for people."""
+        known = {"preset": self.drive.preset.name, "seed": self.drive.seed}
+        return Lazy(
+            {
+                **{name: Given(value) for name, value in known.items()},
+                "weather": partial(getattr, self.drive, "weather"),
+            }
+        )
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """Road, weather and time of the day."""
+        segment = self.drive.segment
+        return {"road": segment.road, "weather": segment.condition, "time": segment.time}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"drive": self.drive, "index": self.index}

@@ -18,7 +18,7 @@ from farfield.radar.products import doppler_cube, polar3d_from_moments, zyx_cube
 from farfield.simulation import labels
 from farfield.simulation.bodies.sizes import inflated
 from farfield.simulation.camera.render import render
-from farfield.simulation.camera.rig import rig_cameras
+from farfield.simulation.camera.rig import kradar_cameras
 from farfield.simulation.lidar.model import OS1_128, OS2_64
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import Sweep, sweep
@@ -31,7 +31,6 @@ from farfield.simulation.world.scene import Window
 LIDAR_T_RADAR = radar_mount(np.eye(4))
 OS2_T_OS1 = pose(np.eye(3), np.array([0.35, 0.0, -0.25]))
 _BEHIND_M = 250.0
-_SIDES = ("front", "left", "right", "rear")
 _MIN_HITS = 5
 _LABEL_RANGE_M = 120.0
 _RADAR_HALF_SPAN_S = 0.016  # a frame of 64 loops takes 32 ms
@@ -94,9 +93,7 @@ class KRadarMoment(Moment):
     @cached_property
     def cameras(self) -> dict[str, Camera]:
         """Left and right eyes of the four stereo cameras."""
-        eyes = rig_cameras("kradar", self.drive.mounted.ego_T_lidar)
-        names = {"left": "", "right": "-right"}
-        return {f"cam-{side}{names[eye]}": eyes[f"{side}_{eye}"] for side in _SIDES for eye in names}
+        return kradar_cameras(self.drive.mounted.ego_T_lidar)
 
     def image(self, name: str) -> UInt8[np.ndarray, "height width 3"]:
         """What one eye sees."""

@@ -1,66 +1,97 @@
 """The K-Radar car's measurements as a Frame."""
 
-from functools import cache, partial
-from typing import Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
-from farfield.frame import Frame, Lazy
-from farfield.simulation.rigs.drive import Drive
+import numpy as np
+from jaxtyping import Shaped, UInt8
 
-_LIDARS = ("os2-64", "os1-128")
+from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
+from farfield.radar.cells import RadarCells
+from farfield.simulation.camera.rig import kradar_cameras
+from farfield.simulation.rigs.drive import Drive, Planned
+
+if TYPE_CHECKING:
+    from farfield.simulation.rigs.kradar import KRadarMoment
+
+_LINES = {"os2-64": 64, "os1-128": 128}
 _CAMERAS = ("cam-front", "cam-left", "cam-right", "cam-rear")
 _PRODUCTS = ("cells", "sparse", "polar3d", "cube", "tesseract")
 _CAMERA_HZ = 30
 _RADAR_LEAD = 5  # the radar's recording began half a second before the LiDARs'
 
 
-def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
-    """A frame without its pose; nothing is simulated before it is read."""
+class PlannedKRadar(Planned):
+    """A frame of the K-Radar car before it is measured."""
 
-    @cache
-    def moment() -> Any:
+    @cached_property
+    def moment(self) -> "KRadarMoment":
+        """What measures it."""
         from farfield.simulation.rigs.kradar import KRadarMoment
 
-        return KRadarMoment(drive, index)
+        return KRadarMoment(self.drive, self.index)
 
+    def image(self, name: str) -> UInt8[np.ndarray, "height width 3"]:
+        """What one eye sees."""
+        return self.moment.image(name)
+
+    def product(self, name: str) -> Shaped[np.ndarray, "..."] | RadarCells:
+        """One radar product."""
+        return self.moment.product(name)
+
+    def annotation(self) -> Annotation:
+        """Full boxes, which sensor sees each, and how strongly the radar does."""
+        drawn = self.moment.annotation
+        return Annotation(boxes=drawn.boxes, visibility=drawn.availability, details={"snr_db": drawn.snr_db})
+
+
+def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
+    """A frame without its pose; nothing is simulated before it is read."""
+    planned = PlannedKRadar(drive, index)
     eyes = [name + side for name in _CAMERAS if name in sensors for side in ("", "-right")]
-    products = tuple(name for name in _PRODUCTS if name in sensors)
+    products = [name for name in _PRODUCTS if name in sensors]
+    cameras = kradar_cameras(drive.mounted.ego_T_lidar) if eyes else {}
+    known = _mounted(drive, sensors, time_ns)
     return Frame(
         sequence=drive.segment.name,
-        frame_id="_".join(f"{number:05d}" for number in _indices(drive, index)[:2]),
+        frame_id="_".join(f"{number:05d}" for number in list(_indices(drive, index).values())[:2]),
         time_ns=time_ns,
-        times_ns=dict.fromkeys(sensors, time_ns),
-        clouds=Lazy({n: partial(lambda each: moment().cloud(each), n) for n in _LIDARS if n in sensors}),
-        images=Lazy({name: partial(lambda each: moment().image(each), name) for name in eyes}),
-        cameras=Lazy({name: partial(lambda each: moment().cameras[each], name) for name in eyes}),
-        radar=Lazy({name: partial(lambda each: moment().product(each), name) for name in products}),
-        annotation=lambda: moment().annotation.boxes,
-        conditions={"road": drive.segment.road, "weather": drive.segment.condition, "time": drive.segment.time},
+        sensors=known | {name: camera_sensor(cameras[name], time_ns) for name in eyes},
+        clouds=Lazy({name: partial(planned.cloud, name) for name in _LINES if name in sensors}),
+        images=Lazy({name: partial(planned.image, name) for name in eyes}),
+        cameras={name: cameras[name] for name in eyes},
+        radar=Lazy({name: partial(planned.product, name) for name in products}),
+        load_annotation=planned.annotation,
+        conditions=planned.conditions,
+        indices=_indices(drive, index),
+        simulated=True,
         reference="os2-64",
-        metadata=Lazy(_metadata(drive, index, moment)),
+        metadata=planned.metadata(),
     )
 
 
-def _indices(drive: Drive, index: int) -> tuple[int, int, int, int]:
-    """Numbers of the radar's, the os2-64's, the front camera's and the os1-128's frames; LiDARs count from 1."""
+def _indices(drive: Drive, index: int) -> dict[str, int]:
+    """Numbers of the sensors' files: the cameras count three times as fast, LiDARs count from 1."""
     lidar = round(index * drive.preset.stride_s * 10) + 1
-    return lidar + _RADAR_LEAD, lidar, (lidar - 1) * _CAMERA_HZ // 10 + 2, lidar
+    camera = (lidar - 1) * _CAMERA_HZ // 10 + 2
+    numbers = {"radar": lidar + _RADAR_LEAD, "os2-64": lidar, "cam-front": camera, "os1-128": lidar}
+    return numbers | {"cam-lrr": camera}
 
 
-def _metadata(drive: Drive, index: int, moment: Any) -> dict[str, Any]:
+def _mounted(drive: Drive, sensors: tuple[str, ...], time_ns: int) -> dict[str, Sensor]:
+    """The os2-64, in whose coordinates the frame is; the os1-128 and the radar's products, which keep their own."""
     from farfield.simulation.rigs.kradar import LIDAR_T_RADAR, OS2_T_OS1
 
-    radar, lidar, camera, high = _indices(drive, index)
-    numbers = {"radar": radar, "os2-64": lidar, "cam-front": camera, "os1-128": high, "cam-lrr": camera}
-    return {
-        "indices": lambda: numbers,
-        "availability": lambda: moment().annotation.availability,
-        "snr_db": lambda: moment().annotation.snr_db,
-        "os2_T_os1": lambda: OS2_T_OS1,
-        "lidar_T_radar": lambda: LIDAR_T_RADAR,
-        "box_protocol": lambda: "full",
-        "preset": lambda: drive.preset.name,
-        "seed": lambda: drive.seed,
-        "simulated": lambda: True,
-        "weather": lambda: drive.weather,
-        "shots": lambda: {"os2-64": 64 * drive.preset.columns, "os1-128": 128 * drive.preset.columns},
-    }
+    shots = {name: lines * drive.preset.columns for name, lines in _LINES.items()}
+    taken = {name: time_ns if name in sensors else None for name in _LINES}
+    known = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=taken["os2-64"], shots=shots["os2-64"])}
+    known["os1-128"] = Sensor(
+        kind="lidar",
+        frame_T_sensor=OS2_T_OS1,
+        in_frame=False,
+        time_ns=taken["os1-128"],
+        shots=shots["os1-128"],
+    )
+    known["radar"] = Sensor(kind="radar", frame_T_sensor=LIDAR_T_RADAR)
+    kept = Sensor(kind="radar", frame_T_sensor=LIDAR_T_RADAR, in_frame=False, time_ns=time_ns)
+    return known | {name: kept for name in _PRODUCTS if name in sensors}

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from farfield.frame import Boxes, Camera, Cloud, Frame
+from farfield.datasets.kradar.layout import os2_T_radar
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Sensor, camera_sensor
 from farfield.geometry.poses import pose_from_yaw
 
 OS2_T_OS1 = pose_from_yaw(0.01, (0.35, 0.0, -0.25))
@@ -48,7 +49,7 @@ def boxes(rng: np.random.Generator) -> Boxes:
 def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "light_snow", **rest: Any) -> Frame:
     """Frame ``number`` (from 1) of a sequence: boxes, two small clouds, sparse radar, the front camera."""
     rng = np.random.default_rng((int(sequence), number))
-    annotated = boxes(rng)
+    annotation = Annotation(boxes=boxes(rng), visibility=["R", "L", "L1", "R", "R", "R"])
     time_ns = 1_643_292_946_710_046_076 + number * 100_000_000
     content: dict[str, Any] = {
         "sequence": sequence,
@@ -60,21 +61,22 @@ def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "l
             name: rng.integers(0, 256, (36, 64, 3), dtype=np.uint8) for name in ("cam-front", "cam-front-right")
         },
         "cameras": {"cam-front": camera(0.01), "cam-front-right": camera(0.02), "cam-rear": camera(3.1)},
-        "annotation": lambda: annotated,
-        "times_ns": {"os2-64": time_ns, "os1-128": time_ns + 1, "cam-front": time_ns - 5, "radar": time_ns + 7},
+        "load_annotation": Given(annotation),
+        "sensors": {
+            "os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=time_ns),
+            "os1-128": Sensor(kind="lidar", frame_T_sensor=OS2_T_OS1, in_frame=False, time_ns=time_ns + 1),
+            "cam-front": camera_sensor(camera(0.01), time_ns - 5),
+            "radar": Sensor(kind="radar", frame_T_sensor=os2_T_radar(), time_ns=time_ns + 7),
+        },
         "conditions": {"road": "suburban", "time": "day", "weather": weather},
-        "world_T_lidar": pose_from_yaw(0.01 * number, (5.0 + 1.5 * number, 2.0, 1.6)),
+        "world_T_frame": pose_from_yaw(0.01 * number, (5.0 + 1.5 * number, 2.0, 1.6)),
         "reference": "os2-64",
-        "metadata": {
-            "indices": {
-                "radar": number + lead,
-                "os2-64": number,
-                "cam-front": 3 * number - 1,
-                "os1-128": number,
-                "cam-lrr": 3 * number + 1,
-            },
-            "availability": ["R", "L", "L1", "R", "R", "R"],
-            "os2_T_os1": OS2_T_OS1,
+        "indices": {
+            "radar": number + lead,
+            "os2-64": number,
+            "cam-front": 3 * number - 1,
+            "os1-128": number,
+            "cam-lrr": 3 * number + 1,
         },
     }
     return Frame(**(content | rest))

@@ -1,0 +1,96 @@
+"""Point clouds with named columns."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, Shaped
+
+from farfield.errors import ConfigError
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.points import points_in_boxes
+from farfield.geometry.poses import transform_points
+
+_PLACE = ("x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A point cloud with whatever columns its file had.
+
+    Args:
+        points_m: x, y, z in metres, shape (n, 3), float32.
+        intensity: Return strength in [0, 1], shape (n,), float32; None for a radar, whose power or cross-section is a
+            column of its own.
+        extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
+
+    Raises:
+        ValueError: If columns differ in length or an intensity lies outside [0, 1].
+    """
+
+    points_m: Float32[np.ndarray, "n 3"]
+    intensity: Float32[np.ndarray, " n"] | None = None
+    extra: Mapping[str, Shaped[np.ndarray, " n"]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        columns = [*self.extra.values(), *([] if self.intensity is None else [self.intensity])]
+        if any(len(column) != len(self.points_m) for column in columns):
+            raise ValueError(f"Cloud: expected columns of equal length, got {len(self.points_m)} points")
+        if self.intensity is not None and not ((self.intensity >= 0) & (self.intensity <= 1)).all():
+            raise ValueError(
+                f"Cloud: expected intensities in [0, 1], got {self.intensity.min():g} to {self.intensity.max():g}; "
+                "scale them, or give a radar's power as a column of extra"
+            )
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+    def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "Cloud":
+        intensity = None if self.intensity is None else self.intensity[index]
+        return Cloud(self.points_m[index], intensity, {k: v[index] for k, v in self.extra.items()})
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that :meth:`column` gives."""
+        return (*_PLACE, *(() if self.intensity is None else ("intensity",)), *self.extra)
+
+    def column(self, name: str) -> Float32[np.ndarray, " n"]:
+        """One column as float32, shape (n,): ``x_m``, ``y_m``, ``z_m``, ``intensity`` or one of ``extra``.
+
+        ``lag_s``, the age of a point's sweep, is zero where the cloud does not have it.
+
+        Raises:
+            ConfigError: If the cloud has no such column.
+        """
+        if name in _PLACE:
+            return self.points_m[:, _PLACE.index(name)]
+        if name == "intensity" and self.intensity is not None:
+            return self.intensity
+        if name in self.extra:
+            return self.extra[name].astype(np.float32, copy=False)
+        if name == "lag_s":
+            return np.zeros(len(self), dtype=np.float32)
+        raise ConfigError(
+            f"Expected a cloud with the column {name!r}; it has {', '.join(self.columns)}. Take a detector that does "
+            "not read it, or data that have it."
+        )
+
+    @classmethod
+    def concatenate(cls, parts: "list[Cloud]") -> "Cloud":
+        """Join clouds; only the columns that all of them have are kept."""
+        shared = set.intersection(*(set(part.extra) for part in parts)) if parts else set()
+        strengths = [part.intensity for part in parts if part.intensity is not None]
+        return cls(
+            np.concatenate([part.points_m for part in parts]),
+            np.concatenate(strengths) if len(strengths) == len(parts) else None,
+            {name: np.concatenate([part.extra[name] for part in parts]) for name in sorted(shared)},
+        )
+
+    def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
+        """Move all points rigidly into another frame."""
+        moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
+        return Cloud(moved, self.intensity, self.extra)
+
+    def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
+        """Indices of the points inside each box, one array a box."""
+        return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
