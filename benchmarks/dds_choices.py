@@ -9,7 +9,7 @@ from pathlib import Path
 from _report import SHARED_REAL, header
 
 from farfield.metrics import Bootstrap, DdsSettings, evaluate_dds
-from farfield.metrics.reading import read_inputs
+from farfield.metrics.reading import read
 
 TRACKING = SHARED_REAL / "kitti_tracking"
 CHOICES = (
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--label", default="Car")
     options = parser.parse_args()
     print(header(), "\n", sep="")
-    inputs = read_inputs(options.detections, options.labels, format=options.format)
+    found = read(options.detections, options.labels, format=options.format)
     base = None
     print(f"{'choice':<36} {'DDS':>7} {'0.006':>7} {'50 m +':>7}   change of each")
     for choice in CHOICES:
@@ -52,7 +52,7 @@ def main() -> None:
             bootstrap=Bootstrap(replicates=0),
             **choice,
         )
-        result = evaluate_dds(inputs.predictions, inputs.annotations, settings)
+        result = evaluate_dds(found.boxes, found.annotated, settings)
         far = list(result.ranges.values())[-1]
         row = (result.figures["dds/0/dds"], result.figures["dds/0.006/dds"], far["dds/0/dds"])
         base = base or row

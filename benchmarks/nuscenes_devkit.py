@@ -93,13 +93,13 @@ def random_scene(frames: int, *, seed: int = 2026) -> dict[str, np.ndarray]:
 
 def shared_scene(detections: Path, labels: Path) -> dict[str, np.ndarray]:
     """Cars of the shared files; scores through a sigmoid, as the devkit wants them in (0, 1)."""
-    from farfield.metrics.centre.scene import flatten, frame_order
-    from farfield.metrics.reading import read_inputs
+    from farfield.metrics.frames import flatten, frame_order
+    from farfield.metrics.reading import read
 
-    inputs = read_inputs(detections, labels, format="kitti-tracking")
-    keys = sorted(inputs.annotations, key=frame_order)
+    found = read(detections, labels, format="kitti-tracking")
+    keys = sorted(found.annotations, key=frame_order)
     sides = []
-    for boxes, scored in ((inputs.annotations, False), (inputs.predictions, True)):
+    for boxes, scored in ((found.annotated, False), (found.boxes, True)):
         present = [(number, boxes[key]) for number, key in enumerate(keys) if key in boxes]
         flat = flatten([part for _, part in present], scored=scored)
         car = flat.label == "Car"

@@ -36,9 +36,9 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
         FarfieldError: If there is nothing of this name.
         MissingExtraError: If torch is not installed.
     """
-    from farfield.detectors import detector_classes
+    from farfield.detectors import DETECTORS
 
-    detector_classes("pointpillars")  # names the missing extra where torch is absent
+    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
     from farfield.detectors.runtime import Detector
 
     return Detector.load(name, **options)
@@ -160,9 +160,9 @@ def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progre
         data,
         clouds=experiment.data.clouds,
         classes=experiment.detector.class_names,
-        targets=network.targets,
+        assigner=network.assigner,
         augmentation=experiment.augmentation,
-        columns=experiment.detector.extra_columns,
+        columns=network.inputs["points"].columns,
         min_points=experiment.training.min_points,
         seed=experiment.training.seed,
         aliases=experiment.data.aliases,

@@ -8,7 +8,7 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes
 from farfield.frame.provenance import environment
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.metrics import Result, score
@@ -47,10 +47,10 @@ class Detected(NamedTuple):
 
     def score(self, protocol: str, **options: Any) -> Result:
         """Score the predictions; K-Radar's protocols also by condition and visibility."""
-        if protocol.startswith("kradar"):
-            options["conditions"] = self.conditions
-            options["visibility"] = self.visibility if len(self.visibility) == len(self.annotations) else None
-        return score(self.predictions, self.annotations, protocol=protocol, **options)
+        annotations = {
+            key: Annotation(boxes=boxes, visibility=self.visibility.get(key)) for key, boxes in self.annotations.items()
+        }
+        return score(self.predictions, annotations, protocol=protocol, conditions=self.conditions, **options)
 
 
 def detect_all(

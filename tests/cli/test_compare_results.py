@@ -157,3 +157,21 @@ def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "3d/0.3" in run(capsys, a, "--figures", "3d/0.9", status=1)
     assert "expected one of vehicle, large_vehicle" in run(capsys, a, "--label", "boat", status=1)
     assert "as many names" in run(capsys, a, "--names", "x,y", status=1)
+
+
+def test_the_papers_table_by_weather(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a = write(tmp_path / "rtnh.json", protocol="kradar")
+    out = run(capsys, a, "--paper")
+    ours, published = out.split("Published (Table 4)")
+    assert "| rtnh | 100.0 | - | - | 100.0 | 100.0 | - | - | - |" in ours
+    assert "kradar: label_version=not stated" in ours
+    assert "| RTNH (4D radar) | 47.4 | 49.9 |" in published
+    assert "labels v1.0, narrow region" in published
+    by_time = run(capsys, a, "--paper", "--by", "time", "--figures", "bev/0.5", "--label", "large_vehicle")
+    assert "|  | total | day | night |" in by_time
+    assert "Published" not in by_time
+    assert "figures: expected one of 3d/IOU" in run(capsys, a, "--paper", "--figures", "3d/0.9", status=1)
+    assert "figures: expected one of 3d/IOU" in run(capsys, a, "--paper", "--figures", "3d/0.3", "bev/0.3", status=1)
+    assert "kind: expected one of weather" in run(capsys, a, "--paper", "--by", "range", status=1)
+    dds = write(tmp_path / "dds.json")
+    assert "expected a result of kradar" in run(capsys, dds, "--paper", status=1)

@@ -124,10 +124,10 @@ def test_predictions_in_frames_without_labels_are_false(tmp_path: Path) -> None:
 
 
 def test_the_camera_axes_are_turned(tmp_path: Path) -> None:
-    from farfield.metrics.reading import read_inputs
+    from farfield.metrics.reading import read
 
     (tmp_path / "l.txt").write_text(LABEL.format(frame=0, x=2.0, z=30.0) + "\n")
-    (box,) = read_inputs(tmp_path / "l.txt", tmp_path / "l.txt", format="kitti-tracking").annotations.values()
+    (box,) = read(tmp_path / "l.txt", tmp_path / "l.txt", format="kitti-tracking").annotated.values()
     np.testing.assert_allclose(box.centre_m, [[30.0, -2.0, -1.6 + 0.75]])  # ahead, right of us, above the road
     np.testing.assert_allclose(box.size_m, [[4.2, 1.8, 1.5]])
     np.testing.assert_allclose(box.yaw_rad, [0.0], atol=1e-15)  # rotation_y of -pi/2 looks ahead

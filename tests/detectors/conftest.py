@@ -1,10 +1,17 @@
-"""A small detector and a small scene: cars as L-shaped walls of points on a flat road."""
+"""A small scene, cars as L-shaped walls of points on a flat road, and each small detector trained on it once."""
+
+import copy
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
+torch = pytest.importorskip("torch")
 
+from small import SMALL, cloud_of, losses_of, small_detector
+
+from farfield.detectors.contract import Network
 from farfield.frame import Boxes, Cloud, Frame
 
 
@@ -17,8 +24,7 @@ def wall_car(rng: np.random.Generator, x: float, y: float, yaw: float) -> np.nda
     return np.column_stack([turned[:, 0] + x, turned[:, 1] + y, up - 1.2])
 
 
-@pytest.fixture
-def scene(rng: np.random.Generator) -> Frame:
+def made_scene(rng: np.random.Generator) -> Frame:
     """Five cars within 60 m, at headings all round."""
     places = [(10.0, 3.0, 0.1), (22.0, -8.0, 3.0), (35.0, 6.0, 1.5), (48.0, -3.0, -1.6), (57.0, 12.0, -2.4)]
     ground = np.column_stack([rng.uniform(2, 63, 3000), rng.uniform(-19, 19, 3000), rng.normal(-2, 0.02, 3000)])
@@ -30,3 +36,28 @@ def scene(rng: np.random.Generator) -> Frame:
         label="vehicle",
     )
     return Frame.of(Cloud(points, np.full(len(points), 0.3, np.float32)), boxes)
+
+
+@pytest.fixture
+def scene(rng: np.random.Generator) -> Frame:
+    """The small scene."""
+    return made_scene(rng)
+
+
+@cache
+def _trained(name: str) -> Network:
+    scene, network = made_scene(np.random.default_rng(20260101)), small_detector(name)  # as the fixture rng
+    cloud, boxes = cloud_of(network, scene.cloud()), scene.boxes
+    optimizer = torch.optim.AdamW(network.parameters(), SMALL[name].learning_rate)
+    for _ in range(SMALL[name].steps):
+        optimizer.zero_grad()
+        sum(losses_of(network, [cloud], [boxes]).values()).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        optimizer.step()
+    return network.eval()
+
+
+@pytest.fixture(scope="session")
+def trained() -> Callable[[str], Network]:
+    """Gives a small detector that knows the scene by heart; trained once a session, a copy each time."""
+    return lambda name: copy.deepcopy(_trained(name))

@@ -3,7 +3,12 @@
 from dataclasses import dataclass
 from typing import Any
 
-from farfield.detectors import build_detector, detector_classes
+from torch import Tensor
+
+from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.contract import Network
+from farfield.detectors.inputs import Inputs, cloud_tensor
+from farfield.frame import Boxes, Cloud
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,28 @@ SMALL: dict[str, Small] = {
 }
 
 
+def cloud_of(network: Network, cloud: Cloud) -> Tensor:
+    """A cloud with the columns that a network reads."""
+    return cloud_tensor(cloud, network.inputs["points"].columns)
+
+
+def batch_of(*clouds: Tensor) -> Inputs:
+    """Clouds as a network takes them."""
+    return Inputs({"points": clouds})
+
+
+def targets_of(network: Network, boxes: Boxes, cloud: Tensor) -> Any:
+    """Targets of one frame."""
+    return network.assigner(boxes, {"points": cloud.numpy()})
+
+
+def losses_of(network: Network, clouds: list[Tensor], boxes: list[Boxes]) -> dict[str, Tensor]:
+    """The losses of a batch by name."""
+    targets = [targets_of(network, each, cloud) for each, cloud in zip(boxes, clouds, strict=True)]
+    return network.losses(network(batch_of(*clouds), targets), targets)
+
+
 def small_detector(name: str, *, seed: int = 3, **changes: Any) -> Any:
     """The small network of a detector, its weights drawn with a seed."""
     settings = {"name": name, **SMALL[name].settings, **changes}
-    return build_detector(detector_classes(name)[1].model_validate(settings), seed=seed)
+    return build_detector(DETECTORS[name].config_class.model_validate(settings), seed=seed)

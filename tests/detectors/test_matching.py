@@ -7,6 +7,7 @@ torch = pytest.importorskip("torch")
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig, AnchorMaps
 from farfield.detectors.anchors.matching import match_by_overlap
+from farfield.detectors.features import FeatureMap
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import pairwise_iou
 
@@ -72,7 +73,7 @@ def test_matching_by_overlap_equals_a_loop_over_all_anchors(seed, style):
     np.testing.assert_allclose(np.cos(rows[:, 6] - boxes.yaw_rad[winners]), 1.0, atol=1e-9)
 
 
-def test_frames_without_boxes_ask_for_nothing():
+def test_frames_without_boxes_have_no_targets():
     found = match_by_overlap(grid_of(), Boxes.empty())
     assert [len(part) for part in (found.positive, found.code, found.ignored, found.weight)] == [0, 0, 0, 0]
 
@@ -84,7 +85,7 @@ def test_thresholds_out_of_order_are_refused():
 
 @pytest.mark.parametrize("style", ["farfield", "openpcdet"])
 @pytest.mark.parametrize("matching", ["distance", "iou"])
-def test_maps_that_say_the_truth_give_the_boxes_back(style, matching, rng):
+def test_perfect_maps_give_the_boxes_back(style, matching, rng):
     config = Config(anchors=KINDS, head=style, matching=matching, nms_iou=0.3, positive_m=0.4)
     head = AnchorHead(config, 4, grid_of())
     places = [(3.0, -4.0, 0.1), (4.0, 3.0, 2.9), (9.0, -1.0, 1.3), (12.5, 4.0, -1.5), (13.0, -4.0, -2.4)]
@@ -94,15 +95,20 @@ def test_maps_that_say_the_truth_give_the_boxes_back(style, matching, rng):
         yaw_rad=np.array([yaw for *_, yaw in places]),
         label=["vehicle"] * 3 + ["pedestrian"] * 2,
     )
-    targets = head.targets(boxes)
-    maps = AnchorMaps(*(torch.zeros_like(part) for part in head(torch.zeros(1, 4, 30, 24))))
+    targets = head.assigner(boxes, {})
+    maps = AnchorMaps(
+        *(
+            torch.zeros_like(part)
+            for part in head(FeatureMap(values=torch.zeros(1, 4, 30, 24), cell_m=0.5, origin_m=(0.0, -6.0)))
+        )
+    )
     positive = torch.from_numpy(targets.positive)
     maps.logits.fill_(-9.0)
     kind = positive % 4 // 2
     maps.logits[(0, positive) if style == "farfield" else (0, positive, kind)] = 5.0
     maps.codes[0, positive] = torch.from_numpy(targets.code).float()
     maps.directions[0, positive, torch.from_numpy(targets.backwards)] = 4.0
-    found = head.boxes(maps)[0]
+    found = head.decode(maps)[0]
     assert len(found) == len(boxes)
     gap = np.linalg.norm(found.centre_m[:, None] - boxes.centre_m, axis=-1)
     nearest = gap.argmin(1)
@@ -110,23 +116,23 @@ def test_maps_that_say_the_truth_give_the_boxes_back(style, matching, rng):
     assert gap.min(1).max() < 1e-4
     np.testing.assert_allclose(np.cos(found.yaw_rad - boxes.yaw_rad[nearest]), 1.0, atol=1e-6)
     assert found.label.tolist() == boxes.label[nearest].tolist()
-    assert sum(head.loss(maps, [targets])) < 0.2
+    assert sum(head.losses(maps, [targets]).values()) < 0.2
 
 
-def test_a_logit_for_each_class_is_blamed_for_the_other_classes(rng):
+def test_a_logit_for_each_class_is_negative_for_the_other_classes(rng):
     config = Config(anchors=KINDS, head="openpcdet", matching="iou")
     head = AnchorHead(config, 4, grid_of())
     assert head.out_channels == 4 * (2 + 9)
-    targets = head.targets(random_boxes(rng))
+    targets = head.assigner(random_boxes(rng), {})
     logits = torch.from_numpy(rng.normal(size=(1, len(head.anchors), 2))).float()
     maps = AnchorMaps(logits, torch.zeros(1, len(head.anchors), 7), torch.zeros(1, len(head.anchors), 2))
-    wanted, counts = np.zeros((len(head.anchors), 2)), np.ones((len(head.anchors), 2))
-    wanted[targets.positive, targets.positive % 4 // 2] = 1
+    target, counts = np.zeros((len(head.anchors), 2)), np.ones((len(head.anchors), 2))
+    target[targets.positive, targets.positive % 4 // 2] = 1
     counts[targets.ignored] = 0
     p = torch.sigmoid(logits[0].double()).numpy()
-    each = np.where(wanted == 1, -0.25 * (1 - p) ** 2 * np.log(p), -0.75 * p**2 * np.log(1 - p))
+    each = np.where(target == 1, -0.25 * (1 - p) ** 2 * np.log(p), -0.75 * p**2 * np.log(1 - p))
     expected = (each * counts).sum() / len(targets.positive)
-    assert float(head.loss(maps, [targets]).classification) == pytest.approx(expected, rel=1e-4)
+    assert float(head.losses(maps, [targets])["classification"]) == pytest.approx(expected, rel=1e-4)
 
 
 def test_anchors_in_the_style_of_openpcdet_reach_from_edge_to_edge():

@@ -4,6 +4,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import their_forward as their
+from small import batch_of, losses_of, targets_of
 
 from farfield.detectors.importing import import_openpcdet
 from farfield.detectors.runtime import Detector
@@ -71,7 +72,7 @@ def test_outputs_and_boxes_are_theirs(imported, points):
     kind, state, network, _ = imported
     logits, codes, directions, boxes = their_outputs(kind, state, points)
     with torch.no_grad():
-        ours = network([torch.from_numpy(points)])
+        ours = network(batch_of(torch.from_numpy(points)))
     ny, nx = logits.shape[:2]
     assert logits.std() > 0.05
     assert (network.head.anchors.nx, network.head.anchors.ny) == (nx, ny)
@@ -100,7 +101,7 @@ def test_predicted_boxes_are_theirs_after_suppression(imported, points):
     for i in range(len(order)):
         if all(overlap[i, j] <= 0.01 for j in kept):
             kept.append(i)
-    found = network.predict([torch.from_numpy(points)])[0]
+    found = network.predict(batch_of(torch.from_numpy(points)))[0]
     shown = min(8, len(kept))
     assert shown > 3
     np.testing.assert_allclose(found.score[:shown], best[order][kept[:shown]], atol=1e-4)
@@ -127,7 +128,7 @@ def test_imported_weights_travel_as_ours_and_run_folded(imported, points, tmp_pa
     one, other = (Detector(n, precision="fp32", device="cpu")(cloud) for n in (loaded, network))
     np.testing.assert_array_equal(one.centre_m, other.centre_m)
     with torch.no_grad():
-        plain = network.predict([torch.from_numpy(points)])[0]
+        plain = network.predict(batch_of(torch.from_numpy(points)))[0]
     np.testing.assert_allclose(one.score[:20], plain.score[:20], atol=1e-4)
 
 
@@ -140,11 +141,10 @@ def test_imported_networks_train_on(imported, points):
         yaw_rad=np.array([0.2, 1.4]),
         label=["vehicle", "pedestrian"],
     )
-    targets = [network.targets(boxes, points)]
-    assert len(targets[0].positive) >= 2
-    losses = network.loss(network([torch.from_numpy(points)]), targets)
-    sum(losses).backward()
-    assert all(torch.isfinite(loss) for loss in losses)
+    assert len(targets_of(network, boxes, torch.from_numpy(points)).positive) >= 2
+    losses = losses_of(network, [torch.from_numpy(points)], [boxes])
+    sum(losses.values()).backward()
+    assert all(torch.isfinite(loss) for loss in losses.values())
     assert [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0] == []
     assert {m.momentum for m in network.modules() if hasattr(m, "momentum")} == {0.01}
     assert {m.eps for m in network.modules() if hasattr(m, "eps")} == {1e-3}

@@ -6,12 +6,14 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.anchors.grid import cirrus_anchors
+from small import batch_of, cloud_of
+
 from farfield.detectors.grid import GridConfig
 from farfield.detectors.pointpillars.network import PointPillars, PointPillarsConfig
-from farfield.detectors.runtime import Detector, cloud_tensor
+from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FarfieldError, FileFormatError
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
 SMALL = PointPillarsConfig(
     grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2
@@ -26,7 +28,7 @@ def network():
 
 def test_default_covers_the_range_asked_for_and_knows_all_eight_classes():
     config = PointPillarsConfig()
-    assert list(config.anchors) == list(cirrus_anchors())
+    assert list(config.anchors) == list(CIRRUS_SIZES_M)
     assert len(config.anchors) == 8
     network = PointPillars(config)
     assert (network.encoder.nx * 0.25, network.encoder.ny * 0.25) == (250.0, 100.0)
@@ -45,17 +47,17 @@ def test_any_range_gives_a_grid_that_the_strides_divide(range_m):
 
 def test_same_input_same_output_whatever_the_order_of_points(network, scene, rng):
     network.eval()
-    cloud = cloud_tensor(scene.cloud())
+    cloud = cloud_of(network, scene.cloud())
     shuffled = cloud[torch.from_numpy(rng.permutation(len(cloud)))]
     with torch.no_grad():
-        one, again, other = network([cloud])[0], network([cloud])[0], network([shuffled])[0]
+        one, again, other = (network(batch_of(c))[0] for c in (cloud, cloud, shuffled))
     assert torch.equal(one, again)
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4)
 
 
 def test_pillar_image_equals_a_loop_over_pillars(network, scene):
     encoder = copy.deepcopy(network.encoder).eval()
-    cloud = cloud_tensor(scene.cloud())[::7]
+    cloud = cloud_of(network, scene.cloud())[::7]
     with torch.no_grad():
         image = encoder(cloud, torch.zeros(len(cloud), dtype=torch.long), 1)[0]
     cells = {}
@@ -87,7 +89,7 @@ def test_damaged_weights_are_refused_clearly(tmp_path, content):
         {"widths": [10**9, 32, 32]},
         {"depths": [10**9, 0, 0]},
         {"grid": {"range_m": 1e9}},
-        {"name": "other"},
+        {"name": "second"},
         {"more": 1},
     ],
 )
@@ -100,6 +102,16 @@ def test_weights_that_lie_about_their_network_are_refused_before_anything_is_all
 
     save_weights(tmp_path / "w.safetensors", network.state_dict(), config=Lying(), provenance={})
     with pytest.raises(FileFormatError, match="configuration and tensors"):
+        load_weights(tmp_path / "w.safetensors")
+
+
+def test_weights_of_a_detector_that_is_not_installed_name_the_package(network, tmp_path):
+    class Foreign:
+        def model_dump_json(self):
+            return json.dumps(SMALL.model_dump(mode="json") | {"name": "my-detector"})
+
+    save_weights(tmp_path / "w.safetensors", network.state_dict(), config=Foreign(), provenance={})
+    with pytest.raises(FileFormatError, match="Install the package that has the detector my-detector"):
         load_weights(tmp_path / "w.safetensors")
 
 

@@ -5,8 +5,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.anchors.grid import cirrus_anchors
+from small import batch_of, losses_of, targets_of
+
 from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.inputs import POSITION, cloud_tensor
 from farfield.detectors.pointrcnn.bins import BinCoder, BinConfig
 from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig, RefinementConfig
 from farfield.detectors.pointrcnn.pointnet import (
@@ -24,9 +26,10 @@ from farfield.detectors.pointrcnn.points.proposals import (
     keep_proposals,
     match_proposals,
 )
-from farfield.detectors.runtime import Detector, cloud_tensor
+from farfield.detectors.runtime import Detector
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
 
 def level(centres, radii_m, *widths):
@@ -62,38 +65,26 @@ def network():
 
 @pytest.fixture
 def cloud(scene):
-    return cloud_tensor(scene.cloud())
-
-
-def losses_of(network, cloud, boxes):
-    targets = network.targets(boxes, cloud.numpy())
-    return network.loss(network([cloud], [targets]), [targets])
+    return cloud_tensor(scene.cloud(), POSITION)
 
 
 def test_default_reaches_as_far_as_asked_and_knows_all_eight_classes():
     config = PointRCNNConfig()
-    assert config.class_names == tuple(cirrus_anchors())
+    assert config.class_names == tuple(CIRRUS_SIZES_M)
     assert config.reach_m == 250.0
 
 
 def test_forward_has_no_nan_and_every_parameter_gets_a_gradient(network, scene, cloud):
-    targets = network.targets(scene.boxes, cloud.numpy())
-    outputs = network([cloud, cloud[::2]], [targets, network.targets(scene.boxes, cloud[::2].numpy())])
+    clouds = [cloud, cloud[::2]]
+    outputs = network(batch_of(*clouds), [targets_of(network, scene.boxes, each) for each in clouds])
     assert all(torch.isfinite(part).all() for part in outputs)
-    sum(losses_of(network, cloud, scene.boxes)).backward()
+    sum(losses_of(network, [cloud], [scene.boxes]).values()).backward()
     without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert without == []
 
 
-def test_overfits_one_frame(network, scene, cloud):
-    targets = network.targets(scene.boxes, cloud.numpy())
-    optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
-    for _ in range(70):
-        losses = network.loss(network([cloud], [targets]), [targets])
-        optimizer.zero_grad()
-        sum(losses).backward()
-        optimizer.step()
-    predicted = Detector(network, precision="fp32")(scene)
+def test_overfits_one_frame(scene, trained):
+    predicted = Detector(trained("pointrcnn"), precision="fp32")(scene)
     result = score({scene.key: predicted}, {scene.key: scene.boxes}, protocol="dds")
     assert result.to_json()["dds"]["0"]["dds"] > 0.9
     best = predicted[:5]
@@ -111,10 +102,10 @@ def per_frame(outputs):
 
 def test_batch_of_two_equals_two_of_one(network, cloud):
     network.eval()
-    second = cloud[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
+    second = cloud[::3] * torch.tensor([1.0, -1.0, 1.0])
     with torch.no_grad():
-        together = per_frame(network([cloud, second]))
-        apart = [per_frame(network([cloud]))[0], per_frame(network([second]))[0]]
+        together = per_frame(network(batch_of(cloud, second)))
+        apart = [per_frame(network(batch_of(each)))[0] for each in (cloud, second)]
     for joint, single in zip(together, apart, strict=True):
         for a, b in zip((*joint[0], *joint[1]), (*single[0], *single[1]), strict=True):
             torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
@@ -122,11 +113,11 @@ def test_batch_of_two_equals_two_of_one(network, cloud):
 
 def test_same_input_same_output_whatever_the_order_of_points(network, scene, cloud, rng):
     shuffled = cloud[torch.from_numpy(rng.permutation(len(cloud)))]
-    first, again = losses_of(network, cloud, scene.boxes), losses_of(network, cloud, scene.boxes)
+    first, again = (list(losses_of(network, [cloud], [scene.boxes]).values()) for _ in range(2))
     assert torch.equal(torch.stack(first), torch.stack(again))  # while training, with drawn proposals
     network.eval()
     with torch.no_grad():
-        one, again, other = network([cloud]), network([cloud]), network([shuffled])
+        one, again, other = (network(batch_of(each)) for each in (cloud, cloud, shuffled))
     assert all(torch.equal(a, b) for a, b in zip(one, again, strict=True))
     torch.testing.assert_close(one.logits, other.logits, rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(one.proposals, other.proposals, rtol=1e-3, atol=1e-3)
@@ -143,20 +134,20 @@ def test_clouds_without_usable_points_give_no_error(network, points):
     network.train()
     box = Boxes(centre_m=np.array([[10.0, 2, -1]]), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1), label="pedestrian")
     for boxes in (Boxes.empty(), box):
-        losses = losses_of(network, cloud_tensor(cloud), boxes)
-        assert all(torch.isfinite(loss) for loss in losses)
-        sum(losses).backward()
+        losses = losses_of(network, [cloud_tensor(cloud, POSITION)], [boxes])
+        assert all(torch.isfinite(loss) for loss in losses.values())
+        sum(losses.values()).backward()
         assert all(torch.isfinite(p.grad).all() for p in network.parameters())
 
 
 def test_folding_changes_nothing_but_speed(network, scene, cloud):
     for _ in range(3):
-        losses_of(network, cloud, scene.boxes)
+        losses_of(network, [cloud], [scene.boxes])
     network.eval()
     folded = fold_batch_norm(network)
     assert not any(isinstance(m, torch.nn.BatchNorm1d) for m in folded.modules())
     with torch.no_grad():
-        plain, fast = network([cloud]), folded([cloud])
+        plain, fast = network(batch_of(cloud)), folded(batch_of(cloud))
     torch.testing.assert_close(plain.logits, fast.logits, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(plain.codes, fast.codes, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(plain.confidences, fast.confidences, rtol=1e-2, atol=1e-2)
@@ -169,12 +160,12 @@ def test_half_precision_finds_the_same_boxes(network, scene, cloud):
 
 
 def test_targets_name_the_box_of_each_point(network, scene, cloud):
-    targets = network.targets(scene.boxes, cloud.numpy())
+    targets = targets_of(network, scene.boxes, cloud)
     assert [int((targets.owner == index).sum()) for index in range(5)] == [120] * 5
     assert (targets.owner[:3000] < 0).all()
     middle = np.array([[2.0, 1.8, 1.4]])
     small = Boxes(centre_m=scene.boxes.centre_m[:1], size_m=middle, yaw_rad=scene.boxes.yaw_rad[:1], label="vehicle")
-    inner = network.targets(Boxes.concatenate([small, scene.boxes]), cloud.numpy()).owner
+    inner = targets_of(network, Boxes.concatenate([small, scene.boxes]), cloud).owner
     assert 0 < (inner == 0).sum() < 120  # the smaller box has what both hold
     assert (inner == 0).sum() + (inner == 1).sum() == 120
 

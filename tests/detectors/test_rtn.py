@@ -69,7 +69,7 @@ def test_dense_map_has_height_as_channels(rng):
     cells = np.stack(np.meshgrid(np.arange(8), np.arange(8), np.arange(3), indexing="ij"), -1).reshape(-1, 3)
     points = torch.tensor(cells * 0.4 + [0.2, -1.4, 0.2], dtype=torch.float32)
     power = torch.tensor(rng.uniform(0, 5, len(cells)), dtype=torch.float32)
-    cloud = torch.column_stack([points, power, torch.zeros(len(cells))])[torch.tensor(rng.permutation(len(cells)))]
+    cloud = torch.column_stack([points, power])[torch.tensor(rng.permutation(len(cells)))]
     expected = power.view(8, 8, 3).permute(2, 0, 1)[None]
     assert torch.equal(small_rtn().dense_map([cloud]), expected)
     torch.testing.assert_close(small_rtn(height="mean").dense_map([cloud]), expected.mean(1, keepdim=True))
@@ -78,7 +78,7 @@ def test_dense_map_has_height_as_channels(rng):
 
 def test_doppler_adds_a_map_of_its_own():
     network = small_rtn(use_doppler=True)
-    cloud = torch.tensor([[0.2, -1.4, 0.2, 2.0, 0.0, -1.5]])
+    cloud = torch.tensor([[0.2, -1.4, 0.2, 2.0, -1.5]])
     image = network.dense_map([cloud, cloud[:0]])
     assert image.shape == (2, 6, 8, 8)
     assert image.nonzero().tolist() == [[0, 0, 0, 0], [0, 3, 0, 0]]

@@ -5,7 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from small import small_detector
+from small import batch_of, cloud_of, losses_of, small_detector
 from torch.nn import functional
 
 from farfield.detectors import build_detector
@@ -13,10 +13,12 @@ from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.kradar.backbone import RadarBackbone, dense_block
 from farfield.detectors.kradar.cells import CellEncoder, RadarGridConfig, in_unit_grid
 from farfield.detectors.kradar.rtnh import RTNHConfig
-from farfield.detectors.runtime import Detector, cloud_tensor
+from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse import SparseTensor
 from farfield.errors import ConfigError
 from farfield.frame import Boxes, Cloud
+
+COLUMNS = ("x_m", "y_m", "z_m", "power")
 
 SHAPE = (6, 12, 8)
 
@@ -139,12 +141,10 @@ def test_forms_bring_their_settings_and_an_experiment_changes_them():
 def test_simplified_pointnet_counts_missing_points_as_zeros():
     grid = RadarGridConfig(range_m=1.6, half_width_m=0.8, z_min_m=0.0, z_max_m=0.4)
     torch.manual_seed(0)
-    encoder = CellEncoder(grid, multiple=1, channels=16, max_points=2)
-    points = torch.tensor(
-        [[0.1, -0.7, 0.2, 1.0, 0], [0.2, -0.6, 0.2, 3.0, 0], [0.3, -0.5, 0.2, 9.0, 0], [1.3, 0.7, 0.1, 2.0, 0]]
-    )
+    encoder = CellEncoder(grid, COLUMNS, multiple=1, channels=16, max_points=2)
+    points = torch.tensor([[0.1, -0.7, 0.2, 1.0], [0.2, -0.6, 0.2, 3.0], [0.3, -0.5, 0.2, 9.0], [1.3, 0.7, 0.1, 2.0]])
     cells = encoder([points])
-    learned = points[:, :4] @ encoder.linear.weight.T
+    learned = points @ encoder.linear.weight.T
     torch.testing.assert_close(cells.features[0], learned[:2].amax(0))  # full: the first two, no zeros
     torch.testing.assert_close(cells.features[1], learned[3].clamp(min=0))  # one point and one missing
     assert cells.keys.tolist() == [0, 15]
@@ -162,15 +162,15 @@ def test_wide_form_learns_both_classes(scene):
         yaw_rad=np.array([0.0, np.pi / 2]),
         label=np.array(["vehicle", "large_vehicle"]),
     )
-    cloud = cloud_tensor(scene.cloud())
+    cloud = cloud_of(network, scene.cloud())
     gaps = np.hypot(*(cloud.numpy()[:, None, :2] - boxes.centre_m[:, :2]).transpose(2, 0, 1))
     cloud = cloud[torch.from_numpy(gaps.min(1) < 5.0)]
     optimizer = torch.optim.AdamW(network.parameters(), 5e-3)
     for _ in range(40):
         optimizer.zero_grad()
-        sum(network.loss(network([cloud]), [network.targets(boxes, cloud.numpy())])).backward()
+        sum(losses_of(network, [cloud], [boxes]).values()).backward()
         optimizer.step()
-    found = fold_batch_norm(network).predict([cloud])[0]
+    found = fold_batch_norm(network).predict(batch_of(cloud))[0]
     for number, name in enumerate(boxes.label):
         best = found[found.label == name][0:1]
         np.testing.assert_allclose(best.centre_m[0], boxes.centre_m[number], atol=0.7)
@@ -183,9 +183,9 @@ def test_doppler_is_read_where_asked_for(rng):
     network = small_detector("rtnh", use_doppler=True, score_threshold=0.0)
     detector = Detector(network, precision="fp32", device="cpu")
     cloud = Cloud(points, None, {"power": power, "doppler_m_s": doppler})
-    tensor = cloud_tensor(cloud, network.config.extra_columns)
-    assert tensor.shape == (200, 6)
-    assert tensor[3, 5] == 0
+    tensor = cloud_of(network, cloud)
+    assert tensor.shape == (200, 5)
+    assert tensor[3, 4] == 0
     standing = Cloud(points, None, {"power": power, "doppler_m_s": np.zeros_like(doppler)})
     moving, still = detector(cloud), detector(standing)
     assert moving.score.tolist() != still.score.tolist()
@@ -194,11 +194,13 @@ def test_doppler_is_read_where_asked_for(rng):
 
 
 def test_log_power_tames_strong_cells():
-    points = torch.tensor([[1.0, 0.0, 0.0, power, 0.0] for power in (-1.0, 0.0, 0.01, 10.0)])
+    points = torch.tensor([[1.0, 0.0, 0.0, power] for power in (-1.0, 0.0, 0.01, 10.0)])
     from farfield.detectors.kradar.cells import scaled_power
 
-    np.testing.assert_allclose(scaled_power(points, log=True)[:, 3], [0, 0, np.log(2), np.log(1001)], rtol=1e-6)
-    assert torch.equal(scaled_power(points, log=False), points)
+    np.testing.assert_allclose(
+        scaled_power(points, COLUMNS, log=True)[:, 3], [0, 0, np.log(2), np.log(1001)], rtol=1e-6
+    )
+    assert torch.equal(scaled_power(points, COLUMNS, log=False), points)
 
 
 def test_unit_positions_are_another_scale_of_the_same_layer():
@@ -206,12 +208,14 @@ def test_unit_positions_are_another_scale_of_the_same_layer():
     corners = torch.tensor([[0.0, -6.4, -2.0, 0.3], [72.0, 6.4, 6.0, 0.3], [36.0, 0.0, 2.0, 0.3]])
     expected = torch.tensor([[-1.0, -1.0, -1.0, 0.3], [1.0, 1.0, 1.0, 0.3], [0.0, 0.0, 0.0, 0.3]])
     torch.testing.assert_close(in_unit_grid(corners, grid), expected)
-    metres, unit = (CellEncoder(grid, multiple=4, channels=6, unit_positions=u).double() for u in (False, True))
+    metres, unit = (
+        CellEncoder(grid, COLUMNS, multiple=4, channels=6, unit_positions=u).double() for u in (False, True)
+    )
     half, middle = torch.tensor([36.0, 6.4, 4.0]).double(), torch.tensor([36.0, 0.0, 2.0]).double()
     with torch.no_grad():
         unit.linear.weight[:, 3] = metres.linear.weight[:, 3]
         unit.linear.weight[:, :3] = metres.linear.weight[:, :3] * half
         unit.linear.bias.copy_(metres.linear.bias + metres.linear.weight[:, :3] @ middle)
-    share = torch.rand(200, 6, generator=torch.Generator().manual_seed(0)).double()
+    share = torch.rand(200, 4, generator=torch.Generator().manual_seed(0)).double()
     cloud = torch.cat([share[:, :3] * 2 * half + middle - half, share[:, 3:]], 1)
     torch.testing.assert_close(unit([cloud]).features, metres([cloud]).features)

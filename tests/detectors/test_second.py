@@ -4,10 +4,9 @@ from pydantic import ValidationError
 
 torch = pytest.importorskip("torch")
 
-from small import small_detector
+from small import batch_of, cloud_of, small_detector
 
-from farfield.detectors.runtime import cloud_tensor
-from farfield.detectors.second import Second, SecondConfig, SparseMiddle, folded_layers, stack_z
+from farfield.detectors.second.network import Second, SecondConfig, SparseMiddle, folded_layers, stack_z
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig
 
@@ -86,11 +85,11 @@ def test_stacked_layers_are_those_of_the_dense_grid(rng):
 
 def test_half_precision_boxes_are_near_those_of_full_precision(scene):
     network = small_detector("second").eval()
-    cloud = cloud_tensor(scene.cloud())
+    batch = batch_of(cloud_of(network, scene.cloud()))
     with torch.no_grad():
-        full = network([cloud]).logits
+        full = network(batch).logits
         for name in network.low_precision:
             network.get_submodule(name).bfloat16()
-        half = network([cloud]).logits
+        half = network(batch).logits
     assert half.dtype == torch.bfloat16
     torch.testing.assert_close(half.float(), full, rtol=0.05, atol=0.05)

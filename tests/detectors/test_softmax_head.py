@@ -49,7 +49,7 @@ def as_boxes(rows):
 
 def test_matching_equals_brute_force(rng):
     anchors, built = grid(), head()
-    targets = built.targets(some_boxes())
+    targets = built.assigner(some_boxes(), {})
     assert len(targets.rows) == 3  # the last one stands beside the grid
     proposals = anchors.rows(np.arange(len(anchors))) + rng.normal(0, 0.3, (len(anchors), 7))
     found = match_proposals(proposals, targets, anchors)
@@ -82,7 +82,7 @@ def test_a_box_that_nothing_overlaps_goes_to_the_nearest_proposal_of_its_class()
 
 def test_codes_are_differences_from_the_anchor_and_come_back():
     built, boxes = head(), some_boxes()
-    targets = built.targets(boxes)
+    targets = built.assigner(boxes, {})
     index = np.array([0, 131, 402])
     code = built._code(targets.rows, index).double().numpy()
     anchors = grid().rows(index)
@@ -93,7 +93,7 @@ def test_codes_are_differences_from_the_anchor_and_come_back():
 
 def test_perfect_maps_lose_nothing_and_give_the_boxes_back():
     built, boxes = head(score_threshold=0.3), some_boxes()
-    targets = built.targets(boxes)
+    targets = built.assigner(boxes, {})
     cells, anchors = 20 * 16, grid()
     logits, codes = torch.zeros(1, cells, 5), torch.zeros(1, cells, 4, 8)
     logits[..., 0] = 20.0
@@ -103,10 +103,10 @@ def test_perfect_maps_lose_nothing_and_give_the_boxes_back():
     again = match_proposals(built._rows(codes[0]), targets, anchors)  # the predictions are matched, not the anchors
     cell, slot = np.divmod(again.proposal[again.best], 4)
     logits[0, cell, slot + 1] = 40.0
-    losses = built.loss(SoftmaxMaps(logits, codes), [targets])
-    assert float(losses.classification) < 1e-6
-    assert float(losses.box) < 1e-9
-    predicted = built.boxes(SoftmaxMaps(logits, codes))[0]
+    losses = built.losses(SoftmaxMaps(logits, codes), [targets])
+    assert float(losses["classification"]) < 1e-6
+    assert float(losses["box"]) < 1e-9
+    predicted = built.decode(SoftmaxMaps(logits, codes))[0]
     order = [int(np.hypot(*(predicted.centre_m[:, :2] - b[:2]).T).argmin()) for b in targets.rows]
     np.testing.assert_allclose(predicted.centre_m[order], targets.rows[:, :3], atol=1e-4)
     np.testing.assert_allclose(np.cos(predicted.yaw_rad[order] - targets.rows[:, 6]), 1, atol=1e-6)
@@ -120,14 +120,14 @@ def test_classes_weigh_alike_however_many_cells_they_have():
     box = some_boxes()[:1]
     logits = torch.zeros(1, 320, 5)
     logits[..., 1] = 1.0
-    targets = built.targets(box)
-    losses = built.loss(SoftmaxMaps(logits, torch.zeros(1, 320, 4, 8)), [targets])
+    targets = built.assigner(box, {})
+    losses = built.losses(SoftmaxMaps(logits, torch.zeros(1, 320, 4, 8)), [targets])
     p = torch.softmax(logits[0, 0], 0)
     background, along = (-((1 - p[k]) ** 2) * torch.log(p[k]) for k in (0, 1))
     found = match_proposals(built._rows(None), targets, grid())
     assert set((found.proposal[found.best] % 4).tolist()) == {0}
     assert len(found.best) > 1
-    assert float(losses.classification) == pytest.approx(float((background + along) / 2), rel=1e-5)
+    assert float(losses["classification"]) == pytest.approx(float((background + along) / 2), rel=1e-5)
 
 
 def test_background_wins_where_it_is_the_likeliest():
@@ -135,5 +135,5 @@ def test_background_wins_where_it_is_the_likeliest():
     logits = torch.zeros(1, 320, 5)
     logits[..., 0] = 0.1
     logits[0, 7, 3] = 0.2
-    found = built.boxes(SoftmaxMaps(logits, torch.zeros(1, 320, 4, 8)))[0]
+    found = built.decode(SoftmaxMaps(logits, torch.zeros(1, 320, 4, 8)))[0]
     assert found.label.tolist() == ["large_vehicle"]

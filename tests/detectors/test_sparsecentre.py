@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
+
 from pydantic import ValidationError
+from small import batch_of, cloud_of, losses_of, targets_of
 
 from farfield.detectors import build_detector
-from farfield.detectors.runtime import Detector, cloud_tensor
+from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.sparsecentre.backbone import SparsePyramid, merge_heights
 from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
@@ -39,10 +41,6 @@ def network():
     return build_detector(SMALL, seed=3)
 
 
-def asked(network, scene):
-    return network.targets(scene.boxes, cloud_tensor(scene.cloud()).numpy())
-
-
 def random_map(rng, channels=4, cells=200, shape=MAP, frames=2):
     keys = np.sort(rng.choice(frames * int(np.prod(shape)), cells, replace=False))
     features = torch.from_numpy(rng.normal(size=(cells, channels))).float()
@@ -69,13 +67,13 @@ def test_default_covers_the_range_asked_for_and_knows_all_eight_classes():
 
 def test_batch_of_many_equals_batches_of_one_whatever_the_order_of_points(network, scene, rng):
     network.eval()
-    first = cloud_tensor(scene.cloud())
-    second = first[::3] * torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
+    first = cloud_of(network, scene.cloud())
+    second = first[::3] * torch.tensor([1.0, -1.0, 1.0])
     with torch.no_grad():
-        together, again = network([first, first[:0], second]), network([first, first[:0], second])
-        shuffled = network([first[torch.from_numpy(rng.permutation(len(first)))]])
-        apart = [network([cloud]) for cloud in (first, first[:0], second)]
-    assert all(torch.equal(a, b) for a, b in zip(together, again, strict=True))
+        together, again = (network(batch_of(first, first[:0], second)) for _ in range(2))
+        shuffled = network(batch_of(first[torch.from_numpy(rng.permutation(len(first)))]))
+        apart = [network(batch_of(cloud)) for cloud in (first, first[:0], second)]
+    assert all(torch.equal(a, b) for a, b in zip(together[:6], again[:6], strict=True))
     cells = int(np.prod(network.head.shape)) * torch.arange(3)
     alone = [
         torch.cat([part.keys + base for part, base in zip(apart, cells, strict=True)]),
@@ -83,7 +81,7 @@ def test_batch_of_many_equals_batches_of_one_whatever_the_order_of_points(networ
     ]
     for joint, single in zip([together.keys, *together[:3]], alone, strict=True):
         torch.testing.assert_close(joint, single, rtol=1e-4, atol=1e-4)
-    for one, other in zip(shuffled, apart[0], strict=True):
+    for one, other in zip(shuffled[:6], apart[0][:6], strict=True):
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-3)
 
 
@@ -94,22 +92,21 @@ def test_clouds_and_annotations_with_next_to_nothing(network, scene, points, wit
     assert len(Detector(network, precision="fp32")(cloud)) >= 0
     boxes = scene.boxes if with_box else Boxes.empty()
     network.train()
-    rows = cloud_tensor(cloud)
-    losses = network.loss(network([rows]), [network.targets(boxes, rows.numpy())])
-    assert all(torch.isfinite(loss) for loss in losses)
-    sum(losses).backward()
+    losses = losses_of(network, [cloud_of(network, cloud)], [boxes])
+    assert all(torch.isfinite(loss) for loss in losses.values())
+    sum(losses.values()).backward()
     gradients = [p.grad for p in network.parameters() if p.grad is not None]
     assert gradients
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
 
 def test_the_work_follows_the_points_not_the_grid(scene):
-    cells, cloud = [], cloud_tensor(scene.cloud())
+    cells = []
     for range_m, half_width_m in ((64.0, 20.0), (256.0, 80.0), (2048.0, 640.0)):
         grid = SMALL.grid.model_copy(update={"range_m": range_m, "half_width_m": half_width_m})
         network = build_detector(SMALL.model_copy(update={"grid": grid, "vote_threshold": 1.0}), seed=3).eval()
         with torch.no_grad():
-            maps = network([cloud])
+            maps = network(batch_of(cloud_of(network, scene.cloud())))
         cells.append((len(maps.vote_keys), len(maps.keys)))
     assert cells[0][0] == cells[1][0] == cells[2][0]
     assert max(after for _, after in cells) <= cells[0][0] + SMALL.vote_least * 9
@@ -193,17 +190,17 @@ def test_boxes_are_shared_out_by_distance():
     assert duties.weight.tolist() == [1, 2, 3]
 
 
-def test_every_box_with_a_point_has_a_cell_that_answers_for_it(scene):
+def test_every_box_with_a_point_has_a_cell_assigned_to_it(scene):
     """Down to a single point of a car in 60 m, and with far_weight."""
     config = SMALL.model_copy(update={"far_weight": 1.0})
     network = SparseCentre(config).eval()
-    cloud = cloud_tensor(scene.cloud())
+    cloud = cloud_of(network, scene.cloud())
     inside = points_in_boxes(cloud[:, :3].numpy(), scene.boxes)
     single = cloud[torch.from_numpy(np.array([rows[0] for rows in inside]))]
-    targets = network.targets(scene.boxes, single.numpy())
+    targets = targets_of(network, scene.boxes, single)
     assert targets.weight == pytest.approx(1 + np.hypot(*scene.boxes.centre_m[:, :2].T) / 100)
     with torch.no_grad():
-        maps = network([single])
+        maps = network(batch_of(single))
     _, place = network.head.places_m(maps.keys)
     duties = assign(place, Truth.of(targets, place.device), 2, gaussian_m=0.7, assign_m=8.0, box_m=1.2)
     assert set(duties.box.tolist()) == set(range(5))

@@ -4,9 +4,10 @@ from pydantic import ValidationError
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors import detector_classes
+from small import batch_of, cloud_of
+
+from farfield.detectors import DETECTORS
 from farfield.detectors.folding import fold_batch_norm
-from farfield.detectors.runtime import cloud_tensor
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxelnet.middle import MiddleLayers
 from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
@@ -24,6 +25,7 @@ SMALL = VoxelNetConfig(
     neck_width=32,
 )
 DEPTH = 9
+COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
 
 
 @pytest.fixture
@@ -131,15 +133,15 @@ def test_folded_middle_layers_are_the_same_function(middle):
 def test_weights_move_between_dense_and_sparse(network, scene):
     dense = VoxelNet(SMALL.model_copy(update={"middle": "dense"}))
     dense.load_state_dict(network.state_dict())
-    cloud = cloud_tensor(scene.cloud())
+    batch = batch_of(cloud_of(network, scene.cloud()))
     with torch.no_grad():
-        for one, other in zip(network.eval()([cloud]), dense.eval()([cloud]), strict=True):
+        for one, other in zip(network.eval()(batch), dense.eval()(batch), strict=True):
             torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
 
 
 def test_encoder_equals_a_loop_over_voxels(rng):
     torch.manual_seed(1)
-    encoder = VoxelFeatureEncoder(GRID, multiple=8, widths=(8, 12), channels=10, use_lag=True).eval()
+    encoder = VoxelFeatureEncoder(GRID, COLUMNS, multiple=8, widths=(8, 12), channels=10).eval()
     points = np.column_stack([rng.uniform(0, 4, 400), rng.uniform(-2, 2, 400), rng.uniform(-3, 1, 400)])
     cloud = torch.from_numpy(np.column_stack([points, rng.uniform(0, 1, (400, 2))])).float()
     with torch.no_grad():
@@ -183,7 +185,7 @@ def test_default_is_the_published_network_on_the_padded_grid():
     assert len(network.head.anchors) == 628 * 252 * 16
     assert network.backbone.channels == 768
     assert [layer.linear.weight.shape for layer in network.encoder.layers] == [(16, 7), (64, 32)]
-    assert detector_classes("voxelnet") == (VoxelNet, VoxelNetConfig)
+    assert (DETECTORS["voxelnet"].network_class, DETECTORS["voxelnet"].config_class) == (VoxelNet, VoxelNetConfig)
 
 
 @pytest.mark.parametrize(
@@ -196,23 +198,24 @@ def test_grids_that_cannot_work_are_refused(change):
 
 def test_same_input_same_output_whatever_the_order_of_points(network, scene, rng):
     network.eval()
-    cloud = cloud_tensor(scene.cloud())
+    cloud = cloud_of(network, scene.cloud())
     shuffled = cloud[torch.from_numpy(rng.permutation(len(cloud)))]
     with torch.no_grad():
-        one, other = network([cloud])[0], network([shuffled])[0]
+        one, other = network(batch_of(cloud))[0], network(batch_of(shuffled))[0]
     assert torch.equal(one, other)
 
 
 def test_low_precision_stays_near(network, scene):
     network.train()
+    batch = batch_of(cloud_of(network, scene.cloud()))
     for _ in range(5):
-        network([cloud_tensor(scene.cloud())])
+        network(batch)
     network.eval()
     reduced = fold_batch_norm(network)
     for name in network.low_precision:
         reduced.get_submodule(name).bfloat16()
     with torch.no_grad():
-        exact, near = network([cloud_tensor(scene.cloud())]), reduced([cloud_tensor(scene.cloud())])
+        exact, near = network(batch), reduced(batch)
     for a, b in zip(exact, near, strict=True):
         assert b.dtype == torch.bfloat16
         assert (a - b).abs().mean() < 0.05 * a.abs().mean() + 1e-3

@@ -8,6 +8,7 @@ torch = pytest.importorskip("torch")
 
 from farfield.detectors.voxels import VoxelGridConfig, mean_voxels, voxel_keys
 
+COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
 GRID = VoxelGridConfig(range_m=20.0, half_width_m=5.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.5, 0.4, 0.8))
 
 
@@ -53,7 +54,7 @@ def test_shape_pads_both_sides_and_keeps_published_sizes():
 @pytest.mark.parametrize("multiple", [1, 8])
 def test_mean_features_by_brute_force(multiple):
     clouds = [random_cloud(1), torch.zeros(0, 5), random_cloud(2)]
-    sparse = mean_voxels(clouds, GRID, multiple, use_intensity=True, use_lag=True)
+    sparse = mean_voxels(clouds, GRID, multiple, columns=COLUMNS)
     truth = brute_force(clouds, multiple)
     assert sparse.batch_size == 3
     assert sparse.shape == GRID.shape(multiple)
@@ -67,11 +68,11 @@ def test_mean_features_by_brute_force(multiple):
             [*(mean[:3] - centre) / [0.5, 0.4, 0.8], *mean[:3] / [20, 5, 3], math.log1p(len(points)), mean[3], mean[4]]
         )
     np.testing.assert_allclose(sparse.features.numpy(), rows, atol=2e-5)
-    published = mean_voxels(clouds, GRID, multiple, published=True).features.numpy()
+    published = mean_voxels(clouds, GRID, multiple, columns=COLUMNS, published=True).features.numpy()
     np.testing.assert_allclose(published, [points.mean(axis=0)[:4] for points in truth.values()], atol=2e-5)
 
 
-@pytest.mark.parametrize(("flags", "width"), [({}, 7), ({"use_intensity": True}, 8), ({"use_lag": True}, 8)])
+@pytest.mark.parametrize(("flags", "width"), [({}, 7), ({"columns": COLUMNS[:4]}, 8), ({"columns": COLUMNS}, 9)])
 def test_flags_add_features(flags, width):
     sparse = mean_voxels([random_cloud(3)], GRID, 8, **flags)
     assert sparse.features.shape[1] == width
@@ -95,7 +96,7 @@ def test_points_outside_or_not_finite_are_dropped():
     rows, key = voxel_keys(points, torch.zeros(len(points), dtype=torch.int64), GRID, 1)
     assert rows.tolist() == [len(outside)]
     assert len(key) == 1
-    sparse = mean_voxels([points], GRID, 1, use_intensity=True)
+    sparse = mean_voxels([points], GRID, 1, columns=COLUMNS)
     assert len(sparse.keys) == 1
     assert sparse.features.isfinite().all()
 

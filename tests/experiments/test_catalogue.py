@@ -64,5 +64,5 @@ def test_a_file_wins_over_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_what_is_not_there_is_an_error_that_names_close_ones(wrong: str) -> None:
     with pytest.raises(ConfigError, match=r"Did you mean pointpillars-cirrus-sim .*farfield experiments lists"):
         find(wrong)
-    with pytest.raises(ConfigError, match="found neither"):
+    with pytest.raises(ConfigError, match="found nothing"):
         find("")

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
-from farfield.metrics.reading import ScoreInputs, read_inputs
+from farfield.metrics import Detections
+from farfield.metrics.reading import read
 
 
 @pytest.fixture(scope="session")
-def real_detections(shared_real: Path) -> tuple[ScoreInputs, dict[str, Any]]:
+def real_detections(shared_real: Path) -> tuple[Detections, dict[str, Any]]:
     folder = shared_real / "kitti_tracking"
     expected = json.loads((folder / "expected_nuscenes.json").read_text())
-    inputs = read_inputs(folder / "detections_pointrcnn_car", folder / "label", format="kitti-tracking")
-    return inputs, expected
+    found = read(folder / "detections_pointrcnn_car", folder / "label", format="kitti-tracking")
+    return found, expected

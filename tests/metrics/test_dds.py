@@ -224,9 +224,9 @@ def test_result_prints_and_serialises_its_convention(rng: np.random.Generator) -
 
 
 def test_equals_the_published_figures_on_real_detections(real_detections) -> None:
-    inputs, expected = real_detections
+    detections, expected = real_detections
     settings = DdsSettings(label="Car", region="none", range_bins_m=(0.0, 25.0, 50.0, 1e9), bootstrap=NO_BOOTSTRAP)
-    tree = evaluate_dds(inputs.predictions, inputs.annotations, settings).to_json()
+    tree = evaluate_dds(detections.boxes, detections.annotated, settings).to_json()
     pairs = [(tree["dds"]["0"], expected["dds_base"])]
     pairs += [(tree["dds"][e], expected[f"wdds_{e}"]) for e in ("0.003", "0.006", "0.009")]
     pairs += [(tree["ranges"]["0-25"]["dds"]["0"], expected["dds_range_0_25"])]

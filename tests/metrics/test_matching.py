@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from farfield.metrics.centre.matching import DROPPED, NO_MATCH, Limits, greedy_match, rank_predictions
+from farfield.metrics.centre.matching import DROPPED, NO_MATCH, Limits, found_by, greedy_match, rank_predictions
+
+from .scenes import boxes, car
 
 
 def match(predicted: list, annotated: list, thresholds: list[float], **options) -> list[list[int]]:
@@ -59,3 +61,11 @@ def test_order_of_equal_scores() -> None:
     score, frame = np.array([0.5, 0.9, 0.5, 0.5]), np.array([1, 0, 0, 1])
     assert rank_predictions(score, frame).tolist() == [1, 2, 0, 3]
     assert rank_predictions(score, frame, ties="later_first").tolist() == [1, 3, 2, 0]
+
+
+def test_one_frame_is_matched_each_object_once_best_first() -> None:
+    annotated = boxes([car(10.0), car(20.0)], scored=False)
+    predicted = boxes([car(10.5, score=0.9), car(10.1, score=0.5), car(21.9, score=0.4), car(40.0, score=0.3)])
+    assert found_by(predicted, annotated).tolist() == [0, 2]
+    assert found_by(predicted, annotated, distance_m=1.0).tolist() == [0, -1]
+    assert found_by(boxes([]), annotated).tolist() == [-1, -1]

@@ -10,9 +10,9 @@ from .scenes import NO_BOOTSTRAP, as_predictions, boxes, car, random_scene
 
 
 def test_equals_the_devkit_on_real_detections(real_detections) -> None:
-    inputs, expected = real_detections
+    detections, expected = real_detections
     settings = NuScenesSettings(label="Car", bootstrap=NO_BOOTSTRAP)
-    tree = evaluate_nuscenes(inputs.predictions, inputs.annotations, settings).to_json()
+    tree = evaluate_nuscenes(detections.boxes, detections.annotated, settings).to_json()
     assert tree["ap"] == pytest.approx(expected["ap"], abs=1e-9)
     for name in ("trans_err", "scale_err", "orient_err"):
         assert tree["errors"][name] == pytest.approx(expected[f"{name}_2m"], abs=1e-9)
@@ -66,3 +66,9 @@ def test_no_aligned_overlap_and_a_table(rng: np.random.Generator) -> None:
     assert result.to_json()["dds"] == {}
     for shown in ("AP at 0.5 m", "trans_err", "ties=later_first", "distance=bev", "annotated"):
         assert shown in str(result)
+
+
+def test_the_mean_is_that_of_the_first_epsilon_as_its_parts_are(rng: np.random.Generator) -> None:
+    scene, plain = random_scene(rng), {"label": "vehicle", "bootstrap": NO_BOOTSTRAP}
+    several = evaluate_nuscenes(*scene, NuScenesSettings(epsilons=(0.0, 0.02), **plain))
+    assert several.figures == evaluate_nuscenes(*scene, NuScenesSettings(**plain)).figures

@@ -3,7 +3,7 @@ import numpy as np
 from farfield.geometry.boxes import Boxes
 from farfield.reports import words
 from farfield.reports.evaluation import Evaluation
-from farfield.reports.objects import annotated_objects, found_by, sure
+from farfield.reports.objects import annotated_objects, sure
 from farfield.reports.tables import range_name, rows, score_names, score_title
 
 RESULT = {
@@ -55,12 +55,8 @@ def test_headline_and_scope_by_hand() -> None:
     assert "real recordings" in words.origin({"simulated": False})[1]
 
 
-def test_found_by_takes_each_object_once_best_first() -> None:
-    annotated = _boxes([10.0, 20.0])
+def test_only_sure_predictions_find_objects() -> None:
     predicted = _boxes([10.5, 10.1, 21.9, 40.0], score=np.array([0.9, 0.5, 0.4, 0.3]))
-    assert found_by(predicted, annotated).tolist() == [0, 2]
-    assert found_by(predicted, annotated, distance_m=1.0).tolist() == [0, -1]
-    assert found_by(Boxes.empty(scored=True), annotated).tolist() == [-1, -1]
     assert len(sure(predicted, 0.4)) == 3
 
 

@@ -1,8 +1,8 @@
 """One step of training of small detectors, as the only process or as one of several.
 
-    python one_step.py FOLDER RANK WORLD NAME
+    python one_step.py FOLDER RANK WORLD NAME...
 
-The process of rank 0 writes FOLDER/NAME.pt: the losses, the averaged gradients and the network's statistics.
+The process of rank 0 writes FOLDER/NAME.pt for each: the losses, the averaged gradients and the network's statistics.
 """
 
 import sys
@@ -14,7 +14,7 @@ import torch
 
 sys.path.append(str(Path(__file__).parents[1] / "detectors"))
 
-from small import small_detector
+from small import batch_of, small_detector, targets_of
 
 from farfield.frame import Boxes
 from farfield.training.distributed import average_gradients, average_values, synchronise_norms
@@ -56,12 +56,13 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
     synchronise_norms(network)
     torch.manual_seed(1)
     batch = frames()[rank::world]
-    targets = [network.targets(boxes, points) for points, boxes in batch]
-    outputs = network([torch.from_numpy(points).to(dtype) for points, _ in batch], targets)
-    losses = network.loss(outputs, targets)
-    sum(losses).backward()
+    columns = len(network.inputs["points"].columns)
+    clouds = [torch.from_numpy(points[:, :columns]) for points, _ in batch]
+    targets = [targets_of(network, boxes, cloud) for cloud, (_, boxes) in zip(clouds, batch, strict=True)]
+    losses = network.losses(network(batch_of(*(cloud.to(dtype) for cloud in clouds)), targets), targets)
+    sum(losses.values()).backward()
     average_gradients(network.parameters())
-    values = {key: float(value.detach()) for key, value in zip(losses._fields, losses, strict=True)}
+    values = {key: float(value.detach()) for key, value in losses.items()}
     return {
         "losses": average_values(values, torch.device("cpu")),
         "gradients": {key: p.grad for key, p in network.named_parameters() if p.grad is not None},
@@ -69,14 +70,15 @@ def one_step(name: str, rank: int = 0, world: int = 1) -> dict[str, Any]:
     }
 
 
-def main(folder: str, rank: str, world: str, name: str) -> None:
-    """Join the other processes and take the step."""
+def main(folder: str, rank: str, world: str, *names: str) -> None:
+    """Join the other processes and take the step of each detector."""
     torch.set_num_threads(1)
     meeting = (Path(folder) / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=int(world))
-    result = one_step(name, int(rank), int(world))
-    if rank == "0":
-        torch.save(result, Path(folder) / f"{name}.pt")
+    for name in names:
+        result = one_step(name, int(rank), int(world))
+        if rank == "0":
+            torch.save(result, Path(folder) / f"{name}.pt")
     torch.distributed.destroy_process_group()
 
 

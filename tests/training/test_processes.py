@@ -18,16 +18,19 @@ from farfield.experiments.schema import load_experiment
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
-def shared_step(name: str, folder: Path) -> dict:
-    """One step of a small detector, shared by two processes."""
+@pytest.fixture(scope="module")
+def shared_steps(tmp_path_factory) -> Path:
+    """One step of every small detector, shared by one pair of processes: a folder with a file each."""
+    folder = tmp_path_factory.mktemp("shared")
     command = [sys.executable, str(Path(__file__).with_name("one_step.py")), str(folder)]
-    running = [subprocess.Popen([*command, str(rank), "2", name], env=ENVIRONMENT) for rank in range(2)]
+    names = [*SMALL, "voxelnet-sparse"]
+    running = [subprocess.Popen([*command, str(rank), "2", *names], env=ENVIRONMENT) for rank in range(2)]
     try:
         assert [process.wait(300) for process in running] == [0, 0]
     finally:
         for process in running:
             process.kill()
-    return torch.load(folder / f"{name}.pt", weights_only=True)
+    return folder
 
 
 def close(one, other, tolerance: float) -> bool:
@@ -35,24 +38,25 @@ def close(one, other, tolerance: float) -> bool:
     return bool((one.double() - other.double()).abs().max() <= tolerance * max(float(one.abs().max()), 1e-6))
 
 
-@pytest.mark.parametrize(
-    "name", ["pointpillars", *(pytest.param(name, marks=pytest.mark.slow) for name in SMALL if name != "pointpillars")]
-)
-def test_two_processes_take_the_step_of_one(name, tmp_path):
+@pytest.mark.parametrize("name", list(SMALL))
+def test_two_processes_take_the_step_of_one(name, shared_steps):
     """Losses, gradients and statistics over two processes, one of which got an empty cloud, are those of the batch."""
-    shared, alone = shared_step(name, tmp_path), one_step(name)
+    shared, alone = torch.load(shared_steps / f"{name}.pt", weights_only=True), one_step(name)
     assert shared["losses"] == pytest.approx(alone["losses"], rel=1e-5, abs=1e-7)
     assert shared["gradients"].keys() == alone["gradients"].keys()
-    largest = max(float(value.abs().max()) for value in alone["gradients"].values())
+    one, two = (torch.cat([step["gradients"][key].flatten() for key in step["gradients"]]) for step in (alone, shared))
+    assert float((two - one).norm()) < 1e-5 * float(one.norm())
+    largest = float(one.abs().max())
     for key, value in alone["gradients"].items():
         assert float((shared["gradients"][key] - value).abs().max()) <= 1e-5 * largest, key
     for key, value in alone["statistics"].items():
         assert close(value, shared["statistics"][key], 1e-6), key
 
 
-def test_sparse_middle_layers_share_their_statistics(tmp_path):
+def test_sparse_middle_layers_share_their_statistics(shared_steps):
     """In single precision, which is all that they have: what is left are its roundings."""
-    shared, alone = shared_step("voxelnet-sparse", tmp_path), one_step("voxelnet-sparse")
+    shared = torch.load(shared_steps / "voxelnet-sparse.pt", weights_only=True)
+    alone = one_step("voxelnet-sparse")
     assert shared["losses"] == pytest.approx(alone["losses"], rel=1e-3, abs=1e-6)
     for key, value in alone["statistics"].items():
         if "middle" in key:

@@ -104,16 +104,16 @@ def run(
 def _settings(protocol: str, *, label: str | None, range_bins_m: str, epsilon: str, region: str) -> dict[str, Any]:
     """The flags that a protocol knows, as its settings; K-Radar's are left to their defaults where no flag is given."""
     from farfield.metrics import PROTOCOLS
+    from farfield.metrics.options import numbers
 
     ours = not protocol.startswith("kradar")
     scoring: dict[str, Any] = {"label": label} if ours else {}
     if ours or range_bins_m:
-        scoring["range_bins_m"] = _numbers(range_bins_m or "0,70,150,250")
+        scoring["range_bins_m"] = numbers(range_bins_m or "0,70,150,250", "--range-bins-m")
     if ours or region:
         scoring["region"] = region or "window"
-    scoring["epsilons"] = _numbers(epsilon)
-    kind = PROTOCOLS.get(protocol.partition("-")[0])
-    known = kind.__dataclass_fields__ if kind is not None else {}
+    scoring["epsilons"] = numbers(epsilon, "--epsilon")
+    known = PROTOCOLS[protocol].options()
     return {name: value for name, value in scoring.items() if name in known}
 
 
@@ -135,12 +135,3 @@ def summary(result: Mapping[str, Any]) -> dict[str, Any]:
         return round(figures, 4) if isinstance(figures, float) else figures
 
     return {"overall": brief(result), **{name: brief(part) for name, part in result.get("ranges", {}).items()}}
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    from farfield.errors import ConfigError
-
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"Expected comma-separated numbers, got {text!r}.") from error

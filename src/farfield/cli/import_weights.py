@@ -37,10 +37,10 @@ def run(
     """
     import hashlib
 
-    from farfield.detectors import detector_classes
+    from farfield.detectors import DETECTORS
     from farfield.errors import ConfigError
 
-    detector_classes(kind or "pointpillars")  # without torch, says how to install it
+    _ = DETECTORS[kind or "pointpillars"].network_class  # without torch, says how to install it
     from farfield.detectors.importing import import_openpcdet
     from farfield.detectors.weights import save_weights
 

@@ -1,19 +1,18 @@
 """``farfield score``: score the files of any detector, without a model."""
 
 import json as json_module
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 if TYPE_CHECKING:
-    from farfield.metrics import Result
-    from farfield.metrics.reading import ScoreInputs
+    from farfield.frame import Key
+    from farfield.metrics import Detections, Protocol
 
 _FLAGS = ("range_bins_m", "epsilons", "region", "label", "label_version", "bootstrap")
-_LISTS = ("thresholds_m", "window_m", "ious", "origin_m")
-_WHOLE = ("min_points", "max_boxes", "recall_points", "decimals")
-_NUMBERS = ("min_overlap", "aiou_threshold_m", "azimuth_deg", "score_cut", "z_center")
 
 
 def run(
@@ -24,7 +23,7 @@ def run(
     format: Literal["boxes-csv", "kitti", "kitti-tracking"] = "boxes-csv",
     label: str | None = None,
     range_bins_m: str | None = None,
-    epsilon: str = "0,0.003,0.006,0.009",
+    epsilon: str | None = None,
     region: str | None = None,
     conditions: str | None = None,
     label_version: str | None = None,
@@ -52,11 +51,11 @@ def run(
         protocol: dds (DDS and wDDS of Cirrus), nuscenes (AP, translation, scale, orientation), kitti (AP R11, R40),
             kradar (AP3D and AP_BEV, R40), or kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped,
             old_yaw_fixed, revised_as_shipped, revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut;
-            rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide.
+            rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide. A protocol of an installed package by its name.
         format: Format of both.
         label: The class that is scored; without it every class is, each for itself, the most annotated one first.
         range_bins_m: Edges of the range bins; without it 0,70,150,250, for kradar 0,20,40,60,80.
-        epsilon: Values of epsilon in wDDS' omega = exp(epsilon d); 0 is DDS.
+        epsilon: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; 0,0.003,0.006,0.009 unless given.
         region: window: x 0..250, |y| <= 50 and the outermost bin edges; range: the outermost bin edges; none: all.
             Without it: window for dds on boxes-csv, none otherwise. For kradar: wide (without it), narrow, none or
             six bounds x,x,y,y,z,z in the radar's frame.
@@ -69,29 +68,31 @@ def run(
         seed: Seed of the bootstrap.
         json: Where to write the result as JSON.
     """
-    from farfield.errors import ConfigError
     from farfield.files.atomic import write_text
-    from farfield.metrics import Bootstrap
-    from farfield.metrics.reading import read_inputs
+    from farfield.metrics import PROTOCOLS, Bootstrap
+    from farfield.metrics.options import numbers
+    from farfield.metrics.reading import read
 
-    of_kradar = protocol.partition(":")[0] in ("kradar", "kradar-compat")
-    chosen: dict[str, Any] = {"bootstrap": Bootstrap(replicates=replicates, seed=seed), **_parse_options(options)}
+    chosen = PROTOCOLS[protocol]
+    given: dict[str, Any] = _parse_options(chosen, options)
+    if "bootstrap" in chosen.options():
+        given["bootstrap"] = Bootstrap(replicates=replicates, seed=seed)
     if range_bins_m is not None:
-        chosen["range_bins_m"] = _numbers("range-bins-m", range_bins_m)
-    if region is not None or not of_kradar:
-        chosen["region"] = region or ("window" if (protocol, format) == ("dds", "boxes-csv") else "none")
-    if protocol == "dds":
-        chosen["epsilons"] = _numbers("epsilon", epsilon)
+        given["range_bins_m"] = numbers(range_bins_m, "--range-bins-m")
+    if epsilon is not None:
+        given["epsilons"] = numbers(epsilon, "--epsilon")
+    if region is not None:
+        given["region"] = region
+    elif format != "boxes-csv" and chosen.default("region") == "window":
+        given["region"] = "none"  # KITTI's ranges are a camera's
     if label_version is not None:
-        chosen["label_version"] = label_version
-    if conditions is not None and not of_kradar:
-        raise ConfigError(f"--conditions: only kradar scores by condition, not {protocol}")
-    inputs = read_inputs(predictions, labels, format=format)
-    notes = list(inputs.notes)
-    if of_kradar:
-        results = [_score_kradar(inputs, protocol, label, conditions, chosen, notes)]
-    else:
-        results = _score_classes(inputs, protocol, label, chosen)
+        given["label_version"] = label_version
+    found = read(predictions, labels, format=format)
+    if conditions is not None:
+        found = _with_conditions(found, chosen, conditions)
+    results = found.score_each(chosen, label=label, **given)
+    notes = list(dict.fromkeys(note for result in results for note in result.notes))
+    results = [replace(result, notes=()) for result in results]
     if json is not None:
         tree = {**results[0].to_json(), "notes": notes}
         if len(results) > 1:
@@ -102,85 +103,36 @@ def run(
     return 0
 
 
-def _score_classes(inputs: "ScoreInputs", protocol: str, label: str | None, chosen: dict[str, Any]) -> "list[Result]":
-    """One result a class."""
+def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> "Detections":
+    """Detections with weather, road and time by frame, and a note on the sequences without."""
     from farfield.errors import ConfigError
-    from farfield.metrics import score, scored_labels
+    from farfield.metrics import PROTOCOLS
 
-    present = scored_labels(inputs.annotations, protocol, **chosen)
-    found = set(present) | set(scored_labels(inputs.predictions, protocol, **chosen))
-    if label is not None and found and label not in found:
-        raise ConfigError(f"label: expected a class that occurs, one of {', '.join(sorted(found))}; got {label!r}")
-    return [
-        score(
-            inputs.predictions,
-            inputs.annotations,
-            protocol=protocol,
-            label=name,
-            prediction_details=inputs.prediction_details,
-            annotation_details=inputs.annotation_details,
-            **chosen,
-        )
-        for name in ([label] if label is not None else present or (None,))
-    ]
+    if "conditions" not in protocol.uses:
+        usable = [name for name in PROTOCOLS.names() if not PROTOCOLS.broken(name)]
+        able = [name for name in usable if "conditions" in PROTOCOLS[name].uses]
+        raise ConfigError(f"--conditions: only {' and '.join(able)} score by condition, not {protocol}")
+    known = _conditions(found, source)
+    missing = sorted({key[0] for key in found.annotations if key not in known})
+    note = f"no conditions for sequences {', '.join(missing[:8])}: their frames count in the whole alone"
+    return replace(found, conditions=known, notes=(*found.notes, *([note] if missing else [])))
 
 
-def _score_kradar(
-    inputs: "ScoreInputs",
-    protocol: str,
-    label: str | None,
-    conditions: str | None,
-    chosen: dict[str, Any],
-    notes: list[str],
-) -> "Result":
-    """All classes in one result."""
-    from farfield.errors import ConfigError
-    from farfield.metrics import kradar_settings, score
-    from farfield.metrics.centre.scene import labels_of
-    from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
-
-    if label is not None:
-        chosen = {**chosen, "classes": (chosen.get("relabel", CIRRUS_FROM_ANY_KRADAR).get(label, label),)}
-    settings = kradar_settings(protocol, **chosen)
-    found = [name for name, _ in labels_of(inputs.annotations, settings.relabel)]
-    if found and not set(found) & set(settings.classes):
-        raise ConfigError(
-            f"{protocol}: expected annotated boxes of {' or '.join(settings.classes)}, got {', '.join(found[:8])}. "
-            "Choose with --label, --options classes=a,b or rename with --options relabel=old:new"
-        )
-    known = _conditions(inputs, conditions)
-    if conditions is not None and len(known) < len(inputs.annotations):
-        missing = sorted({key[0] for key in inputs.annotations if key not in known})
-        notes.append(f"no conditions for sequences {', '.join(missing[:8])}: their frames count in the whole alone")
-    return score(inputs.predictions, inputs.annotations, protocol=protocol, conditions=known or None, **chosen)
-
-
-def _conditions(inputs: "ScoreInputs", conditions: str | None) -> dict[tuple[str, str], dict[str, str]]:
-    """Weather, road and time by frame."""
-    if conditions is None:
-        return {}
-    if conditions == "published":
+def _conditions(found: "Detections", source: str) -> "Mapping[Key, Mapping[str, str]]":
+    if source == "published":
         from farfield.vocabulary.kradar import published_conditions
 
-        told = {key: published_conditions(key[0]) for key in inputs.annotations}
-        return {key: values for key, values in told.items() if values}
+        known = {key: published_conditions(key[0]) for key in found.annotations}
+        return {key: values for key, values in known.items() if values}
     from farfield.metrics.kradar.conditions import read_conditions
 
-    return read_conditions(conditions, inputs.annotations)
+    return read_conditions(source, found.annotations)
 
 
-def _numbers(flag: str, text: str) -> tuple[float, ...]:
-    from farfield.errors import ConfigError
-
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError:
-        raise ConfigError(f"--{flag}: expected comma-separated numbers, got {text!r}") from None
-
-
-def _parse_options(options: tuple[str, ...]) -> dict[str, Any]:
+def _parse_options(protocol: "Protocol", options: tuple[str, ...]) -> dict[str, Any]:
     """Turn ``name=value`` words into settings: numbers, comma lists and ``a:b`` pairs as the setting asks."""
     from farfield.errors import ConfigError
+    from farfield.metrics.options import read_option
 
     parsed: dict[str, Any] = {}
     for option in options:
@@ -189,28 +141,5 @@ def _parse_options(options: tuple[str, ...]) -> dict[str, Any]:
             raise ConfigError(f"--options: expected each name=value once, got {option!r}")
         if name in _FLAGS:
             raise ConfigError(f"--options: {name} has a flag of its own")
-        parsed[name] = _value(name, text)
+        parsed[name] = read_option(protocol.Settings, name, text)
     return parsed
-
-
-def _value(name: str, text: str) -> Any:
-    from farfield.errors import ConfigError
-
-    words = [word for word in text.split(",") if word]
-    if name in ("ignore", "classes"):
-        return tuple(words)
-    if name == "relabel":
-        pairs = [word.split(":") for word in words]
-        if any(len(pair) != 2 for pair in pairs):
-            raise ConfigError(f"--options relabel: expected old:new,old:new, got {text!r}")
-        return dict(pairs)
-    if name in _LISTS:
-        return _numbers(f"options {name}", text)
-    if name in ("azimuth_deg", "decimals") and text == "none":
-        return None
-    if name in (*_WHOLE, *_NUMBERS) and text != "all":
-        number = _numbers(f"options {name}", text)
-        if len(number) != 1 or (name in _WHOLE and not number[0].is_integer()):
-            raise ConfigError(f"--options {name}: expected one number, got {text!r}")
-        return int(number[0]) if name in _WHOLE else number[0]
-    return text

@@ -12,16 +12,6 @@ from typing import Any
 
 from farfield.detectors import DETECTORS
 
-PAPERS = {
-    "pointpillars": "Lang et al., CVPR 2019",
-    "voxelnet": "Zhou and Tuzel, CVPR 2018",
-    "second": "Yan, Mao and Li, Sensors 2018",
-    "pointrcnn": "Shi, Wang and Li, CVPR 2019",
-    "rtn": "Paek, Kong and Wijaya (K-Radar), NeurIPS 2022",
-    "rtnh": "Paek, Kong and Wijaya (K-Radar), NeurIPS 2022",
-    "sparsecentre": "after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024",
-}
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -35,6 +25,8 @@ class Entry:
         frame_ms: Milliseconds a frame from points to boxes by precision.
         scores: DDS figures by cloud, range and epsilon: ``scores["gaussian"]["150-250"]["0.006"]``.
         setting: Further facts of the record: grid, schedule.
+        origin: Where the detector comes from: "farfield", "registered here", or the package that has it.
+        broken: Why it cannot be used; empty where it can.
     """
 
     name: str
@@ -44,6 +36,8 @@ class Entry:
     frame_ms: dict[str, float] = field(default_factory=dict)
     scores: dict[str, dict[str, dict[str, float | None]]] = field(default_factory=dict)
     setting: dict[str, Any] = field(default_factory=dict)
+    origin: str = "farfield"
+    broken: str = ""
 
 
 @cache
@@ -55,22 +49,25 @@ def figures() -> dict[str, Any]:
 
 
 def catalogue() -> list[Entry]:
-    """Every detector with what is recorded of it, in the order in which they are registered."""
+    """Every detector with what is recorded of it: ours, then those registered here and those of other packages."""
     known = figures()["detectors"]
     shipped = _bundled_names()
     entries = []
     for name in DETECTORS:
-        record = known.get(name, {})
+        origin, broken = DETECTORS.origin(name), DETECTORS.broken(name)
+        record = known.get(name, {}) if origin == "farfield" else {}
         weights = record.get("weights", "")
         entries.append(
             Entry(
                 name=name,
-                paper=PAPERS[name],
+                paper="" if broken else DETECTORS[name].paper,
                 weights=weights if weights in shipped else "",
                 parameters=record.get("parameters"),
                 frame_ms=record.get("frame_ms", {}),
                 scores=record.get("scores", {}),
                 setting=record.get("setting", {}),
+                origin=origin,
+                broken=broken,
             )
         )
     return entries

@@ -1,25 +1,35 @@
-"""What the configurations of all detectors share."""
+"""What every detector offers: its configuration, and a network from named inputs to features, losses and boxes."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Annotated, Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Protocol, final
 
 import numpy as np
-from jaxtyping import Float, Float32
-from pydantic import BaseModel, ConfigDict, Field
-from torch import Tensor
+import torch
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from torch import Tensor, nn
 
+from farfield.detectors.features import Features
+from farfield.detectors.inputs import CloudInput
+from farfield.detectors.kinds import DETECTORS
+from farfield.errors import FarfieldError
 from farfield.geometry.boxes import Boxes
 
 Channels = Annotated[int, Field(ge=1, le=4096)]
 """A number of features."""
 
-POINT_COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
-"""Columns of the points that networks read; ``lag_s`` is the age of a point's sweep, zero for a single sweep."""
+
+def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
+    """Weight of each box in the loss, shape (n,): 1, and ``far_weight`` more per 100 m of range on the ground."""
+    return 1.0 + far_weight * np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1]) / 100.0
 
 
 class DetectorConfig(BaseModel, ABC):
-    """Everything that decides the shape of a network and of its answers; each detector adds its own fields."""
+    """Everything that decides the shape of a network and its boxes; each detector adds its own fields.
+
+    A subclass gives ``name`` its detector's name as the default.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -29,15 +39,21 @@ class DetectorConfig(BaseModel, ABC):
     max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
 
+    @field_validator("name")
+    @classmethod
+    def _is_its_own(cls, name: str) -> str:
+        try:
+            expected = DETECTORS[name].config_class
+        except FarfieldError as error:
+            raise ValueError(str(error)) from error
+        if expected is not cls:
+            raise ValueError(f"expected the settings of {name}, {expected.__name__}; got {cls.__name__}")
+        return name
+
     @property
     @abstractmethod
     def class_names(self) -> tuple[str, ...]:
         """The classes that the detector tells apart."""
-
-    @property
-    def extra_columns(self) -> tuple[str, ...]:
-        """Names of the columns of a cloud's ``extra`` that the network reads after those of ``POINT_COLUMNS``."""
-        return ()
 
     @property
     @abstractmethod
@@ -46,26 +62,92 @@ class DetectorConfig(BaseModel, ABC):
 
     def box_weights(self, boxes: Boxes) -> Float[np.ndarray, " n"]:
         """Weight of each box in the loss, from its range on the ground, shape (n,)."""
-        return 1.0 + self.far_weight * np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1]) / 100.0
+        return range_weights(boxes, self.far_weight)
 
 
-class Network(Protocol):
-    """What a detector's network offers to the training loop and to the runtime.
+class Assigner(Protocol):
+    """Turns a frame's annotation into targets, in numpy and without the network: loader's workers hold it alone."""
 
-    ``low_precision`` names the submodules that the runtime may turn into bfloat16.
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> Any:
+        """Targets of one frame.
+
+        Args:
+            boxes: Its annotated boxes.
+            inputs: What the network reads of it, by the inputs' names, each of shape (n, columns).
+        """
+
+
+class Network(nn.Module, ABC):
+    """From named inputs to features, from features to outputs, from those to losses or boxes.
+
+    A subclass sets what is declared here and defines the four abstract methods' work; ``head`` is a submodule of that
+    name, or a method. It is declared and not defined: a method of this class would hide the submodule and its weights.
+
+    Args:
+        config: The detector's settings.
+
+    Attributes:
+        config: The detector's settings.
+        inputs: What it reads, by name.
+        channels: Features of a row of what :meth:`encode` gives.
+        low_precision: Submodules that the runtime may turn into bfloat16.
+        assigner: Makes targets of annotations.
+        head: ``head(features, targets=None)``: outputs of features; only two-stage detectors look at the targets.
     """
 
-    config: DetectorConfig
-    low_precision: tuple[str, ...]
+    config: Any
+    inputs: Mapping[str, CloudInput]
+    channels: int
+    low_precision: ClassVar[tuple[str, ...]] = ()
+    assigner: Assigner
+    head: Callable[..., Any]
 
-    def __call__(self, clouds: Sequence[Tensor], targets: Sequence[Any] | None = None) -> Any:
-        """Raw outputs for one tensor of points a frame, shape (n, 5 + k); only two-stage detectors look at targets."""
+    def __init__(self, config: DetectorConfig) -> None:
+        super().__init__()
+        self.config = config
 
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n columns"]) -> Any:
-        """What one frame's annotation asks of the network; numpy, so that the loader's workers can do it."""
+    @abstractmethod
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> Features:
+        """Features of a batch.
 
-    def loss(self, outputs: Any, targets: Sequence[Any]) -> Any:
-        """A named tuple with the parts of the loss over a batch; their sum is minimised."""
+        Args:
+            batch: One tensor a frame for each of ``inputs``, shape (n, columns).
+        """
 
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
+    @abstractmethod
+    def losses(self, outputs: Any, targets: Sequence[Any]) -> dict[str, Tensor]:
+        """The parts of the loss over a batch by name, scalars; their sum is minimised.
+
+        Each is normalised by what counts in the batches of all processes (``processes.normaliser``).
+        """
+
+    @abstractmethod
+    def decode(self, outputs: Any) -> list[Boxes]:
         """Scored boxes of each frame, best first."""
+
+    @final
+    def forward(self, batch: Mapping[str, list[Tensor]], targets: Sequence[Any] | None = None) -> Any:
+        """Outputs of the head for a batch; see :meth:`encode`."""
+        return self.head(self.encode(batch), targets)
+
+    @final
+    @torch.no_grad()
+    def predict(self, batch: Mapping[str, list[Tensor]]) -> list[Boxes]:
+        """Detect: scored boxes of each frame of a batch, best first."""
+        return self.decode(self(batch))
+
+
+class MapDetector(Network):
+    """A network whose head, a submodule, makes the losses and the boxes too."""
+
+    head: Any
+
+    def losses(self, outputs: Any, targets: Sequence[Any]) -> dict[str, Tensor]:
+        """The head's losses over a batch."""
+        losses: dict[str, Tensor] = self.head.losses(outputs, targets)
+        return losses
+
+    def decode(self, outputs: Any) -> list[Boxes]:
+        """The head's boxes of each frame, best first."""
+        boxes: list[Boxes] = self.head.decode(outputs)
+        return boxes

@@ -5,6 +5,11 @@ from torch import Tensor
 from torch.nn import functional
 
 
+def at_least_single(values: Tensor) -> Tensor:
+    """The values in single precision, or in double where they are so already."""
+    return values.to(torch.promote_types(values.dtype, torch.float32))
+
+
 def focal_loss(
     logits: Tensor,
     positive: Tensor,
@@ -18,25 +23,26 @@ def focal_loss(
 
     Args:
         logits: One logit an anchor, any shape.
-        positive: Flat indices of the anchors that are right, shape (p,).
+        positive: Flat indices of the positive anchors, shape (p,).
         ignored: Flat indices of the anchors that do not count, shape (i,).
         weight: Weight of each positive, shape (p,); 1 if left out.
         alpha: Weight of the positives; the negatives weigh 1 - alpha.
-        gamma: Exponent that mutes what is already right.
+        gamma: Exponent that mutes what is already well classified.
 
     Returns:
         A scalar, not normalised.
     """
     flat = logits.reshape(-1).float()
-
-    def as_negative(x: Tensor) -> Tensor:
-        return (1 - alpha) * torch.sigmoid(x) ** gamma * functional.softplus(x)
-
     right = flat[positive]
     as_positive = alpha * torch.sigmoid(-right) ** gamma * functional.softplus(-right)
     as_positive = as_positive if weight is None else as_positive * weight
-    spared = flat[torch.cat([positive, ignored])]
-    return as_negative(flat).sum() - as_negative(spared).sum() + as_positive.sum()
+    uncounted = flat[torch.cat([positive, ignored])]
+    every, surplus = (_as_negative(x, alpha, gamma).sum() for x in (flat, uncounted))
+    return every - surplus + as_positive.sum()
+
+
+def _as_negative(logits: Tensor, alpha: float, gamma: float) -> Tensor:
+    return (1 - alpha) * torch.sigmoid(logits) ** gamma * functional.softplus(logits)
 
 
 def box_loss(predicted: Tensor, target: Tensor, *, weight: Tensor | None = None, beta: float = 1 / 9) -> Tensor:

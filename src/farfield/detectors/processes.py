@@ -26,7 +26,7 @@ def normaliser(weight: Tensor, *, least: float = 1.0) -> Tensor:
     which is what training takes, is then the gradient of one process with the whole batch.
 
     Args:
-        weight: Weight, or number, of what counts in this process' part of the batch; a scalar.
+        weight: Weight, or number, of what counts in this process' part of the batch; a scalar, or one a class.
         least: Smallest total.
     """
     return sum_over_processes(weight.detach().float()).clamp(min=least) / process_count()

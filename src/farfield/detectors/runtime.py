@@ -1,18 +1,18 @@
-"""Running a trained network on frames: precision, folding, memory, and which points to feed."""
+"""Running a trained network on frames: precision, folding, memory, and which clouds it reads."""
 
 import copy
 import ctypes
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import numpy as np
 import torch
-from torch import Tensor, nn
 
+from farfield.detectors.contract import Network
 from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame
@@ -39,6 +39,11 @@ def keep_freed_memory() -> bool:
     )
 
 
+_RADAR_COLUMNS = ("power", "doppler", "rcs")
+_KRADAR_LIDAR = "os2-64"
+"""In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
+
+
 class Detector:
     """A trained network that turns frames into boxes.
 
@@ -47,8 +52,8 @@ class Detector:
         provenance: What is known of its training.
         device: Where to run; by default a GPU if there is one, else the CPU.
         precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
-        cloud: Which of a frame's clouds to read; by default one that it learnt from, where a frame has none of them
-            its first.
+        cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
+            learnt from, where a frame has none of them its first that fits.
 
     Raises:
         ConfigError: If the precision is unknown.
@@ -56,12 +61,12 @@ class Detector:
 
     def __init__(
         self,
-        network: nn.Module,
+        network: Network,
         *,
         provenance: dict[str, Any] | None = None,
         device: str | torch.device | None = None,
         precision: str = "auto",
-        cloud: str | None = None,
+        cloud: str | Mapping[str, str] | None = None,
     ) -> None:
         if precision not in ("auto", "fp32", "bf16"):
             raise ConfigError(f"Expected precision to be one of 'auto', 'fp32', 'bf16'; got {precision!r}.")
@@ -86,7 +91,41 @@ class Detector:
         """The classes that this detector tells apart."""
         return tuple(self.config.class_names)
 
-    def with_cloud(self, cloud: str | None) -> "Detector":
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the clouds that it reads, of all inputs together."""
+        return tuple(dict.fromkeys(name for source in self.network.inputs.values() for name in source.columns))
+
+    @property
+    def reach_m(self) -> float:
+        """How far ahead it looks, metres."""
+        return float(self.config.reach_m)
+
+    @property
+    def learnt_clouds(self) -> tuple[str, ...]:
+        """Names of the clouds that it learnt from; none where nothing is known of its training."""
+        return tuple(self._trained_on.get("clouds", ()))
+
+    @property
+    def kind(self) -> Literal["lidar", "radar"]:
+        """Of which kind of sensor its clouds are: a radar's if it reads a radar's columns or learnt from a radar."""
+        of_radar = any(name.startswith(_RADAR_COLUMNS) for name in self.columns)
+        return "radar" if of_radar or any(name.startswith("radar") for name in self.learnt_clouds) else "lidar"
+
+    @property
+    def reference(self) -> str | None:
+        """Name of the sensor in whose coordinates it learnt; None where that is not known."""
+        stated = self._trained_on.get("options", {}).get("reference")
+        if stated is None and _KRADAR_LIDAR in self.learnt_clouds:
+            return _KRADAR_LIDAR
+        return None if stated is None else str(stated)
+
+    @property
+    def _trained_on(self) -> dict[str, Any]:
+        data: dict[str, Any] = self.provenance.get("experiment", {}).get("data", {})
+        return data
+
+    def with_cloud(self, cloud: str | Mapping[str, str] | None) -> "Detector":
         """The same detector reading another of a frame's clouds; weights are shared."""
         other = copy.copy(self)
         other.cloud = cloud
@@ -97,53 +136,75 @@ class Detector:
         return self.detect([frame])[0]
 
     def detect(self, frames: Sequence[Frame | Cloud]) -> list[Boxes]:
-        """Detect objects in a batch of frames."""
-        clouds = [frame if isinstance(frame, Cloud) else frame.cloud(self._chosen(frame)) for frame in frames]
-        boxes: list[Boxes] = self.network.predict(
-            [cloud_tensor(cloud, self.config.extra_columns).to(self.device) for cloud in clouds]
-        )
-        return boxes
+        """Detect objects in a batch of frames.
 
-    def _chosen(self, frame: Frame) -> str | None:
-        """The cloud that was asked for, or the first of those learnt from that the frame has, or none in particular."""
-        learnt = self.provenance.get("experiment", {}).get("data", {}).get("clouds", ())
-        return self.cloud or next((name for name in learnt if name in frame.clouds), None)
+        Raises:
+            ConfigError: If a frame stands in other coordinates than those that the detector learnt in, or has no cloud
+                of the kind and with the columns that it reads.
+        """
+        clouds = [self._clouds(frame) for frame in frames]
+        sources = self.network.inputs.items()
+        named = {name: [cloud_tensor(each[name], source.columns) for each in clouds] for name, source in sources}
+        return self.network.predict(Inputs(named).to(self.device))
 
+    def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
+        """The cloud of each of the network's inputs."""
+        inputs = self.network.inputs
+        if not isinstance(frame, Cloud):
+            self._check_coordinates(frame)
+            return {name: self._chosen(frame, name) for name in inputs}
+        if len(inputs) > 1:
+            raise ConfigError(f"Expected a frame with clouds for the inputs {', '.join(inputs)}; got a single cloud.")
+        return dict.fromkeys(inputs, frame)
 
-def cloud_tensor(cloud: Cloud, extra_columns: Sequence[str] = ()) -> Tensor:
-    """A cloud as the tensor that networks read: x, y, z (metres), strength, lag (seconds), shape (n, 5 + k), float32.
+    def _chosen(self, frame: Frame, source: str) -> Cloud:
+        """The cloud of an input: that asked for, or the first learnt from that the frame has, or the first that fits."""
+        if isinstance(self.cloud, Mapping):
+            name = self.cloud.get(source)
+        elif len(self.network.inputs) > 1:
+            name = source
+        else:
+            name = self.cloud or next((name for name in self.learnt_clouds if name in frame.clouds), None)
+        if name is None:
+            name = next((name for name in frame.clouds if not self._misfit(frame, name, source)), None)
+        if name is None or name not in frame.clouds:
+            present = ", ".join(frame.clouds) or "none"
+            raise ConfigError(
+                f"frame {frame.key}: expected a cloud of a {self.kind} with {self._read(source)}"
+                f"{'' if name is None else f', named {name!r}'}; its clouds are: {present}. "
+                "Choose one with cloud=, or a detector that reads what there is."
+            )
+        misfit = self._misfit(frame, name, source)
+        if misfit:
+            fits = [other for other in frame.clouds if not self._misfit(frame, other, source)]
+            raise ConfigError(
+                f"frame {frame.key}, cloud {name!r}: {misfit}; the detector reads a {self.kind} with "
+                f"{self._read(source)}. What fits here: {', '.join(fits) or 'no cloud'}."
+            )
+        cloud: Cloud = frame.cloud(name)
+        return cloud
 
-    The strength is a LiDAR's intensity or, of clouds without one, a radar's column ``power``. The lag is the age of a
-    point's sweep: the cloud's column ``lag_s``, or zero. Points that are not finite are dropped.
+    def _read(self, source: str) -> str:
+        return ", ".join(self.network.inputs[source].columns)
 
-    Args:
-        cloud: The cloud.
-        extra_columns: Further columns of the cloud, by name; a value that is not finite counts as 0.
+    def _misfit(self, frame: Frame, name: str, source: str) -> str:
+        """Why an input cannot be read from a frame's cloud; empty where it can."""
+        sensor = frame.sensors.get(name)
+        if sensor is not None and len(self.network.inputs) == 1 and sensor.kind != self.kind:
+            return f"it is of a {sensor.kind}"
+        if sensor is not None and not sensor.in_frame:
+            return "it keeps its sensor's own coordinates"
+        present = (*frame.cloud(name).columns, "lag_s")
+        missing = [column for column in self.network.inputs[source].columns if column not in present]
+        return f"it has no column {missing[0]!r}" if missing else ""
 
-    Raises:
-        ConfigError: If the cloud lacks one of these columns.
-    """
-    missing = [name for name in extra_columns if name not in cloud.extra]
-    if missing:
-        raise ConfigError(
-            f"Expected a cloud with the column {missing[0]!r}, which the detector reads; "
-            f"got {', '.join(cloud.extra) or 'no extra columns'}. Take a detector without it, or data that has it."
-        )
-    lag_s = cloud.extra["lag_s"] if "lag_s" in cloud.extra else np.zeros(len(cloud))
-    rows = np.column_stack([cloud.points_m, _strength(cloud), lag_s]).astype(np.float32, copy=False)
-    kept = np.isfinite(rows).all(axis=1)
-    if extra_columns:
-        extra = np.column_stack([cloud.extra[name] for name in extra_columns]).astype(np.float32, copy=False)
-        rows = np.concatenate([rows, np.where(np.isfinite(extra), extra, np.float32(0.0))], axis=1)
-    return torch.from_numpy(rows[kept])
-
-
-def _strength(cloud: Cloud) -> np.ndarray:
-    if cloud.intensity is not None:
-        return cloud.intensity
-    if "power" in cloud.extra:
-        return cloud.extra["power"]
-    raise ConfigError(
-        f"Expected a cloud with intensity or with the column 'power'; got {', '.join(cloud.columns)}. Take data that "
-        "have one of them."
-    )
+    def _check_coordinates(self, frame: Frame) -> None:
+        stands_in, learnt = frame.reference.removesuffix("'"), self.reference
+        known = {*frame.clouds, *frame.sensors}
+        if learnt is None or stands_in == learnt:
+            return
+        if learnt in known or (learnt, stands_in) == ("radar", _KRADAR_LIDAR):
+            raise ConfigError(
+                f"frame {frame.key} stands in the coordinates of {frame.reference}; the detector learnt in those of "
+                f"{learnt}. farfield.detect(detector, data) moves the data as it learnt to see them."
+            )

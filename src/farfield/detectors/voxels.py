@@ -7,9 +7,12 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
+from farfield.detectors.inputs import POSITION, features_of, stacked
 from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
 
 _MAX_CELLS = 4_000_000_000
+MEAN_FEATURES = ("dx", "dy", "dz", "x", "y", "z", "log_count")
+"""What :func:`mean_voxels` gives of each voxel, before the means of further columns."""
 
 
 class VoxelGridConfig(BaseModel):
@@ -76,46 +79,75 @@ def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: i
     return rows, key
 
 
+def first_points(member: Tensor, limit: int) -> Tensor:
+    """Which points are among the first of their cell, in the order given.
+
+    Args:
+        member: Cell of each point, shape (n,), int64.
+        limit: Points of a cell that count; 0 for all.
+
+    Returns:
+        Mask of shape (n,).
+    """
+    if limit == 0:
+        return torch.ones_like(member, dtype=torch.bool)
+    order = torch.argsort(member, stable=True)
+    _, cell, count = torch.unique_consecutive(member[order], return_inverse=True, return_counts=True)
+    rank = torch.arange(len(member), device=member.device) - (torch.cumsum(count, 0) - count)[cell]
+    return torch.zeros_like(member, dtype=torch.bool).index_put_((order,), rank < limit)
+
+
+def first_points_of_voxels(
+    clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int, limit: int
+) -> Sequence[Tensor]:
+    """The clouds, shape (n, columns), without the points that come after the first ``limit`` of their voxel; 0 for all."""
+    if limit == 0:
+        return clouds
+    kept = []
+    for cloud in clouds:
+        rows, key = voxel_keys(cloud, torch.zeros(len(cloud), dtype=torch.long, device=cloud.device), grid, multiple)
+        kept.append(cloud[rows[first_points(key, limit)]])
+    return kept
+
+
 def mean_voxels(
     clouds: Sequence[Tensor],
     grid: VoxelGridConfig,
     multiple: int,
     *,
-    use_intensity: bool = False,
-    use_lag: bool = False,
+    columns: Sequence[str] = POSITION,
     published: bool = False,
 ) -> SparseTensor:
     """Mean features of each voxel that holds a point.
 
     The features are: mean offset from the voxel's centre in voxel sizes (3), mean position scaled to the grid (3),
-    logarithm of one plus the number of points (1), and, where asked, mean intensity and mean lag in seconds.
+    logarithm of one plus the number of points (1), as ``MEAN_FEATURES`` names them, and the means of the columns after
+    the position, such as intensity and lag.
 
     Args:
-        clouds: Points of each frame: x, y, z (metres), intensity, lag_s; shape (n, 5).
+        clouds: Points of each frame, shape (n, columns).
         grid: The voxel grid.
         multiple: The network's coarsest stride.
-        use_intensity: Add the mean return strength.
-        use_lag: Add the mean age of the points.
+        columns: Columns of the points.
         published: Mean x, y, z (metres) and intensity only, as SECOND's mean VFE: what imported weights expect.
     """
-    points = torch.cat(list(clouds))
-    lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
-    batch = torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+    points, batch = stacked(clouds)
     rows, key = voxel_keys(points, batch, grid, multiple)
     keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
     shape = grid.shape(multiple)
     points, count = points[rows], count[:, None].to(points.dtype)
     centre = voxel_centres_m(keys, grid, multiple).to(points.dtype)
-    values = torch.cat([points[:, :3] - centre[member], points[:, 3:5]], 1)
+    values = torch.cat([points[:, :3] - centre[member], points[:, features_of(columns)]], 1)
     mean = values.new_zeros(len(keys), values.shape[1]).index_add(0, member, values) / count
-    position = centre + mean[:, :3]
+    offset, rest = mean[:, :3], mean[:, 3:]
+    position = centre + offset
     if published:
-        features = torch.cat([position, mean[:, 3:4]], 1)
+        strength = [columns[index] for index in features_of(columns)].index("intensity")
+        features = torch.cat([position, rest[:, [strength]]], 1)
     else:
         scale = position.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
-        parts = [mean[:, :3] / position.new_tensor(grid.voxel_m), position / scale, torch.log1p(count)]
-        extra = [mean[:, 3:4]] * use_intensity + [mean[:, 4:5]] * use_lag
-        features = torch.cat([*parts, *extra], 1)
+        parts = [offset / position.new_tensor(grid.voxel_m), position / scale, torch.log1p(count)]
+        features = torch.cat([*parts, rest], 1)
     return SparseTensor(features, keys, shape, len(clouds))
 
 

@@ -8,10 +8,11 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor, nn
+from torch import Tensor
 
-from farfield.detectors import build_detector, detector_classes
-from farfield.errors import ConfigError, FarfieldError, FileFormatError
+from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.contract import Network
+from farfield.errors import FarfieldError, FileFormatError
 from farfield.files.atomic import write_bytes
 
 _MAX_METADATA_BYTES = 4_000_000
@@ -40,14 +41,15 @@ def save_weights(
     write_bytes(path, save(tensors, metadata=metadata))
 
 
-def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
+def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
     """Rebuild a trained network.
 
     Returns:
         The network in evaluation mode on the CPU, and the provenance of its training.
 
     Raises:
-        FileFormatError: If the file is not one of ours, or does not fit the network that it describes.
+        FileFormatError: If the file is not one of ours, does not fit the network that it describes, or describes a
+            detector that is not installed.
     """
     if not path.is_file():
         raise FarfieldError(f"{path}: expected a weights file, found nothing. Train one with: farfield train")
@@ -68,11 +70,22 @@ def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
         )
     try:
         described, provenance = json.loads(metadata["config"]), json.loads(metadata["provenance"])
-        config = detector_classes(described["name"])[1].model_validate(described)
+        name = str(described["name"])
+        if name not in DETECTORS:
+            raise FileFormatError(
+                path,
+                where="configuration",
+                expected=f"a detector that is installed, one of {', '.join(DETECTORS)}",
+                found=name,
+                mend=f"Install the package that has the detector {name}.",
+            )
+        config = DETECTORS[name].config_class.model_validate(described)
         with torch.device("meta"):  # shapes only: nothing is allocated on the word of the file
             network = build_detector(config)
         network.load_state_dict(tensors, assign=True)
-    except (ValueError, KeyError, TypeError, RuntimeError, ConfigError) as error:
+    except FileFormatError:
+        raise
+    except (ValueError, KeyError, TypeError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
             path, where="configuration and tensors", expected="those of one detector", found=str(error)[:300]
         ) from error

@@ -64,7 +64,7 @@ def find(name_or_path: str | Path) -> Path:
     close = dict.fromkeys(known[word].name for word in get_close_matches(_plain(path.name), known, n=4))
     hint = f"Did you mean {' or '.join(close)}? " if close else ""
     raise ConfigError(
-        f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found neither. {hint}"
+        f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found nothing. {hint}"
         "farfield experiments lists those that ship."
     )
 

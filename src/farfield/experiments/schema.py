@@ -6,9 +6,9 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
-from farfield.detectors import detector_classes
+from farfield.detectors import DETECTORS
 from farfield.detectors.contract import DetectorConfig
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
@@ -47,8 +47,8 @@ class Experiment(BaseModel):
         if not isinstance(value, dict):
             return value
         try:
-            kind = detector_classes(str(value.get("name", "pointpillars")))[1]
-        except ConfigError as error:
+            kind = DETECTORS[str(value.get("name", "pointpillars"))].config_class
+        except FarfieldError as error:
             raise ValueError(str(error)) from error
         return kind.model_validate(value)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.metrics.kitti.matching import SAMPLES, sampled_precision
+from farfield.metrics.recall import SAMPLES, sampled_precision
 
 RECALL_POINTS = (11, 40, 41)
 

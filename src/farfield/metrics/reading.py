@@ -14,40 +14,28 @@ from jaxtyping import Shaped
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import BoxRows, read_boxes_csv
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
+from farfield.frame.annotation import Annotation
+from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
+from farfield.metrics.detections import Detections
 
-Key = tuple[str, str]
-Details = dict[Key, dict[str, np.ndarray]]
+_Details = dict[Key, dict[str, np.ndarray]]
 FORMATS = ("boxes-csv", "kitti", "kitti-tracking")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ScoreInputs:
-    """Predictions and annotations by (sequence, frame), as the metrics take them.
-
-    Args:
-        predictions: Scored boxes.
-        annotations: Annotated boxes of every frame, the empty ones too.
-        prediction_details: KITTI's 2D boxes (``box_px``) in the order of the boxes.
-        annotation_details: KITTI's ``truncation``, ``occlusion``, ``box_px`` likewise, and ``dontcare_px``.
-        notes: What was assumed, one sentence each.
-    """
-
-    predictions: Mapping[Key, Boxes]
-    annotations: Mapping[Key, Boxes]
-    prediction_details: Details = field(default_factory=dict)
-    annotation_details: Details = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-
-def read_inputs(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv") -> ScoreInputs:
+def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv") -> Detections:
     """Read two files, or two folders whose files are paired by their stems.
 
     Args:
         predictions: File or folder of a detector's boxes.
         labels: File or folder of annotated boxes.
         format: ``"boxes-csv"``, ``"kitti"`` (a file a frame) or ``"kitti-tracking"`` (a file a sequence).
+
+    Returns:
+        Every frame of either side is annotated, the empty ones too. KITTI's formats give the annotations' details
+        ``truncation``, ``occlusion`` and ``box_px``, the regions ``dontcare_px``, and ``box_px`` of the predictions.
+        Notes say what was assumed.
 
     Raises:
         ConfigError: If the paths do not pair, or predictions lie in sequences or frames that have no labels.
@@ -70,13 +58,23 @@ def read_inputs(predictions: Path | str, labels: Path | str, *, format: str = "b
     _add_empty_frames(predicted.boxes, annotated.boxes, notes)
     if predicted.without_score:
         notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
-    return ScoreInputs(
-        predictions=predicted.boxes,
-        annotations=annotated.boxes,
-        prediction_details=predicted.details,
-        annotation_details=annotated.details,
+    return Detections(
+        boxes=predicted.boxes,
+        annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
+        prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
         notes=tuple(notes),
     )
+
+
+def _annotation(boxes: Boxes, known: Mapping[str, np.ndarray]) -> Annotation:
+    details, unboxed = _split_details(known)
+    return Annotation(boxes=boxes, details=details, unboxed=unboxed)
+
+
+def _split_details(known: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Rows of boxes, and what stands beside them."""
+    beside = {name: rows for name, rows in known.items() if name == "dontcare_px"}
+    return {name: rows for name, rows in known.items() if name not in beside}, beside
 
 
 @dataclass(eq=False)
@@ -85,7 +83,7 @@ class _Collected:
 
     scored: bool
     boxes: dict[Key, Boxes] = field(default_factory=dict)
-    details: Details = field(default_factory=dict)
+    details: _Details = field(default_factory=dict)
     without_score: int = 0
 
     def add(self, path: Path, key: Key, boxes: Boxes, details: dict[str, np.ndarray] | None = None) -> None:

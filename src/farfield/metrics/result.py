@@ -1,13 +1,14 @@
 """The result of a score: figures, intervals and curves, which print themselves with their convention."""
 
 import textwrap
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 from farfield.metrics.bootstrap import Statistics
 
 Intervals = Mapping[str, list[float] | None]
+R = TypeVar("R", bound="Result")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -15,8 +16,8 @@ class Result:
     """What every protocol returns.
 
     Args:
-        protocol: ``"dds"``, ``"nuscenes"`` or ``"kitti"``.
-        label: The class that was scored.
+        protocol: Name of the protocol, with its variant.
+        label: The class that was scored, or the classes.
         settings: Every option, as JSON values.
         convention: The options in one line.
         figures: The scores of the whole region by name, such as ``"dds/0.003/map"``; None where nothing is annotated.
@@ -27,6 +28,7 @@ class Result:
         grouped_by: What the bootstrap drew: ``"sequences"`` or ``"frames"``.
         curves: Raw curves with ``recall``, ``precision`` and ``confidence``: by part, epsilon and threshold, or, for
             KITTI, by part, measure and difficulty.
+        notes: What was assumed or left out, one sentence each.
     """
 
     protocol: str
@@ -40,9 +42,29 @@ class Result:
     intervals: Mapping[str, Intervals] = field(default_factory=dict)
     grouped_by: str = "sequences"
     curves: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]
+        return f"{self.protocol} of {self.label!r}\n\n{table(['', 'overall', *self.ranges], rows)}\n\n{self.footer()}"
+
+    def without(self: R, ranges: Collection[str]) -> R:
+        """The result with no figure for these range bins."""
+        if not ranges:
+            return self
+        blank = {name: dict.fromkeys(self.ranges[name]) for name in ranges}
+        return replace(
+            self,
+            ranges={**self.ranges, **blank},
+            intervals={**self.intervals, **{name: blank[name] for name in ranges if name in self.intervals}},
+            curves={**self.curves, **{name: None for name in ranges if name in self.curves}},
+        )
 
     def to_json(self) -> dict[str, Any]:
-        """The result as JSON values at full precision: curves are given at 101 recalls; null is "not annotated"."""
+        """The result as JSON values at full precision: curves are given at 101 recalls; null is "not annotated".
+
+        The key ``notes`` is there if there are any.
+        """
         top = {"ap": {}, "errors": {}, "dds": {}} | nest(self.figures)
         empty = {name for name, part in self.ranges.items() if all(value is None for value in part.values())}
         return {
@@ -55,6 +77,7 @@ class Result:
             "counts": dict(self.counts),
             "intervals": {"resampled": self.grouped_by} | {name: nest(part) for name, part in self.intervals.items()},
             "curves": _curves_json(self.curves),
+            **({"notes": list(self.notes)} if self.notes else {}),
         }
 
     def cell(self, part: str, name: str, *, scale: float = 1.0) -> str:
@@ -68,12 +91,13 @@ class Result:
         return f"{text[0]} [{text[1]}, {text[2]}]" if interval else text[0]
 
     def footer(self) -> str:
-        """The convention and what the intervals are, wrapped."""
+        """The convention, what the intervals are, and the notes, wrapped."""
         bootstrap = self.settings.get("bootstrap", {})
         drawn = f"[low, high]: {bootstrap.get('level', 0.95):.0%} bootstrap interval over {self.grouped_by}"
         drawn += " (there is only one sequence)" if self.grouped_by == "frames" else ""
         none = not any(interval for part in self.intervals.values() for interval in part.values())
         lines = [f"{self.protocol}: {self.convention}", "no bootstrap intervals" if none else drawn]
+        lines += [f"note: {note}" for note in self.notes]
         return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
 
 
@@ -87,6 +111,53 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
             node = node.setdefault(step, {})
         node[leaf] = value
     return tree
+
+
+def at(tree: Any, path: Sequence[str]) -> Any:
+    """What stands in a tree at a path; None where there is nothing."""
+    for step in path:
+        if not isinstance(tree, Mapping) or step not in tree:
+            return None
+        tree = tree[step]
+    return tree
+
+
+def value_at(tree: Any, name: str) -> float | None:
+    """The figure of a name such as ``"dds/0/map"``; None where there is none."""
+    value = at(tree, name.split("/"))
+    return float(value) if isinstance(value, float | int) and not isinstance(value, bool) else None
+
+
+def leaves(node: Any, path: str) -> Iterator[str]:
+    """Names of all leaves of a tree that stands at a path."""
+    if isinstance(node, Mapping):
+        for name, inner in node.items():
+            yield from leaves(inner, f"{path}/{name}" if path else str(name))
+    else:
+        yield path
+
+
+_BESIDE = frozenset(
+    [
+        "protocol",
+        "label",
+        "settings",
+        "ranges",
+        "mean_of_bins",
+        "counts",
+        "intervals",
+        "curves",
+        "conditions",
+        "visibility",
+        "labels",
+        "notes",
+    ]
+)
+
+
+def figure_names(result: Mapping[str, Any]) -> list[str]:
+    """Names of all figures of the whole in a result's JSON, or of a part of it."""
+    return [name for part, inner in result.items() if part not in _BESIDE for name in leaves(inner, str(part))]
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

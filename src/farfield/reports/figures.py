@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
-from farfield.reports.objects import found_by, of_classes
+from farfield.metrics.centre.matching import found_by
+from farfield.reports.objects import of_classes
 from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
 
 if TYPE_CHECKING:

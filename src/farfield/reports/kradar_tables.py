@@ -1,11 +1,11 @@
 """Results by condition in the form of the K-Radar paper's Table 4: a row a detector, a column a weather."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
-from farfield.metrics.result import table
+from farfield.metrics.result import table, value_at
 from farfield.vocabulary.conditions import CONDITIONS
 
 Results = Mapping[str, Mapping[str, Any]]
@@ -17,6 +17,9 @@ PUBLISHED_TABLE_4: dict[str, tuple[float, ...]] = {
 }
 """AP3D of Sedan at IoU 0.3 in per cent, in total and by weather as in ``CONDITIONS["weather"]``: Paek et al., NeurIPS
 2022, Table 4 (labels v1.0, narrow region, the kit's first evaluation)."""
+
+PUBLISHED_BY = "kradar-compat:rtnh_narrow: labels v1.0, narrow region, the development kit's first evaluation"
+"""The convention of the published table, which is not that of other results."""
 
 
 def conditional_rows(
@@ -42,8 +45,8 @@ def conditional_rows(
         values += [value for value in result.get("conditions", {}).get(kind, {}) if value not in values]
     rows = []
     for name, result in results.items():
-        told = result.get("conditions", {}).get(kind, {})
-        parts = [result, *(told.get(value) for value in values)]
+        known = result.get("conditions", {}).get(kind, {})
+        parts = [result, *(known.get(value) for value in values)]
         cells = [_figure(part, label, measure, iou) for part in parts]
         if not any(label in (part or {}).get("ap", {}) for part in parts[:1]):
             raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")
@@ -64,9 +67,43 @@ def conditional_markdown(
 ) -> str:
     """The table as Markdown with its convention; arguments and errors as of :func:`conditional_rows`."""
     head, rows = conditional_rows(results, label=label, measure=measure, iou=iou, kind=kind)
+    return f"{_title(label, measure, iou)}\n\n{_markdown(head, rows)}\n\n{_convention(results)}\n"
+
+
+def paper_table(results: Results, *, label: str = "vehicle", figures: Sequence[str] = (), by: str = "none") -> str:
+    """The table as Markdown, and under it, as a table of its own, what the paper published of that figure.
+
+    Args:
+        results: Result JSON of K-Radar's protocols by the detector's name, all of one convention.
+        label: The class.
+        figures: One figure, such as ``"bev/0.5"``; none for ``"3d/0.3"``, the paper's.
+        by: ``"weather"``, ``"road"`` or ``"time"``; ``"none"`` is the weather.
+
+    Raises:
+        ConfigError: As of :func:`conditional_rows`, and if several figures are named.
+    """
+    kind, (name, *more) = "weather" if by == "none" else by, [*figures, "3d/0.3"][: max(len(figures), 1)]
+    measure, _, iou = name.removeprefix(f"ap/{label}/").partition("/")
+    if more or measure not in ("3d", "bev") or iou not in _ious(results):
+        raise ConfigError(
+            f"figures: expected one of 3d/IOU and bev/IOU, IOU of {', '.join(_ious(results))}; got {name!r}"
+        )
+    text = conditional_markdown(results, label=label, measure=measure, iou=float(iou), kind=kind)
+    if (label, measure, iou, kind) != ("vehicle", "3d", "0.3", "weather"):
+        return text
+    head = ["", "total", *(value.replace("_", " ") for value in CONDITIONS["weather"])]
+    rows = [[name, *(f"{value:.1f}" for value in values)] for name, values in PUBLISHED_TABLE_4.items()]
+    return f"{text}\nPublished (Table 4): {_title(label, measure, 0.3)}\n\n{_markdown(head, rows)}\n\n{PUBLISHED_BY}\n"
+
+
+def _ious(results: Results) -> list[str]:
+    found = [f"{iou:g}" for result in results.values() for iou in (result.get("settings") or {}).get("ious") or ()]
+    return list(dict.fromkeys(found)) or ["0.3"]
+
+
+def _markdown(head: list[str], rows: list[list[str]]) -> str:
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    return f"{_title(label, measure, iou)}\n\n" + "\n".join(lines) + f"\n\n{_convention(results)}\n"
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
 def _title(label: str, measure: str, iou: float) -> str:
@@ -91,5 +128,4 @@ def _convention(results: Results) -> str:
 
 
 def _figure(part: Mapping[str, Any] | None, label: str, measure: str, iou: float) -> float | None:
-    value = ((part or {}).get("ap", {}).get(label, {}).get(measure) or {}).get(f"{iou:g}")
-    return value if isinstance(value, float | int) else None
+    return value_at(part, f"ap/{label}/{measure}/{iou:g}")

@@ -4,10 +4,10 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.centre.matching import Limits, greedy_match, rank_predictions
+from farfield.metrics.centre.matching import found_by
 
 VEHICLES = ("vehicle", "large_vehicle")
 Key = tuple[str, str]
@@ -21,29 +21,6 @@ def of_classes(boxes: Boxes, labels: Collection[str] | None) -> Bool[np.ndarray,
 def sure(predictions: Boxes, score_min: float) -> Boxes:
     """The predictions whose score is at least ``score_min``; all of them where there are no scores."""
     return predictions if predictions.score is None else predictions[predictions.score >= score_min]
-
-
-def found_by(predictions: Boxes, annotated: Boxes, *, distance_m: float = 2.0) -> Int[np.ndarray, " m"]:
-    """For each annotated box the index of the prediction that found it, or -1, shape (m,).
-
-    Predictions take turns by falling score; each takes the nearest free annotated box nearer than ``distance_m``
-    between centres in the x-y plane.
-    """
-    finder = np.full(len(annotated), -1, dtype=np.int64)
-    if not len(predictions) or not len(annotated):
-        return finder
-    score = np.zeros(len(predictions)) if predictions.score is None else predictions.score
-    one_frame = np.zeros(len(predictions), dtype=np.int64)
-    taken = greedy_match(
-        predictions.centre_m[:, :2],
-        one_frame,
-        rank_predictions(score, one_frame),
-        annotated.centre_m[:, :2],
-        np.zeros(len(annotated), dtype=np.int64),
-        Limits(threshold_m=np.array([distance_m])),
-    )[0]
-    finder[taken[taken >= 0]] = np.flatnonzero(taken >= 0)
-    return finder
 
 
 def annotated_objects(

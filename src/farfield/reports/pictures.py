@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
+from farfield.metrics.centre.matching import found_by
 from farfield.reports.camera import camera_picture
 from farfield.reports.evaluation import FrameView
 from farfield.reports.figures import Window, filled_zooms, fitting_window, in_window, overview, zooms
-from farfield.reports.objects import found_by, of_classes, sure
+from farfield.reports.objects import of_classes, sure
 from farfield.reports.plots import scan_patterns
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title

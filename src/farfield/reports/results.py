@@ -1,19 +1,12 @@
 """Read figures out of result JSON (what ``farfield score`` writes); what is absent or null comes back as None."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from farfield.errors import ConfigError
+from farfield.metrics.result import at, leaves
 
 Result = Mapping[str, Any]
-
-
-def _at(tree: Any, *path: str) -> Any:
-    for step in path:
-        if not isinstance(tree, Mapping) or step not in tree:
-            return None
-        tree = tree[step]
-    return tree
 
 
 def part_names(result: Result) -> list[str]:
@@ -35,8 +28,8 @@ def figure(result: Result, name: str, *, part: str = "overall") -> float | None:
         name: Path of the figure.
         part: ``"overall"`` or a range bin's name.
     """
-    home = result if part == "overall" else _at(result, "ranges", part)
-    value = _at(home, *name.split("/"))
+    home = result if part == "overall" else at(result, ("ranges", part))
+    value = at(home, name.split("/"))
     return None if value is None else _number(value, f"{part} {name}")
 
 
@@ -48,16 +41,8 @@ def _number(value: Any, where: str) -> float:
 
 def ap_names(results: Mapping[str, Result]) -> list[str]:
     """Names of all APs that at least one result has, such as ``"ap/0.5"`` or ``"ap/3d/r40/moderate"``, in order."""
-    found = [name for result in results.values() for name in _leaves(result.get("ap") or {}, "ap")]
+    found = [name for result in results.values() for name in leaves(result.get("ap") or {}, "ap")]
     return sorted(dict.fromkeys(found), key=_by_number)
-
-
-def _leaves(tree: Mapping[str, Any], path: str) -> Iterator[str]:
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{path}/{name}")
-        else:
-            yield f"{path}/{name}"
 
 
 def _by_number(name: str) -> tuple[float, str]:
@@ -67,7 +52,7 @@ def _by_number(name: str) -> tuple[float, str]:
 
 def interval(result: Result, name: str, *, part: str = "overall") -> tuple[float, float] | None:
     """The bootstrap interval of a figure, or None."""
-    value = _at(result, "intervals", part, *name.split("/"))
+    value = at(result, ("intervals", part, *name.split("/")))
     if not isinstance(value, list | tuple) or len(value) != 2:
         return None
     return _number(value[0], f"interval of {name}"), _number(value[1], f"interval of {name}")
@@ -75,15 +60,15 @@ def interval(result: Result, name: str, *, part: str = "overall") -> tuple[float
 
 def counts(result: Result, *, part: str = "overall") -> dict[str, int]:
     """Counts of annotated boxes and predictions, as far as the result has them."""
-    found = _at(result, "counts") if part == "overall" else _at(result, "counts", "ranges", part)
+    found = at(result, ("counts",)) if part == "overall" else at(result, ("counts", "ranges", part))
     return {name: int(value) for name, value in (found or {}).items() if isinstance(value, int)}
 
 
 def curves(result: Result, *, part: str = "overall", epsilon: float = 0.0) -> dict[str, Mapping[str, Any] | None]:
     """Sampled curves by threshold (``recall``, ``precision``, ``confidence``); None where nothing is annotated."""
-    found = dict(_at(result, "curves", part, f"{epsilon:g}") or {})
+    found = dict(at(result, ("curves", part, f"{epsilon:g}")) or {})
     for threshold, curve in found.items():
-        recall, precision = _at(curve, "recall"), _at(curve, "precision")
+        recall, precision = at(curve, ("recall",)), at(curve, ("precision",))
         good = isinstance(recall, list) and isinstance(precision, list) and len(recall) == len(precision)
         if curve is not None and not good:
             raise ConfigError(

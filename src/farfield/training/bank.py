@@ -17,14 +17,21 @@ SAMPLES_PER_FRAME = 16
 """Samples after which one of the frames whose objects can be pasted makes way for another."""
 
 
-def cut_out(points: Points, boxes: Boxes, *, min_points: int) -> "list[tuple[Points, Boxes]]":
-    """Cut objects out of a frame: the points and the box of each that has ``min_points`` in the present sweep."""
+def cut_out(points: Points, boxes: Boxes, *, min_points: int, lag: int = 4) -> "list[tuple[Points, Boxes]]":
+    """Cut objects out of a frame: the points and the box of each that has ``min_points`` in the present sweep.
+
+    Args:
+        points: The frame's points.
+        boxes: Its boxes.
+        min_points: Points of lag 0 that an object has at least.
+        lag: The column of the lag.
+    """
     boxes = boxes.replace(score=None, track_id=None, point_count=None)
     inside = enumerate(points_in_boxes(points[:, :3], boxes))
     return [
         (points[rows].copy(), boxes[index])
         for index, rows in inside
-        if np.count_nonzero(points[rows, 4] == 0) >= min_points
+        if np.count_nonzero(points[rows, lag] == 0) >= min_points
     ]
 
 

@@ -149,16 +149,16 @@ class Training:
         self._seed_torch(fabric.global_rank)
         targets = [sample.targets for sample in batch]
         with fabric.autocast():
-            outputs = self.network([fabric.to_device(sample.points) for sample in batch], targets)
-        losses = self.network.loss(outputs, targets)
-        total = sum(losses)
+            outputs = self.network({"points": [fabric.to_device(sample.points) for sample in batch]}, targets)
+        losses = self.network.losses(outputs, targets)
+        total = sum(losses.values())
         optimizer.zero_grad(set_to_none=True)
         total.backward()
         average_gradients(self.network.parameters())
         lay_out_gradients(self.network.parameters())
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_clip, error_if_nonfinite=True)
         optimizer.step()
-        named = {name: float(value.detach()) for name, value in zip(losses._fields, losses, strict=True)}
+        named = {name: float(value.detach()) for name, value in losses.items()}
         return average_values({"loss": float(total.detach()), **named}, fabric.device)
 
     def _seed_torch(self, rank: int) -> None:

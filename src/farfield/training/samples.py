@@ -4,7 +4,7 @@ A sample is a function of (seed, position) alone. A run that is resumed at any s
 sees exactly the same samples.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.datasets.base import Dataset
-from farfield.detectors.runtime import cloud_tensor
+from farfield.detectors.inputs import POSITION, cloud_tensor
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import count_points_in_boxes
@@ -39,9 +39,9 @@ class TrainingSamples(TorchDataset[Sample]):
         data: Annotated frames.
         clouds: Names of the clouds to train on; each frame gives one sample a cloud.
         classes: Class names of the detector; boxes of other classes are left out.
-        targets: The network's target function, of a frame's boxes and points.
+        assigner: The network's, of a frame's boxes and inputs.
         augmentation: Random changes.
-        columns: Further columns of the clouds that the detector reads.
+        columns: Columns of the clouds that the detector reads.
         min_points: Boxes with fewer points in the present sweep of the sample's cloud are left out.
         seed: Seed of order and changes.
         aliases: Renames classes before they are looked up: trains ``large_vehicle`` as ``vehicle``.
@@ -56,19 +56,20 @@ class TrainingSamples(TorchDataset[Sample]):
         *,
         clouds: Sequence[str],
         classes: Sequence[str],
-        targets: Callable[[Boxes, np.ndarray], Any],
+        assigner: Callable[[Boxes, Mapping[str, np.ndarray]], Any],
         augmentation: AugmentationConfig,
-        columns: Sequence[str] = (),
+        columns: Sequence[str] = (*POSITION, "intensity", "lag_s"),
         min_points: int = 1,
         seed: int = 0,
         aliases: dict[str, str] | None = None,
         far_sampling: float | int = 0.0,
         far_from_m: float | int = 150.0,
     ) -> None:
-        self.data, self.clouds, self.classes, self.targets = data, tuple(clouds), tuple(classes), targets
+        self.data, self.clouds, self.classes, self.assigner = data, tuple(clouds), tuple(classes), assigner
         self.augmentation, self.columns, self.min_points = augmentation, tuple(columns), min_points
         self.seed, self.aliases = seed, aliases or {}
         self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
+        self.loaded = self.columns if "lag_s" in self.columns else (*self.columns, "lag_s")
         self._weights: np.ndarray | None = None
         self._set_up()
 
@@ -96,10 +97,10 @@ class TrainingSamples(TorchDataset[Sample]):
     def load(self, number: int) -> tuple[np.ndarray, Boxes]:
         """The unchanged points and boxes of sample ``number`` of an epoch in order."""
         frame = self.data[number // len(self.clouds)]
-        points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)]), self.columns).numpy()
+        points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)]), self.loaded).numpy()
         boxes = self._wanted(frame)
         if self.min_points and len(boxes):
-            present = points[points[:, 4] == 0, :3]
+            present = points[points[:, self.loaded.index("lag_s")] == 0, :3]
             boxes = boxes[count_points_in_boxes(present, boxes, margin_m=0.05) >= self.min_points]
         return points, boxes
 
@@ -109,7 +110,8 @@ class TrainingSamples(TorchDataset[Sample]):
         return boxes[np.isin(boxes.label, self.classes)]
 
     def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
-        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
+        lag = self.loaded.index("lag_s")
+        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points, lag=lag)
 
     def prepare(self, position: int = 0, progress: Progress = iter) -> None:
         """Read what the sample at ``position`` needs besides its frame; without this the first sample does it.
@@ -148,8 +150,8 @@ class TrainingSamples(TorchDataset[Sample]):
         points, boxes = self.load(int(self._order(epoch)[place]))
         bank = None if self._bank is None else self._bank.at(position)
         points, boxes = augment(points, boxes, self.augmentation, self._generator(3, position), bank)
-        points = np.ascontiguousarray(points, dtype=np.float32)
-        return Sample(torch.from_numpy(points), self.targets(boxes, points))
+        points = np.ascontiguousarray(points[:, : len(self.columns)], dtype=np.float32)
+        return Sample(torch.from_numpy(points), self.assigner(boxes, {"points": points}))
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key not in ("_order", "_bank")}

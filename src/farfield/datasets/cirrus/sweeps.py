@@ -11,8 +11,6 @@ from farfield.datasets.cloud_files import intensity_scale_of, read_rows
 from farfield.errors import FileFormatError
 from farfield.frame import Cloud
 
-PATTERNS = ("gaussian", "uniform")
-
 
 def read_columns(path: Path, root: Path, pattern: str, settings: Xyz) -> dict[str, np.ndarray]:
     """Columns of a cloud by the mapping's names, in the file's own units.

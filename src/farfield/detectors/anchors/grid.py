@@ -1,4 +1,4 @@
-"""Anchors on a bird's-eye grid: where they stand, how boxes are expressed in them, and which one answers for a box.
+"""Anchors on a bird's-eye grid: where they stand, how boxes are expressed in them, and which are assigned to a box.
 
 One anchor stands for one class and one of two headings (0 and 90 degrees), as in VoxelNet and its successors. All of
 it is numpy and per frame, so that the loader's workers do it beside the training.
@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
 HEADINGS_RAD = np.array([0.0, np.pi / 2])
 _DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
@@ -24,8 +25,8 @@ class AnchorConfig(BaseModel):
 
     size_m: tuple[float, float, float] = Field(description="length, width, height")
     z_m: float = Field(description="height of the centre in the sensor's frame")
-    positive_iou: float = Field(0.6, gt=0, le=1, description="with matching: iou, overlap from which it answers")
-    negative_iou: float = Field(0.45, ge=0, le=1, description="with matching: iou, overlap below which it is blamed")
+    positive_iou: float = Field(0.6, gt=0, le=1, description="with matching: iou, overlap from which it is positive")
+    negative_iou: float = Field(0.45, ge=0, le=1, description="with matching: iou, overlap below which it is negative")
 
     @model_validator(mode="after")
     def _thresholds_in_order(self) -> "AnchorConfig":
@@ -36,28 +37,18 @@ class AnchorConfig(BaseModel):
 
 def cirrus_anchors() -> dict[str, AnchorConfig]:
     """Anchors for the eight classes of Cirrus, sensor on the roof (ground near z = -2 m)."""
-    sizes = {
-        "vehicle": (4.6, 1.95, 1.7),
-        "large_vehicle": (9.0, 2.7, 3.2),
-        "pedestrian": (0.75, 0.7, 1.75),
-        "bicycle": (1.75, 0.65, 1.6),
-        "animal": (0.8, 0.4, 0.6),
-        "wheeled_pedestrian": (1.0, 0.7, 1.4),
-        "motorcycle": (2.2, 0.9, 1.5),
-        "trailer": (11.0, 2.8, 3.6),
-    }
-    return {name: AnchorConfig(size_m=size, z_m=size[2] / 2 - 2.0) for name, size in sizes.items()}
+    return {name: AnchorConfig(size_m=size, z_m=size[2] / 2 - 2.0) for name, size in CIRRUS_SIZES_M.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What a frame asks of the network; indices count anchors of that frame.
+    """The targets of a frame; indices count anchors of that frame.
 
     Args:
-        positive: Anchors that answer for a box, shape (p,).
+        positive: Anchors that are assigned to a box, shape (p,).
         code: Encoded box of each positive anchor, shape (p, 7).
         backwards: Which of two directions the box looks: 1 for against its anchor's heading, shape (p,).
-        ignored: Anchors that are neither right nor wrong, shape (i,).
+        ignored: Anchors that count neither as positive nor as negative, shape (i,).
         weight: Weight of each positive anchor in the loss, shape (p,).
     """
 
@@ -137,7 +128,7 @@ class AnchorGrid:
         ignored: Int[np.ndarray, " i"],
         weights: Float[np.ndarray, " n"] | None,
     ) -> Targets:
-        """Targets of a frame whose anchors ``positive`` answer for the boxes ``winner``."""
+        """Targets of a frame whose anchors ``positive`` are assigned to the boxes ``winner``."""
         code, direction = encode(boxes[winner], self.rows(positive))
         if self.style == "openpcdet":
             direction = _fixed_direction(boxes.yaw_rad[winner])
@@ -157,17 +148,18 @@ class AnchorGrid:
     def assign(
         self, boxes: Boxes, *, positive_m: float, ignore_m: float, weights: Float[np.ndarray, " n"] | None = None
     ) -> Targets:
-        """Choose the anchors that answer for each box, by the distance of their cell from the box's centre.
+        """Assign anchors to each box, by the distance of their cell from the box's centre.
 
-        The nearest cell and all within ``positive_m`` answer; those within ``ignore_m`` are left alone. Overlap, the
-        published criterion, fails on boxes of visible parts (Cirrus): a car's rear of 0.3 x 1.9 m overlaps no anchor.
-        A cell claimed twice goes to the nearer box. Of an anchor's two headings the closer one answers, and the other
-        is left alone. Boxes of classes that have no anchor, or with centres off the grid, ask for nothing.
+        The nearest cell and all within ``positive_m`` are positive; others within ``ignore_m`` are ignored. Overlap,
+        the published criterion, fails on boxes of visible parts (Cirrus): a car's rear of 0.3 x 1.9 m overlaps no
+        anchor. A cell near two boxes is assigned to the nearer one. Of an anchor's two headings the closer one is
+        positive, and the other is ignored. Boxes of classes that have no anchor, or with centres off the grid, have no
+        targets.
 
         Args:
             boxes: Annotated boxes in the sensor's frame.
-            positive_m: Radius within which a cell answers for the box.
-            ignore_m: Radius within which a cell is not blamed.
+            positive_m: Radius within which a cell is positive.
+            ignore_m: Radius within which a cell is never negative.
             weights: Weight of each box in the loss, shape (n,); 1 if left out.
         """
         kind = self.kinds(boxes)
@@ -181,15 +173,15 @@ class AnchorGrid:
         gap[(ix < 0) | (ix >= self.nx) | (iy < 0) | (iy >= self.ny)] = np.inf
         turned = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[here])) > np.pi / 2  # nearer to 90 than to 0 degrees, mod 180
         base = ((ix * self.ny + iy) * len(self.names) + kind[here, None]) * 2
-        answers = (gap <= positive_m) | ((gap == gap.min(axis=1, initial=np.inf, keepdims=True)) & np.isfinite(gap))
-        box_of, where = np.nonzero(answers)
+        assigned = (gap <= positive_m) | ((gap == gap.min(axis=1, initial=np.inf, keepdims=True)) & np.isfinite(gap))
+        box_of, where = np.nonzero(assigned)
         positive = base[box_of, where] + turned[box_of]
         order = np.argsort(gap[box_of, where], kind="stable")
         positive, first = np.unique(positive[order], return_index=True)
         winner = here[box_of[order][first]]
-        spare_box, spare_where = np.nonzero(gap <= ignore_m)
-        spare = base[spare_box, spare_where]
-        ignored = np.setdiff1d(np.concatenate([spare, spare + 1, positive ^ 1]), positive)
+        near_box, near_where = np.nonzero(gap <= ignore_m)
+        near = base[near_box, near_where]
+        ignored = np.setdiff1d(np.concatenate([near, near + 1, positive ^ 1]), positive)
         return self.targets(boxes, winner, positive, ignored, weights)
 
 

@@ -1,22 +1,21 @@
-"""The anchor head that VoxelNet, SECOND and PointPillars share: one 1 x 1 convolution, its loss and its boxes.
+"""The anchor head that VoxelNet, SECOND, PointPillars and RTNH share: one 1 x 1 convolution, its losses and its boxes.
 
 Every anchor gives one logit for its class, a box code of seven numbers and two direction logits. In the style of
 OpenPCDet it gives a logit for each class, whichever its own.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 from pydantic import Field
 from torch import Tensor, nn
 
+from farfield.detectors.anchors.assigning import AnchorAssigner
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
-from farfield.detectors.anchors.matching import match_by_overlap
 from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import box_loss, direction_loss, focal_loss
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.processes import normaliser
@@ -30,9 +29,9 @@ class AnchorHeadConfig(DetectorConfig):
 
     anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
     head: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect it")
-    matching: Literal["distance", "iou"] = Field("distance", description="iou: anchors answer by overlap, as published")
-    positive_m: float = Field(1.0, description="anchor cells this near to a box's centre answer for it")
-    ignore_m: float = Field(2.0, description="anchor cells this near are not blamed")
+    matching: Literal["distance", "iou"] = Field("distance", description="iou: by overlap, as published")
+    positive_m: float = Field(1.0, description="anchor cells this near to a box's centre are positive")
+    ignore_m: float = Field(2.0, description="anchor cells this near are never negative")
     box_weight: float = 2.0
     direction_weight: float = 0.2
     candidates: int = Field(1000, ge=1, description="best anchors that go into the suppression")
@@ -44,7 +43,7 @@ class AnchorHeadConfig(DetectorConfig):
 
 
 class AnchorMaps(NamedTuple):
-    """What the head says of each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2).
+    """The head's outputs for each anchor: logit (b, a), box code (b, a, 7), direction logits (b, a, 2).
 
     In the style of OpenPCDet there is a logit for each of k classes, shape (b, a, k).
     """
@@ -54,16 +53,8 @@ class AnchorMaps(NamedTuple):
     directions: Tensor
 
 
-class AnchorLosses(NamedTuple):
-    """The parts of the training loss, each normalised by the weight of the positive anchors."""
-
-    classification: Tensor
-    box: Tensor
-    direction: Tensor
-
-
 class AnchorHead(nn.Conv2d):
-    """From a bird's-eye feature map (b, c, nx, ny) to anchors, their loss and their boxes.
+    """From a dense feature map (b, c, nx, ny) to anchors, their losses and their boxes.
 
     Args:
         config: Settings of the detector.
@@ -75,6 +66,13 @@ class AnchorHead(nn.Conv2d):
         self.logits = len(grid.names) if config.head == "openpcdet" else 1
         super().__init__(c_in, grid.per_cell * (self.logits + _BOX_NUMBERS), 1)
         self.config, self.anchors = config, grid.styled(config.head)
+        self.assigner = AnchorAssigner(
+            grid=self.anchors,
+            matching=config.matching,
+            positive_m=config.positive_m,
+            ignore_m=config.ignore_m,
+            far_weight=config.far_weight,
+        )
         self._start_unsure()
 
     def _start_unsure(self) -> None:
@@ -88,9 +86,11 @@ class AnchorHead(nn.Conv2d):
             if self.bias is not None:
                 self.bias.copy_(bias.reshape(-1))
 
-    def forward(self, image: Tensor) -> AnchorMaps:  # the anchors' order is channels last
-        """Map (b, c, nx, ny) to what is said of each anchor, in the order of the anchor grid."""
-        maps = super().forward(image).permute(0, 2, 3, 1)
+    def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:
+        """Outputs for each anchor, in the order of the anchor grid; targets are not looked at."""
+        del targets
+        image = in_type_of(self, features.dense)
+        maps = super().forward(image).permute(0, 2, 3, 1)  # the anchors' order is channels last
         maps = maps.reshape(len(image), -1, self.logits + _BOX_NUMBERS, self.anchors.per_cell)
         logits, codes, directions = (
             part.transpose(2, 3).reshape(len(image), -1, part.shape[2])
@@ -98,33 +98,25 @@ class AnchorHead(nn.Conv2d):
         )
         return AnchorMaps(logits if self.config.head == "openpcdet" else logits.squeeze(2), codes, directions)
 
-    def targets(self, boxes: Boxes) -> Targets:
-        """What one frame's annotation asks of the anchors."""
-        config = self.config
-        weights = config.box_weights(boxes)
-        if config.matching == "iou":
-            return match_by_overlap(self.anchors, boxes, weights=weights)
-        return self.anchors.assign(boxes, positive_m=config.positive_m, ignore_m=config.ignore_m, weights=weights)
+    def losses(self, maps: AnchorMaps, targets: Sequence[Targets]) -> dict[str, Tensor]:
+        """Focal, smooth-L1 and direction losses over a batch (PointPillars, equations 1 to 3).
 
-    def loss(self, maps: AnchorMaps, targets: Sequence[Targets]) -> AnchorLosses:
-        """Focal, smooth-L1 and direction losses over a batch (PointPillars, equations 1 to 3)."""
-        device = maps.logits.device
-
-        def flat(name: Literal["positive", "ignored"]) -> Tensor:
-            parts = [getattr(target, name) + i * len(self.anchors) for i, target in enumerate(targets)]
-            return torch.from_numpy(np.concatenate(parts)).to(device)
-
-        def joined(name: Literal["code", "backwards", "weight"]) -> Tensor:
-            return torch.from_numpy(np.concatenate([getattr(target, name) for target in targets])).to(device)
-
-        positive, weight, config = flat("positive"), joined("weight").float(), self.config
+        Each is normalised by the weight of the positive anchors.
+        """
+        device, config = maps.logits.device, self.config
+        anchors = len(self.anchors)
+        positive = _joined([target.positive + i * anchors for i, target in enumerate(targets)], device)
+        ignored = _joined([target.ignored + i * anchors for i, target in enumerate(targets)], device)
+        weight = _joined([target.weight for target in targets], device).float()
         total = normaliser(weight.sum())
         code, direction = maps.codes.reshape(-1, 7)[positive].float(), maps.directions.reshape(-1, 2)[positive].float()
-        return AnchorLosses(
-            focal_loss(maps.logits, *self._classes(positive, flat("ignored")), weight=weight) / total,
-            config.box_weight * box_loss(code, joined("code").float(), weight=weight) / total,
-            config.direction_weight * direction_loss(direction, joined("backwards"), weight=weight) / total,
-        )
+        target_code = _joined([target.code for target in targets], device).float()
+        backwards = _joined([target.backwards for target in targets], device)
+        return {
+            "classification": focal_loss(maps.logits, *self._classes(positive, ignored), weight=weight) / total,
+            "box": config.box_weight * box_loss(code, target_code, weight=weight) / total,
+            "direction": config.direction_weight * direction_loss(direction, backwards, weight=weight) / total,
+        }
 
     def _classes(self, positive: Tensor, ignored: Tensor) -> tuple[Tensor, Tensor]:
         """Flat indices of anchors to those of logits: the logit of its class at a positive, all at an ignored one."""
@@ -134,7 +126,7 @@ class AnchorHead(nn.Conv2d):
         every = torch.arange(self.logits, device=ignored.device)
         return positive * self.logits + kind, (ignored[:, None] * self.logits + every).reshape(-1)
 
-    def boxes(self, maps: AnchorMaps) -> list[Boxes]:
+    def decode(self, maps: AnchorMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
@@ -161,39 +153,5 @@ class AnchorHead(nn.Conv2d):
         return min(self.config.candidates, anchors)
 
 
-class AnchorDetector(nn.Module, ABC):
-    """What the detectors with an anchor head share: a subclass makes ``head`` and ``image``, the map that it reads.
-
-    The head is an :class:`AnchorHead` or another module with its methods.
-    """
-
-    head: Any
-
-    @abstractmethod
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
-        """The bird's-eye map (b, c, nx, ny) of a batch of clouds, one tensor a frame of shape (n, 5 + k)."""
-
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[Any] | None = None) -> Any:
-        """Run the network; gives the head's maps.
-
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), further columns, shape (n, 5 + k).
-            targets: Not looked at.
-        """
-        del targets
-        return self.head(self.image(clouds))
-
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n columns"]) -> Any:
-        """What one frame's annotation asks of the anchors."""
-        del points
-        return self.head.targets(boxes)
-
-    def loss(self, outputs: Any, targets: Sequence[Any]) -> Any:
-        """The head's losses over a batch."""
-        return self.head.loss(outputs, targets)
-
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        boxes: list[Boxes] = self.head.boxes(self(clouds))
-        return boxes
+def _joined(parts: Sequence[np.ndarray], device: torch.device) -> Tensor:
+    return torch.from_numpy(np.concatenate(parts)).to(device)

@@ -1,4 +1,4 @@
-"""Which anchors answer for a box by overlap, the published criterion (VoxelNet, section 3.1; SECOND, section 3.2).
+"""Which anchors are assigned to a box by overlap, the published criterion (VoxelNet, section 3.1; SECOND, section 3.2).
 
 For boxes of whole objects, as in KITTI. Overlap is that of rectangles along the axes in bird's-eye view: headings are
 taken as 0 or 90 degrees, whichever is nearer.
@@ -12,11 +12,11 @@ from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
 
 def match_by_overlap(grid: AnchorGrid, boxes: Boxes, *, weights: Float[np.ndarray, " n"] | None = None) -> Targets:
-    """Choose the anchors that answer for each box, by their overlap with it.
+    """Assign anchors to each box, by their overlap with it.
 
-    Anchors of the box's class answer from ``positive_iou`` on, and so do those that overlap it most; those below
-    ``negative_iou`` are blamed, those between are left alone. An anchor claimed twice goes to the box that it overlaps
-    more. Boxes of classes that have no anchor, or beside the grid, ask for nothing.
+    Anchors of the box's class are positive from ``positive_iou`` on, and so are those that overlap it most; those below
+    ``negative_iou`` are negative, those between are ignored. An anchor that two boxes claim is assigned to the one that
+    it overlaps more. Boxes of classes that have no anchor, or beside the grid, have no targets.
 
     Args:
         grid: The anchors.
@@ -34,9 +34,9 @@ def match_by_overlap(grid: AnchorGrid, boxes: Boxes, *, weights: Float[np.ndarra
     limits = np.array([[anchor.positive_iou, anchor.negative_iou] for anchor in grid.classes.values()])
     positive_iou, negative_iou = limits[kinds[winner]].T
     forced = np.isin(anchors, anchor[iou == most[box]])
-    answers = (best >= positive_iou) | forced
-    spared = ~answers & (best >= negative_iou)
-    return grid.targets(boxes, winner[answers], anchors[answers], anchors[spared], weights)
+    positive = (best >= positive_iou) | forced
+    ignored = ~positive & (best >= negative_iou)
+    return grid.targets(boxes, winner[positive], anchors[positive], anchors[ignored], weights)
 
 
 def _overlaps(

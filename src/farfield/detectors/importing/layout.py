@@ -5,6 +5,7 @@ Facts of OpenPCDet's PointPillar and SECONDNet (Apache-2.0): names, shapes and t
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -27,10 +28,10 @@ class Rule:
 
 
 def architecture(kind: str, state: Mapping[str, Tensor]) -> dict[str, Any]:
-    """Widths, depths and strides as the shapes in a checkpoint tell them.
+    """Widths, depths and strides, from the shapes in a checkpoint.
 
     Raises:
-        ConfigError: If a tensor that tells them is missing.
+        ConfigError: If a tensor that they follow from is missing.
     """
     blocks = [index for index in range(16) if any(key.startswith(f"backbone_2d.blocks.{index}.") for key in state)]
     depths = [_highest(state, f"backbone_2d.blocks.{index}.") // 3 for index in blocks]
@@ -41,7 +42,7 @@ def architecture(kind: str, state: Mapping[str, Tensor]) -> dict[str, Any]:
         raise ConfigError(f"Expected blocks in backbone_2d and one width of all deblocks; got widths {sorted(necks)}.")
     first = 1 if kind == "second" else 2
     strides = [first, *(after // before for before, after in pairwise(upsampling))]
-    told = {
+    shared = {
         "widths": widths,
         "depths": depths,
         "strides": strides,
@@ -49,28 +50,29 @@ def architecture(kind: str, state: Mapping[str, Tensor]) -> dict[str, Any]:
         "neck_width": necks.pop(),
     }
     if kind == "pointpillars":
-        return {**told, "pillar_channels": _shape(state, "vfe.pfn_layers.0.linear.weight", 2)[0]}
+        return {**shared, "pillar_channels": _shape(state, "vfe.pfn_layers.0.linear.weight", 2)[0]}
     stages = ("conv_input.1", "conv2.0.1", "conv3.0.1", "conv4.0.1", "conv_out.1")
     channels = [_shape(state, f"backbone_3d.{stage}.weight", 1)[0] for stage in stages]
-    return {**told, "middle_widths": channels[:4], "middle_out": channels[4]}
+    return {**shared, "middle_widths": channels[:4], "middle_out": channels[4]}
 
 
 def rules(kind: str, config: Any, state: Mapping[str, Tensor]) -> list[Rule]:
-    """All tensors of ours and where they come from; ``state`` tells the layout of the sparse kernels."""
+    """All tensors of ours and where they come from; the layout of sparse kernels follows from ``state``."""
     found = _pillar_rules() if kind == "pointpillars" else _middle_rules(state)
+    first = partial(_first_after_stacking, channels=config.middle_out) if kind == "second" else _turned
     for block, depth in enumerate(config.depths):
         for layer in range(depth + 1):
-            convert = _first_after_stacking(config.middle_out) if kind == "second" and block == layer == 0 else _turned
+            convert = first if block == layer == 0 else _turned
             theirs, ours = f"backbone_2d.blocks.{block}", f"backbone.blocks.{block}.{layer}"
             found.append(Rule(f"{ours}.0.weight", (f"{theirs}.{3 * layer + 1}.weight",), convert))
             found += _norm_rules(f"{ours}.1", f"{theirs}.{3 * layer + 2}")
         theirs, ours = f"backbone_2d.deblocks.{block}", f"backbone.necks.{block}"
         found.append(Rule(f"{ours}.0.weight", (f"{theirs}.0.weight",), _turned))
         found += _norm_rules(f"{ours}.1", f"{theirs}.1")
-    per_cell = 2 * len(config.anchors)
+    head = partial(_head, per_cell=2 * len(config.anchors))
     for part in ("weight", "bias"):
         names = tuple(f"dense_head.{conv}.{part}" for conv in ("conv_cls", "conv_box", "conv_dir_cls"))
-        found.append(Rule(f"head.{part}", names, _head(per_cell)))
+        found.append(Rule(f"head.{part}", names, head))
     return found
 
 
@@ -100,38 +102,30 @@ def _turned(kernel: Tensor) -> Tensor:
     return kernel.float().transpose(2, 3).contiguous() if kernel.ndim == 4 else kernel.float()
 
 
-def _first_after_stacking(channels: int) -> Callable[[Tensor], Tensor]:
+def _first_after_stacking(kernel: Tensor, *, channels: int) -> Tensor:
     """Their image stacks the layers of z within each channel; ours stacks the channels within each layer."""
-
-    def convert(kernel: Tensor) -> Tensor:
-        if kernel.ndim != 4 or kernel.shape[1] % channels:
-            return kernel.float()  # its shape is reported as wrong
-        turned = _turned(kernel)
-        apart = turned.view(turned.shape[0], channels, -1, *turned.shape[2:])
-        return apart.transpose(1, 2).reshape(turned.shape)
-
-    return convert
+    if kernel.ndim != 4 or kernel.shape[1] % channels:
+        return kernel.float()  # its shape is reported as wrong
+    turned = _turned(kernel)
+    apart = turned.view(turned.shape[0], channels, -1, *turned.shape[2:])
+    return apart.transpose(1, 2).reshape(turned.shape)
 
 
-def _head(per_cell: int) -> Callable[..., Tensor]:
+def _head(*parts: Tensor, per_cell: int) -> Tensor:
     """Three convolutions, whose outputs run anchor by anchor, to one whose outputs run number by number."""
-
-    def convert(*parts: Tensor) -> Tensor:
-        alike = len({part.shape[1:] for part in parts}) == 1
-        if not alike or any(part.ndim == 0 or len(part) % per_cell for part in parts):
-            return torch.cat([part.float().reshape(-1) for part in parts])  # its shape is reported as wrong
-        apart = [part.float().view(per_cell, -1, *part.shape[1:]).transpose(0, 1) for part in parts]
-        joined = torch.cat(apart)
-        return joined.reshape(-1, *joined.shape[2:])
-
-    return convert
+    alike = len({part.shape[1:] for part in parts}) == 1
+    if not alike or any(part.ndim == 0 or len(part) % per_cell for part in parts):
+        return torch.cat([part.float().reshape(-1) for part in parts])  # its shape is reported as wrong
+    apart = [part.float().view(per_cell, -1, *part.shape[1:]).transpose(0, 1) for part in parts]
+    joined = torch.cat(apart)
+    return joined.reshape(-1, *joined.shape[2:])
 
 
 def _sparse_kernel(state: Mapping[str, Tensor]) -> Callable[[Tensor], Tensor]:
-    """Turn a sparse kernel into (z x y, c_in, c_out), from the layout that the first layer's shape tells.
+    """Turn a sparse kernel into (z x y, c_in, c_out), from the layout that the first layer's shape shows.
 
     spconv 1.x stores (z, y, x, c_in, c_out), 2.x (c_out, z, y, x, c_in), and 2.x with its native algorithm
-    (z, y, x, c_out, c_in). Only the first layer has other inputs than outputs, so only it can tell.
+    (z, y, x, c_out, c_in). Only the first layer has other inputs than outputs, so only it shows which.
     """
     name = "backbone_3d.conv_input.0.weight"
     shape, width = _shape(state, name, 5), _shape(state, "backbone_3d.conv_input.1.weight", 1)[0]
@@ -143,15 +137,14 @@ def _sparse_kernel(state: Mapping[str, Tensor]) -> Callable[[Tensor], Tensor]:
     if shape not in layouts:
         shown = " or ".join(map(str, layouts))
         raise ConfigError(f"{name}: expected shape {shown}, since voxels have x, y, z and intensity; got {shape}.")
-    order = layouts[shape]
+    return partial(_permuted, order=layouts[shape])
 
-    def convert(kernel: Tensor) -> Tensor:
-        if kernel.ndim != 5:
-            return kernel.float()  # its shape is reported as wrong
-        turned = kernel.float().permute(order)
-        return turned.reshape(-1, *turned.shape[3:])
 
-    return convert
+def _permuted(kernel: Tensor, *, order: tuple[int, ...]) -> Tensor:
+    if kernel.ndim != 5:
+        return kernel.float()  # its shape is reported as wrong
+    turned = kernel.float().permute(order)
+    return turned.reshape(-1, *turned.shape[3:])
 
 
 def _shape(state: Mapping[str, Tensor], key: str, axes: int) -> tuple[int, ...]:

@@ -14,9 +14,10 @@ from typing import Any, Literal
 
 import torch
 from pydantic import ValidationError
-from torch import Tensor, nn
+from torch import Tensor
 
-from farfield.detectors import build_detector, detector_classes
+from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.contract import Network
 from farfield.detectors.importing.layout import Rule, architecture, rules
 from farfield.errors import ConfigError, FarfieldError, FileFormatError
 
@@ -96,7 +97,7 @@ class ImportReport:
 
 def import_openpcdet(
     path: Path, kind: Kind | None = None, *, settings: Mapping[str, Any] | None = None, allow_unknown: bool = False
-) -> tuple[nn.Module, ImportReport]:
+) -> tuple[Network, ImportReport]:
     """Build the network of ours that computes what an OpenPCDet checkpoint's does.
 
     Args:
@@ -177,7 +178,7 @@ def _recognise(path: Path, state: Mapping[str, Tensor]) -> Kind:
 def _config(path: Path, kind: Kind, state: Mapping[str, Tensor], settings: Mapping[str, Any]) -> Any:
     derived = {"name": kind, **KITTI_SETTINGS[kind], **architecture(kind, state), **settings}
     try:
-        return detector_classes(kind)[1].model_validate(derived)
+        return DETECTORS[kind].config_class.model_validate(derived)
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
         raise ConfigError(f"{path}: settings that do not fit {kind}:\n" + "\n".join(lines)) from error

@@ -6,12 +6,11 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from farfield.detectors.contract import POINT_COLUMNS
-from farfield.detectors.published import first_points
+from farfield.detectors.inputs import POSITION, stacked
 from farfield.detectors.sparse import SparseTensor
-from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
+from farfield.detectors.voxels import VoxelGridConfig, first_points, voxel_keys
 
-DOPPLER = "doppler_m_s"
+POWER, DOPPLER = "power", "doppler_m_s"
 LOG_POWER_UNIT = 0.01
 """With ``power: log`` a power p, over 1e13, becomes log(1 + p / 0.01): K-Radar's noise lies near 0.01."""
 
@@ -26,21 +25,22 @@ class RadarGridConfig(VoxelGridConfig):
     voxel_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
 
 
-def point_columns(use_doppler: bool, *, positions: bool) -> list[int]:
-    """Columns of the points that a radar network reads: positions if asked for, power, Doppler if asked for."""
-    return [0, 1, 2] * positions + [3] + [len(POINT_COLUMNS)] * use_doppler
+def cell_columns(use_doppler: bool) -> tuple[str, ...]:
+    """Columns of the points that a radar network reads: position, power, and Doppler if asked for."""
+    return (*POSITION, POWER, *[DOPPLER] * use_doppler)
 
 
-def scaled_power(points: Tensor, *, log: bool) -> Tensor:
-    """The points, shape (n, c), with their power (column 3) as it is or, floored at 0, as log(1 + p / 0.01)."""
+def scaled_power(points: Tensor, columns: Sequence[str], *, log: bool) -> Tensor:
+    """The points, shape (n, columns), with their power as it is or, floored at 0, as log(1 + p / 0.01)."""
     if not log:
         return points
-    power = torch.log1p(points[:, 3:4].clamp(min=0.0) / LOG_POWER_UNIT)
-    return torch.cat([points[:, :3], power, points[:, 4:]], 1)
+    index = columns.index(POWER)
+    power = torch.log1p(points[:, index : index + 1].clamp(min=0.0) / LOG_POWER_UNIT)
+    return torch.cat([points[:, :index], power, points[:, index + 1 :]], 1)
 
 
 def in_unit_grid(points: Tensor, grid: VoxelGridConfig) -> Tensor:
-    """The points, shape (n, c), with x, y, z (columns 0 to 2) as shares of the grid, from -1 to 1.
+    """The points, shape (n, c), with their position as shares of the grid, from -1 to 1.
 
     Metres would drown the power: x reaches 72, the logarithm of the power about 8, and what follows is normalised as a
     whole.
@@ -52,9 +52,7 @@ def in_unit_grid(points: Tensor, grid: VoxelGridConfig) -> Tensor:
 
 def located(clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
     """The points of a batch that lie on the raster, shape (n, c), and the cell of each, shape (n,), int64."""
-    points = torch.cat(list(clouds))
-    lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
-    batch = torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+    points, batch = stacked(clouds)
     rows, key = voxel_keys(points, batch, grid, multiple)
     return points[rows], key
 
@@ -80,12 +78,12 @@ class CellEncoder(nn.Module):
 
     Args:
         grid: The raster.
+        columns: Columns of the points: position, power, further features.
         multiple: The network's coarsest stride.
         channels: Features a cell.
         max_points: 0 for RTNH as published: position and power through one 1 x 1 x 1 convolution. Otherwise the
             "simplified PointNet" of its wide form: a linear layer and the maximum over the first so many points of a
             cell, where missing points count as zeros.
-        use_doppler: Also read the points' Doppler.
         log_power: Read the logarithm of the power.
         unit_positions: Read positions as shares of the grid, -1 to 1, instead of metres.
     """
@@ -93,26 +91,26 @@ class CellEncoder(nn.Module):
     def __init__(
         self,
         grid: VoxelGridConfig,
+        columns: Sequence[str],
         *,
         multiple: int,
         channels: int,
         max_points: int = 0,
-        use_doppler: bool = False,
         log_power: bool = False,
         unit_positions: bool = False,
     ) -> None:
         super().__init__()
         self.grid, self.multiple, self.max_points = grid, multiple, max_points
         self.log_power, self.unit_positions = log_power, unit_positions
-        self.columns = point_columns(use_doppler, positions=True)
+        self.columns = tuple(columns)
         self.linear = nn.Linear(len(self.columns), channels, bias=max_points == 0)
 
     def forward(self, clouds: Sequence[Tensor]) -> SparseTensor:
-        """Encode the points x, y, z (metres), power, lag (s), Doppler (m/s) of each frame, in float32."""
+        """Encode the points of each frame, shape (n, columns), in float32."""
         shape = self.grid.shape(self.multiple)
         points, key = located(clouds, self.grid, self.multiple)
         points = in_unit_grid(points, self.grid) if self.unit_positions else points
-        features = scaled_power(points, log=self.log_power)[:, self.columns]
+        features = scaled_power(points, self.columns, log=self.log_power)
         cells = len(clouds) * shape[0] * shape[1] * shape[2]
         with torch.autocast(points.device.type, enabled=False):
             if self.max_points:

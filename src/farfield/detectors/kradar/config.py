@@ -3,10 +3,14 @@
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
+from torch import Tensor
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
-from farfield.detectors.kradar.cells import DOPPLER, RadarGridConfig
+from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
+from farfield.detectors.contract import MapDetector
+from farfield.detectors.features import FeatureMap
+from farfield.detectors.inputs import CloudInput
+from farfield.detectors.kradar.cells import RadarGridConfig, cell_columns
 from farfield.detectors.kradar.softmax_head import SoftmaxHead
 
 _SEDAN = {"size_m": (4.2, 2.1, 2.0), "z_m": 0.0, "positive_iou": 0.5, "negative_iou": 0.2}
@@ -54,7 +58,7 @@ class RadarDetectorConfig(AnchorHeadConfig):
     )
     grid: RadarGridConfig = RadarGridConfig()
     proposals: Literal["predicted", "anchors"] = Field(
-        "predicted", description="with form: published, what must overlap a box to answer for it"
+        "predicted", description="with form: published, what must overlap a box to be assigned to it"
     )
     power: Literal["linear", "log"] = Field("linear", description="log: log(1 + power / 0.01) instead of the power")
     use_doppler: bool = Field(False, description="also read the cells' Doppler")
@@ -80,19 +84,33 @@ class RadarDetectorConfig(AnchorHeadConfig):
         return self.grid.range_m
 
     @property
-    def extra_columns(self) -> tuple[str, ...]:
-        """Columns of a cloud that the network reads beside the usual ones."""
-        return (DOPPLER,) if self.use_doppler else ()
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        return cell_columns(self.use_doppler)
 
 
-class RadarDetector(AnchorDetector):
-    """Its head: one set of anchors at every cell of the raster."""
+class RadarDetector(MapDetector):
+    """Reads radar points on their raster; its head has one set of anchors at every cell."""
 
-    def make_head(self, config: RadarDetectorConfig, c_in: int, multiple: int) -> AnchorHead | SoftmaxHead:
-        """The head of the configuration's form, on a map of the raster's resolution."""
+    head: AnchorHead | SoftmaxHead
+
+    def __init__(self, config: RadarDetectorConfig) -> None:
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
+
+    def add_head(self, c_in: int, multiple: int) -> None:
+        """Make the head of the configuration's form, on a map of the raster's resolution."""
+        config = self.config
         _, nx, ny = config.grid.shape(multiple)
         cell_m, y_min_m = config.grid.voxel_m[0], config.grid.y_min_m(multiple)
         anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, y_min_m=y_min_m)
         if config.form == "wide":
-            return AnchorHead(config, c_in, anchors)
-        return SoftmaxHead(config, c_in, anchors, proposals=config.proposals)
+            self.head = AnchorHead(config, c_in, anchors)
+        else:
+            self.head = SoftmaxHead(config, c_in, anchors, proposals=config.proposals)
+        self.assigner, self.channels = self.head.assigner, c_in
+
+    def on_raster(self, values: Tensor) -> FeatureMap:
+        """The trunk's map, shape (b, c, nx, ny), with its place."""
+        grid = self.head.anchors
+        return FeatureMap(values=values, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))

@@ -2,11 +2,11 @@
 
 The whole cube in the region -> a bird's-eye image, the layers of height as its channels -> ResNet-50 or ResNeXt-101 ->
 maps of all stages brought to one -> the head of RTNH -> rotated NMS. No configuration of RTN was ever released. What is
-taken here, from the released trunk and the memory that table 9 tells: four stages at strides 1, 2, 4 and 4 (the last
+taken here, from the released trunk and the memory that table 9 states: four stages at strides 1, 2, 4 and 4 (the last
 one dilated) behind a 7 x 7 convolution of stride 1, ResNeXt-101 as 32 x 8d, its only kind there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -14,8 +14,10 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from farfield.detectors.contract import Channels
+from farfield.detectors.features import FeatureMap, in_type_of
+from farfield.detectors.inputs import features_of
 from farfield.detectors.kradar.backbone import RadarNeck
-from farfield.detectors.kradar.cells import cell_table, located, point_columns, scaled_power
+from farfield.detectors.kradar.cells import cell_table, located, scaled_power
 from farfield.detectors.kradar.config import RadarDetector, RadarDetectorConfig
 from farfield.detectors.kradar.resnet import ResNet
 
@@ -23,9 +25,9 @@ _DEPTHS = {"resnet50": (3, 4, 6, 3), "resnext101": (3, 4, 23, 3)}
 
 
 class RTNConfig(RadarDetectorConfig):
-    """Everything that decides the shape of the network and of its answers."""
+    """Everything that decides the shape of the network and its boxes."""
 
-    name: Literal["rtn"] = "rtn"
+    name: str = "rtn"
     trunk: Literal["resnet50", "resnext101"] = "resnet50"
     height: Literal["channels", "mean"] = Field(
         "channels", description="mean: average the layers into one channel, as the released code's bird's-eye map does"
@@ -53,18 +55,18 @@ class RTNConfig(RadarDetectorConfig):
 
 
 class RTN(RadarDetector):
-    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+    """The network: its outputs are the head's maps."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("trunk", "neck", "head")
 
     def __init__(self, config: RTNConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or RTNConfig()
+        config = config or RTNConfig()
+        super().__init__(config)
         layers = 1 if config.height == "mean" else config.grid.shape(1)[0]
-        self.columns = point_columns(config.use_doppler, positions=False)
+        self.read = features_of(config.columns)
         grouped = {"groups": 32, "group_width": config.group_width} if config.trunk == "resnext101" else {}
         self.trunk = ResNet(
-            layers * len(self.columns),
+            layers * len(self.read),
             depths=config.stage_depths,
             planes=config.planes,
             strides=config.strides,
@@ -72,22 +74,20 @@ class RTN(RadarDetector):
         )
         self.multiple = max(self.trunk.strides)
         self.neck = RadarNeck(self.trunk.widths, self.trunk.strides, config.neck_width, overlap=False)
-        self.head = self.make_head(config, self.neck.channels, self.multiple)
+        self.add_head(self.neck.channels, self.multiple)
 
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Dense map of the cells, 2D dense convolution blocks and neck (appendix E.1 and E.3)."""
-        image = self.dense_map(clouds)
-        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
-        features: Tensor = self.neck(self.trunk(image))
-        return features
+        image = in_type_of(self.trunk, self.dense_map(batch["points"]))
+        return self.on_raster(self.neck(self.trunk(image)))
 
     def dense_map(self, clouds: Sequence[Tensor]) -> Tensor:
         """Power (and Doppler) of every cell, zero where none is known, layers of height as channels, (b, c, nx, ny)."""
         config = self.config
         depth, nx, ny = config.grid.shape(self.multiple)
         points, key = located(clouds, config.grid, self.multiple)
-        values = scaled_power(points, log=config.power == "log")[:, self.columns]
+        values = scaled_power(points, config.columns, log=config.power == "log")[:, self.read]
         table, _ = cell_table(values, key, len(clouds) * depth * nx * ny)
-        image = table.view(len(clouds), depth, nx, ny, len(self.columns))
+        image = table.view(len(clouds), depth, nx, ny, len(self.read))
         image = image.mean(1, keepdim=True) if config.height == "mean" else image
         return image.permute(0, 4, 1, 2, 3).flatten(1, 2).contiguous(memory_format=torch.channels_last)

@@ -3,27 +3,27 @@
 The strongest cells of the radar's Cartesian cube -> sparse 3D convolutions at three resolutions -> each collapsed over
 its height and brought to one bird's-eye map -> head -> rotated NMS. ``form: published`` is ``cfg_RTNH.yml`` of the
 paper's benchmark; ``form: wide`` is the current one, ``cfg_RTNH_wide.yml``. Differences from the released code: all
-boxes of a frame keep the cells that answer for them, frames without boxes teach background, there is no limit on the
+boxes of a frame keep the cells assigned to them, frames without boxes teach background, there is no limit on the
 number of cells, and convolutions that a normalisation follows have no bias, which it would cancel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
-import torch
 from pydantic import Field
 from torch import Tensor
 
 from farfield.detectors.contract import Channels
+from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.kradar.backbone import RadarBackbone
 from farfield.detectors.kradar.cells import CellEncoder
 from farfield.detectors.kradar.config import RadarDetector, RadarDetectorConfig
 
 
 class RTNHConfig(RadarDetectorConfig):
-    """Everything that decides the shape of the network and of its answers; the widths are the published ones."""
+    """Everything that decides the shape of the network and its boxes; the widths are the published ones."""
 
-    name: Literal["rtnh"] = "rtnh"
+    name: str = "rtnh"
     max_points: Annotated[int, Field(ge=0, le=1000)] = Field(
         0, description="0: a linear layer on each cell's mean; else the maximum over so many points (PointNet)"
     )
@@ -34,20 +34,20 @@ class RTNHConfig(RadarDetectorConfig):
 
 
 class RTNH(RadarDetector):
-    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+    """The network: its outputs are the head's maps."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("backbone", "head")
 
     def __init__(self, config: RTNHConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or RTNHConfig()
+        config = config or RTNHConfig()
+        super().__init__(config)
         multiple = 2 ** (len(config.widths) - 1)
         self.encoder = CellEncoder(
             config.grid,
+            config.columns,
             multiple=multiple,
             channels=config.cell_channels,
             max_points=config.max_points,
-            use_doppler=config.use_doppler,
             log_power=config.power == "log",
             unit_positions=config.positions == "unit",
         )
@@ -58,12 +58,9 @@ class RTNH(RadarDetector):
             depth=config.grid.shape(multiple)[0],
             execution=config.execution,
         )
-        self.head = self.make_head(config, self.backbone.channels, multiple)
+        self.add_head(self.backbone.channels, multiple)
 
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Occupied cells, 3D sparse convolution blocks and neck (appendix E.1 and E.2)."""
-        cells = self.encoder(clouds)
-        if not torch.is_autocast_enabled(cells.features.device.type):
-            cells = cells.replace(cells.features.to(self.head.weight.dtype))
-        features: Tensor = self.backbone(cells)
-        return features
+        cells = self.encoder(batch["points"])
+        return self.on_raster(self.backbone(cells.replace(in_type_of(self.backbone, cells.features))))

@@ -1,10 +1,10 @@
 """The head of RTN and RTNH (K-Radar, NeurIPS 2022, appendix E.1, figure 20).
 
-Two 1 x 1 convolutions: which anchor of a cell answers, or none (softmax over the anchors and the background), and
-eight numbers an anchor: the differences of x, y, z, length, width, height, cos(yaw) and sin(yaw) from the anchor's.
+Two 1 x 1 convolutions: the class of each cell, which is one of its anchors or the background (softmax), and eight
+numbers an anchor: the differences of x, y, z, length, width, height, cos(yaw) and sin(yaw) from the anchor's.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -15,32 +15,30 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
+from farfield.detectors.contract import range_weights
+from farfield.detectors.features import FeatureMap, in_type_of
+from farfield.detectors.losses import at_least_single
 from farfield.detectors.nms import rotated_nms
+from farfield.detectors.processes import normaliser
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 
 _NUMBERS = 8
 _SMALLEST_M = 0.1
 _GAMMA = 2.0
+_IGNORED = -1
 
 
 class SoftmaxMaps(NamedTuple):
-    """What the head says: class logits (b, cells, 1 + anchors), background first, and codes (b, cells, anchors, 8)."""
+    """The head's outputs: class logits (b, cells, 1 + anchors), background first, and codes (b, cells, anchors, 8)."""
 
     logits: Tensor
     codes: Tensor
 
 
-class SoftmaxLosses(NamedTuple):
-    """The parts of the training loss."""
-
-    classification: Tensor
-    box: Tensor
-
-
 @dataclass(frozen=True, eq=False)
 class BoxTargets:
-    """A frame's boxes; which cells answer for them is decided beside the loss, where the predictions are known.
+    """A frame's boxes; cells are assigned to them beside the loss, where the predictions are known.
 
     Args:
         rows: x, y, z, l, w, h, yaw, shape (n, 7).
@@ -53,10 +51,33 @@ class BoxTargets:
     weight: Float[np.ndarray, " n"]
 
 
-class Matches(NamedTuple):
-    """Which proposals of a frame answer: flat indices cell * anchors + anchor, the box of each, and cells left alone.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoxesOnGrid:
+    """The boxes of a frame that have an anchor and stand on the grid: the targets of a softmax head.
 
-    ``best`` tells which of a cell's answers its class is taken from.
+    Args:
+        grid: The anchors.
+        far_weight: Extra weight of a box per 100 m of range.
+    """
+
+    grid: AnchorGrid
+    far_weight: float = 0.0
+
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> BoxTargets:
+        """Targets of one frame; its points are not looked at."""
+        del inputs
+        grid = self.grid
+        kind = grid.kinds(boxes)
+        column, row = np.floor((boxes.centre_m[:, :2] - grid.first_m) / grid.step_m + 0.5).T
+        here = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
+        rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+        return BoxTargets(rows[here], kind[here], range_weights(boxes, self.far_weight)[here])
+
+
+class Matches(NamedTuple):
+    """Positive proposals of a frame as flat indices cell * anchors + anchor, the box of each, and ignored cells.
+
+    ``best`` are the rows, one a cell, that a cell's class is taken from.
     """
 
     proposal: Int[np.ndarray, " p"]
@@ -66,11 +87,11 @@ class Matches(NamedTuple):
 
 
 def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, grid: AnchorGrid) -> Matches:
-    """Choose the proposals that answer for a frame's boxes, by their rotated overlap in bird's-eye view.
+    """Assign proposals to a frame's boxes, by their rotated overlap in bird's-eye view.
 
-    A proposal of the box's class answers from its ``positive_iou`` on, and so does the one that overlaps the box most
+    A proposal of the box's class is positive from its ``positive_iou`` on, and so is the one that overlaps the box most
     (the nearest one where none does). A cell none of whose proposals reaches ``negative_iou`` is background; the
-    others are left alone. The released code lets each box of a frame overwrite the cells of the boxes before it; here
+    others are ignored. The released code lets each box of a frame overwrite the cells of the boxes before it; here
     all count.
 
     Args:
@@ -85,9 +106,9 @@ def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, gr
     positive_iou, negative_iou = limits[targets.kind[box]].T
     most = np.zeros(len(targets.rows))
     np.maximum.at(most, box, iou)
-    answers = (iou > positive_iou) | (iou == most[box]) & (most[box] > 0) | forced & (most[box] == 0)
+    positive = (iou > positive_iou) | (iou == most[box]) & (most[box] > 0) | forced & (most[box] == 0)
     order = np.lexsort((-iou, proposal))
-    order = order[answers[order]]
+    order = order[positive[order]]
     chosen, first = np.unique(proposal[order], return_index=True)
     owner, overlap = box[order][first], iou[order][first]
     by_cell = np.lexsort((-overlap, chosen // grid.per_cell))
@@ -118,18 +139,19 @@ def _boxes(rows: np.ndarray) -> Boxes:
 
 
 class SoftmaxHead(nn.Module):
-    """From a bird's-eye map to anchors' classes and boxes, their loss and their boxes.
+    """From a dense feature map to anchors' classes and boxes, their losses and their boxes.
 
     Args:
         config: Settings of the detector: an AnchorHeadConfig.
         c_in: Channels of the map.
         grid: The anchors, one set at each cell of the map.
-        proposals: What must overlap a box to answer for it: the predicted boxes, as published, or the anchors.
+        proposals: What must overlap a box to be assigned to it: the predicted boxes, as published, or the anchors.
     """
 
     def __init__(self, config: Any, c_in: int, grid: AnchorGrid, *, proposals: Literal["predicted", "anchors"]) -> None:
         super().__init__()
         self.config, self.anchors, self.proposals = config, grid, proposals
+        self.assigner = BoxesOnGrid(grid=grid, far_weight=config.far_weight)
         self.classes = nn.Conv2d(c_in, 1 + grid.per_cell, 1)
         self.boxes_of_anchors = nn.Conv2d(c_in, _NUMBERS * grid.per_cell, 1)
         if not self.classes.weight.is_meta:
@@ -137,35 +159,23 @@ class SoftmaxHead(nn.Module):
             nn.init.normal_(self.boxes_of_anchors.weight, std=0.01)
             nn.init.zeros_(self.boxes_of_anchors.bias)
 
-    @property
-    def weight(self) -> Tensor:
-        """A weight of the head, for its number type."""
-        return self.classes.weight
-
-    def forward(self, image: Tensor) -> SoftmaxMaps:
-        """Map (b, c, nx, ny) to what is said of each cell, in the order of the anchor grid."""
+    def forward(self, features: FeatureMap, targets: Sequence[BoxTargets] | None = None) -> SoftmaxMaps:
+        """Outputs for each cell, in the order of the anchor grid; targets are not looked at."""
+        del targets
+        image = in_type_of(self, features.dense)
         logits = self.classes(image).permute(0, 2, 3, 1).flatten(1, 2)
         codes = self.boxes_of_anchors(image).permute(0, 2, 3, 1)
         return SoftmaxMaps(logits, codes.reshape(len(image), logits.shape[1], self.anchors.per_cell, _NUMBERS))
 
-    def targets(self, boxes: Boxes) -> BoxTargets:
-        """The boxes that have an anchor and stand on the grid."""
-        grid = self.anchors
-        kind = grid.kinds(boxes)
-        column, row = np.floor((boxes.centre_m[:, :2] - grid.first_m) / grid.step_m + 0.5).T
-        here = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
-        rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
-        return BoxTargets(rows[here], kind[here], self.config.box_weights(boxes)[here])
-
-    def loss(self, maps: SoftmaxMaps, targets: Sequence[BoxTargets]) -> SoftmaxLosses:
-        """Focal loss over cells, every class with the same weight, and smooth L1 over the boxes of those that answer.
+    def losses(self, maps: SoftmaxMaps, targets: Sequence[BoxTargets]) -> dict[str, Tensor]:
+        """Focal loss over cells, every class with the same weight, and smooth L1 over the boxes of positive proposals.
 
         As in the released code each class (background, each anchor) counts by the mean over its own cells.
         """
-        logits, codes = maps.logits.float(), maps.codes.float()
-        answers = torch.zeros(logits.shape[:2], dtype=torch.long)
+        logits, codes = at_least_single(maps.logits), at_least_single(maps.codes)
+        labels = torch.zeros(logits.shape[:2], dtype=torch.long)
         weights = torch.ones(logits.shape[:2])
-        picked, wanted, weight = [], [], []
+        predicted, expected, weight = [], [], []
         fixed = self._rows(None) if self.proposals == "anchors" else None
         for frame, target in enumerate(targets):
             rows = self._rows(codes[frame]) if fixed is None else fixed
@@ -173,30 +183,30 @@ class SoftmaxHead(nn.Module):
             cell, slot = np.divmod(found.proposal, self.anchors.per_cell)
             box_weight = torch.from_numpy(target.weight[found.box]).float()
             best = torch.from_numpy(found.best)
-            answers[frame, torch.from_numpy(found.ignored)] = -1
-            answers[frame, torch.from_numpy(cell)[best]] = 1 + torch.from_numpy(slot)[best]
+            labels[frame, torch.from_numpy(found.ignored)] = _IGNORED
+            labels[frame, torch.from_numpy(cell)[best]] = 1 + torch.from_numpy(slot)[best]
             weights[frame, torch.from_numpy(cell)[best]] = box_weight[best]
-            picked.append(codes[frame].flatten(0, 1)[torch.from_numpy(found.proposal).to(codes.device)])
-            wanted.append(self._code(target.rows[found.box], found.proposal))
+            predicted.append(codes[frame].flatten(0, 1)[torch.from_numpy(found.proposal).to(codes.device)])
+            expected.append(self._code(target.rows[found.box], found.proposal))
             weight.append(box_weight)
         device = codes.device
-        wanted_codes, box_weights = torch.cat(wanted).to(device), torch.cat(weight).to(device)
-        error = functional.smooth_l1_loss(torch.cat(picked), wanted_codes, reduction="none").mean(1)
-        box = (error * box_weights).sum() / box_weights.sum().clamp(min=1.0)
-        classification = _balanced_focal(logits, answers.to(device), weights.to(device))
-        return SoftmaxLosses(classification, self.config.box_weight * box)
+        expected_codes, box_weights = torch.cat(expected).to(device), torch.cat(weight).to(device)
+        error = functional.smooth_l1_loss(torch.cat(predicted), expected_codes, reduction="none").mean(1)
+        box = (error * box_weights).sum() / normaliser(box_weights.sum())
+        classification = _balanced_focal(logits, labels.to(device), weights.to(device))
+        return {"classification": classification, "box": self.config.box_weight * box}
 
-    def boxes(self, maps: SoftmaxMaps) -> list[Boxes]:
+    def decode(self, maps: SoftmaxMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor) -> Boxes:
         probability = torch.softmax(logits.float(), 1)
-        best, answer = probability.max(1)
-        cells = ((answer > 0) & (best >= self.config.score_threshold)).nonzero().squeeze(1)
+        best, label = probability.max(1)
+        cells = ((label > 0) & (best >= self.config.score_threshold)).nonzero().squeeze(1)
         score, order = torch.topk(best[cells], min(self.config.candidates, len(cells)))
         cells = cells[order]
-        slot = answer[cells] - 1
+        slot = label[cells] - 1
         index = (cells * self.anchors.per_cell + slot).cpu().numpy()
         rows = self._decoded(codes[cells, slot].double().cpu().numpy(), index)
         boxes = _boxes(rows).replace(label=self.anchors.labels(index), score=score.double().cpu().numpy())
@@ -223,12 +233,16 @@ def _with_direction(rows: np.ndarray) -> np.ndarray:
     return np.column_stack([rows[:, :6], np.cos(rows[:, 6]), np.sin(rows[:, 6])])
 
 
-def _balanced_focal(logits: Tensor, answers: Tensor, weights: Tensor) -> Tensor:
-    """Focal loss of softmax, the mean over the classes that occur of each one's weighted mean; -1 does not count."""
-    counted = answers >= 0
-    answer, weight = answers[counted], weights[counted]
-    log_probability = functional.log_softmax(logits[counted], 1).gather(1, answer[:, None]).squeeze(1)
+def _balanced_focal(logits: Tensor, labels: Tensor, weights: Tensor) -> Tensor:
+    """Focal loss of softmax, the mean over the classes that occur of each one's weighted mean.
+
+    With several processes the means, and which classes occur, are those of the whole batch.
+    """
+    counted = labels != _IGNORED
+    label, weight = labels[counted], weights[counted]
+    log_probability = functional.log_softmax(logits[counted], 1).gather(1, label[:, None]).squeeze(1)
     loss = (1 - log_probability.exp()) ** _GAMMA * -log_probability
-    sums = loss.new_zeros(2, logits.shape[2]).index_add(1, answer, torch.stack([loss * weight, weight]))
-    present = sums[1] > 0
-    return (sums[0][present] / sums[1][present]).mean()
+    sums = loss.new_zeros(2, logits.shape[2]).index_add(1, label, torch.stack([loss * weight, weight]))
+    total = normaliser(sums[1], least=0.0)
+    present = total > 0
+    return (sums[0][present] / total[present]).mean()

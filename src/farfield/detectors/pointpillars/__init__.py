@@ -1,1 +1,10 @@
 """PointPillars (Lang et al., CVPR 2019)."""
+
+from farfield.detectors.kinds import Kind
+
+KIND = Kind(
+    name="pointpillars",
+    paper="Lang et al., CVPR 2019",
+    config="farfield.detectors.pointpillars.network:PointPillarsConfig",
+    network="farfield.detectors.pointpillars.network:PointPillars",
+)

@@ -1,32 +1,33 @@
 """PointPillars (Lang et al., CVPR 2019, arXiv 1812.05784) at long range.
 
 Points -> pillars -> bird's-eye image -> three blocks of convolutions -> one anchor head -> rotated NMS. Differences
-from the paper, each for long range: every point counts (no limit of points or pillars), anchors answer for a box by the
+from the paper, each for long range: every point counts (no limit of points or pillars), anchors are assigned to a box by the
 distance of its centre (boxes of visible parts overlap no anchor; ``matching: iou`` is the published way), and intensity
 is left out by default. ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels
+from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.grid import GridConfig
+from farfield.detectors.inputs import POSITION, CloudInput, stacked
+from farfield.detectors.openpcdet_features import OpenPCDetPillarEncoder, use_openpcdet_momentum
 from farfield.detectors.pointpillars.pillars import PillarEncoder
-from farfield.detectors.published import PublishedPillarEncoder, use_published_momentum
 
 
 class PointPillarsConfig(AnchorHeadConfig):
-    """Everything that decides the shape of the network and of its answers."""
+    """Everything that decides the shape of the network and its boxes."""
 
-    name: Literal["pointpillars"] = "pointpillars"
+    name: str = "pointpillars"
     grid: GridConfig = GridConfig()
     pillar_channels: Channels = 32
     features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
@@ -48,19 +49,26 @@ class PointPillarsConfig(AnchorHeadConfig):
         return self
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        intensity = self.use_intensity or self.features == "openpcdet"
+        return (*POSITION, *["intensity"] * intensity, *["lag_s"] * self.use_lag)
+
+    @property
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
         return self.grid.range_m
 
 
-class PointPillars(AnchorDetector):
-    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+class PointPillars(MapDetector):
+    """The network: its outputs are the anchor head's maps."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("backbone", "head")
 
     def __init__(self, config: PointPillarsConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or PointPillarsConfig()
+        config = config or PointPillarsConfig()
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
         multiple = int(np.prod(config.strides))
         self.encoder = _encoder(config, multiple)
         self.backbone = BevBackbone(
@@ -79,21 +87,20 @@ class PointPillars(AnchorDetector):
             y_min_m=self.encoder.y_min_m,
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
+        self.assigner, self.channels = self.head.assigner, self.backbone.channels
         if config.features == "openpcdet":
-            use_published_momentum(self)
+            use_openpcdet_momentum(self)
 
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Pillars, their image, and the backbone's features (sections 2.1 and 2.2)."""
-        batch = torch.cat([torch.full((len(c),), i, dtype=torch.long, device=c.device) for i, c in enumerate(clouds)])
-        image = self.encoder(torch.cat(list(clouds)), batch, len(clouds))
-        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
-        features: Tensor = self.backbone(image)
-        return features
+        clouds, grid = batch["points"], self.head.anchors
+        image = self.encoder(*stacked(clouds), len(clouds))
+        features = self.backbone(in_type_of(self.backbone, image))
+        return FeatureMap(values=features, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))
 
 
-def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | PublishedPillarEncoder:
-    channels = config.pillar_channels
+def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | OpenPCDetPillarEncoder:
+    shared = {"multiple": multiple, "channels": config.pillar_channels}
     if config.features == "openpcdet":
-        return PublishedPillarEncoder(config.grid, multiple=multiple, channels=channels, max_points=config.max_points)
-    extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
-    return PillarEncoder(config.grid, multiple=multiple, channels=channels, **extra)
+        return OpenPCDetPillarEncoder(config.grid, config.columns, max_points=config.max_points, **shared)
+    return PillarEncoder(config.grid, config.columns, **shared)

@@ -4,11 +4,14 @@ Dynamic voxelisation: every point counts, none is dropped or padded. Points of a
 sorting their cell numbers.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
 from farfield.detectors.folding import fold_linear
 from farfield.detectors.grid import GridConfig
+from farfield.detectors.inputs import features_of
 from farfield.detectors.norm import normalise_rows
 
 
@@ -17,28 +20,25 @@ class PillarEncoder(nn.Module):
 
     Args:
         grid: The bird's-eye grid.
+        columns: Columns of the points; those after the position are features as they are.
         multiple: The network's coarsest stride, which must divide the grid.
         channels: Features a pillar.
-        use_intensity: Feed the return strength too. Its scale differs from sensor to sensor, so it is off by default.
-        use_lag: Feed the age of each point's sweep too.
     """
 
-    def __init__(
-        self, grid: GridConfig, *, multiple: int, channels: int, use_intensity: bool = False, use_lag: bool = False
-    ) -> None:
+    def __init__(self, grid: GridConfig, columns: Sequence[str], *, multiple: int, channels: int) -> None:
         super().__init__()
         self.grid, self.channels = grid, channels
-        self.columns = [3] * use_intensity + [4] * use_lag
+        self.extra = features_of(columns)
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
-        self.linear = nn.Linear(9 + len(self.columns), channels, bias=False)
+        self.linear = nn.Linear(9 + len(self.extra), channels, bias=False)
         self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.1)
 
     def forward(self, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
         """Encode points.
 
         Args:
-            points: x, y, z (metres), intensity and lag (s) of all frames of the batch, shape (n, 5).
+            points: Those of all frames of the batch, shape (n, columns).
             batch: Frame number of each point, shape (n,), int64.
             batch_size: Number of frames.
 
@@ -84,4 +84,4 @@ class PillarEncoder(nn.Module):
         to_centre = (xyz[:, :2] - centre) / self.grid.cell_m
         scaled = xyz / xyz.new_tensor([self.grid.range_m, self.grid.half_width_m, self.grid.z_max_m])
         parts = [scaled, to_mean / self.grid.cell_m, to_centre, torch.log1p(count)[member]]
-        return torch.cat([*parts, points[:, self.columns]], 1)
+        return torch.cat([*parts, points[:, self.extra]], 1)

@@ -9,18 +9,18 @@ a mean size belong to each class; near centres count as well as overlap where pr
 stage also reads the proposal's size.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.anchors.grid import cirrus_anchors
-from farfield.detectors.contract import Channels, DetectorConfig
+from farfield.detectors.contract import Channels, DetectorConfig, Network
+from farfield.detectors.features import PointFeatures, in_type_of
+from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.losses import focal_loss
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.pointrcnn.bins import BinCoder, BinConfig
@@ -54,10 +54,12 @@ from farfield.detectors.pointrcnn.points.proposals import (
     match_proposals,
     shaken_boxes,
 )
-from farfield.detectors.pointrcnn.points.targets import UNSURE, PointTargets, assign_points, join_targets, owners_of
+from farfield.detectors.pointrcnn.points.targets import UNSURE, PointAssigner, PointTargets, join_targets, owners_of
 from farfield.detectors.processes import normaliser, sum_over_processes
 from farfield.geometry.boxes import Boxes
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
+_COLUMNS = {"intensity": "intensity", "lag": "lag_s"}
 Metres = Annotated[float, Field(gt=0)]
 
 
@@ -97,12 +99,12 @@ class RefinementConfig(BaseModel):
 
 
 class PointRCNNConfig(DetectorConfig):
-    """Everything that decides the shape of the network and of its answers."""
+    """Everything that decides the shape of the network and its boxes."""
 
-    name: Literal["pointrcnn"] = "pointrcnn"
+    name: str = "pointrcnn"
     window: WindowConfig = WindowConfig()
     sizes_m: dict[str, tuple[Metres, Metres, Metres]] = Field(
-        default_factory=lambda: {name: anchor.size_m for name, anchor in cirrus_anchors().items()},
+        default_factory=lambda: dict(CIRRUS_SIZES_M),
         min_length=1,
         description="mean length, width and height of each class",
     )
@@ -113,7 +115,7 @@ class PointRCNNConfig(DetectorConfig):
     head_width: Channels = 128
     bins: BinConfig = BinConfig(scope_m=4.0, bin_m=0.5, headings=12)
     foreground_margin_m: float = Field(0.05, ge=0, description="boxes grow by this before they claim points")
-    unsure_margin_m: float = Field(0.2, ge=0, description="points this far outside a box are not blamed")
+    unsure_margin_m: float = Field(0.2, ge=0, description="points this far outside a box are ignored")
     balance: float = Field(0.5, ge=0, le=1, description="1: boxes weigh alike; 0: points do, as published")
     proposals: ProposalConfig = ProposalConfig()
     refinement: RefinementConfig = RefinementConfig()
@@ -122,6 +124,11 @@ class PointRCNNConfig(DetectorConfig):
     def class_names(self) -> tuple[str, ...]:
         """The classes that have a mean size."""
         return tuple(self.sizes_m)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        return (*POSITION, *(_COLUMNS[name] for name in self.inputs if name in _COLUMNS))
 
     @property
     def reach_m(self) -> float:
@@ -155,15 +162,6 @@ class Stages(NamedTuple):
     kinds: Tensor
     confidences: Tensor
     refinements: Tensor
-
-
-class Losses(NamedTuple):
-    """The parts of the training loss: segmentation and boxes of stage 1, confidence and boxes of stage 2."""
-
-    segmentation: Tensor
-    proposal: Tensor
-    confidence: Tensor
-    refinement: Tensor
 
 
 class Refinement(nn.Module):
@@ -213,15 +211,16 @@ class Refinement(nn.Module):
         return self.confidence(pooled), self.box(pooled)
 
 
-class PointRCNN(nn.Module):
-    """The network. ``forward`` gives the raw outputs of both stages; ``loss`` and ``predict`` give them a meaning."""
+class PointRCNN(Network):
+    """The network: its outputs are those of both stages."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("backbone", "segmentation", "generation", "refinement")
     sizes_m: Tensor
 
     def __init__(self, config: PointRCNNConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or PointRCNNConfig()
+        config = config or PointRCNNConfig()
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
         classes = len(config.sizes_m)
         self.coder, self.refiner = BinCoder(config.bins), BinCoder(config.refinement.bins)
         self.backbone = PointNet2(len(config.inputs), config.backbone)
@@ -233,24 +232,38 @@ class PointRCNN(nn.Module):
         for head in (self.segmentation, self.generation, self.refinement.box):
             nn.init.normal_(head[-1].weight, std=0.01)
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[PointTargets] | None = None) -> Stages:
-        """Run both stages.
+        self.channels = self.backbone.channels
+        self.assigner = PointAssigner(
+            class_names=config.class_names,
+            margin_m=config.foreground_margin_m,
+            unsure_m=config.unsure_margin_m,
+            far_weight=config.far_weight,
+        )
 
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (seconds), shape (n, 5).
-            targets: While training, what each frame asks for: the second stage then sees proposals of all qualities.
-        """
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:
+        """Chosen points and their features (section 3.1); ``aux`` holds the row of each in its cloud."""
+        clouds = batch["points"]
         rows = [self._choose(cloud) for cloud in clouds]
         points = torch.cat([cloud[row] for cloud, row in zip(clouds, rows, strict=True)])
         lengths, xyz = [len(row) for row in rows], points[:, :3].contiguous()
         features = self.backbone(xyz, self._inputs(points), lengths)
-        logits, codes = self.segmentation(features), self.generation(features)
+        return PointFeatures(values=features, xyz=xyz, lengths=lengths, aux={"rows": torch.cat(rows)})
+
+    def head(self, features: PointFeatures, targets: Sequence[PointTargets] | None = None) -> Stages:
+        """Both stages on the points' features.
+
+        Args:
+            features: As :meth:`encode` gives them.
+            targets: While training, those of each frame: the second stage then sees proposals of all qualities.
+        """
+        xyz, lengths, values = features.xyz, list(features.lengths), in_type_of(self.segmentation, features.values)
+        logits, codes = self.segmentation(values), self.generation(values)
         with torch.no_grad():
             proposals, kinds, counts = self._propose(xyz, logits.float(), codes, lengths, targets)
-        confidences, refinements = self._refine(xyz, features, logits, lengths, proposals, counts)
+        confidences, refinements = self._refine(xyz, values, logits, lengths, proposals, counts)
         device = xyz.device
         return Stages(
-            torch.tensor(lengths, device=device), torch.cat(rows), xyz, logits, codes,
+            torch.tensor(lengths, device=device), features.aux["rows"], xyz, logits, codes,
             torch.tensor(counts, device=device), proposals, kinds, confidences, refinements,
         )  # fmt: skip
 
@@ -260,13 +273,11 @@ class PointRCNN(nn.Module):
         return inside[sample_bands(cloud[inside], self.config.bands, self.config.points)]
 
     def _inputs(self, points: Tensor) -> Tensor | None:
-        columns = {
-            "intensity": points[:, 3],
-            "lag": points[:, 4],
-            "height": points[:, 2] / self.config.window.z_max_m,
-            "range": torch.hypot(points[:, 0], points[:, 1]) / 100.0,
-        }
-        return torch.stack([columns[name] for name in self.config.inputs], 1) if self.config.inputs else None
+        columns = self.config.columns
+        known = {name: points[:, columns.index(column)] for name, column in _COLUMNS.items() if column in columns}
+        known["height"] = points[:, 2] / self.config.window.z_max_m
+        known["range"] = torch.hypot(points[:, 0], points[:, 1]) / 100.0
+        return torch.stack([known[name] for name in self.config.inputs], 1) if self.config.inputs else None
 
     def _propose(
         self, xyz: Tensor, logits: Tensor, codes: Tensor, lengths: list[int], targets: Sequence[PointTargets] | None
@@ -322,21 +333,11 @@ class PointRCNN(nn.Module):
         """What boxes of stage 2 are relative to: a proposal's place and heading, the mean size of its class."""
         return torch.cat([proposals[:, :3], self._sizes_m(proposals)[kinds], proposals[:, 6:]], 1)
 
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> PointTargets:
-        """Which point of a cloud belongs to which box."""
-        config = self.config
-        return assign_points(
-            boxes,
-            points,
-            config.class_names,
-            weight=config.box_weights(boxes),
-            margin_m=config.foreground_margin_m,
-            unsure_m=config.unsure_margin_m,
-        )
-
-    def loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> Losses:
+    def losses(self, outputs: Stages, targets: Sequence[PointTargets]) -> dict[str, Tensor]:
         """Focal loss and bin-based box loss of stage 1, cross-entropy and bin-based box loss of stage 2."""
-        return Losses(*self._first_loss(outputs, targets), *self._second_loss(outputs, targets))
+        segmentation, proposal = self._first_loss(outputs, targets)
+        confidence, refinement = self._second_loss(outputs, targets)
+        return {"segmentation": segmentation, "proposal": proposal, "confidence": confidence, "refinement": refinement}
 
     def _first_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
         owner = owners_of(targets, outputs.rows, outputs.lengths.tolist())
@@ -349,8 +350,8 @@ class PointRCNN(nn.Module):
         total = normaliser(each.sum())
         ignored = (unsure[:, None] * classes + torch.arange(classes, device=unsure.device)).flatten()
         right = positive * classes + kind[box]
-        wanted = self.coder.encode(boxes[box], self._reference(outputs.xyz[positive], kind[box]))
-        box_loss = self.coder.loss(outputs.codes[positive], wanted)
+        expected = self.coder.encode(boxes[box], self._reference(outputs.xyz[positive], kind[box]))
+        box_loss = self.coder.loss(outputs.codes[positive], expected)
         return focal_loss(outputs.logits, right, ignored, weight=each) / total, (box_loss * each).sum() / total
 
     def _second_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
@@ -365,26 +366,24 @@ class PointRCNN(nn.Module):
             torch.from_numpy(np.concatenate(part)).to(device) for part in zip(*parts, strict=True)
         )
         sure = torch.nonzero(right | wrong)[:, 0]
-        wanted = torch.zeros(len(right), len(self.config.sizes_m), device=device)
-        wanted[right, kind[box[right]]] = 1.0
+        labels = torch.zeros(len(right), len(self.config.sizes_m), device=device)
+        labels[right, kind[box[right]]] = 1.0
         each = torch.ones(len(right), device=device)
         each[right] = weight[box[right]]
-        blame = functional.binary_cross_entropy_with_logits(
-            outputs.confidences[sure].float(), wanted[sure], reduction="none"
+        error = functional.binary_cross_entropy_with_logits(
+            outputs.confidences[sure].float(), labels[sure], reduction="none"
         )
         row = torch.nonzero(refined)[:, 0]
         reference = self._proposal_reference(outputs.proposals[row], outputs.kinds[row])
         loss = self.refiner.loss(outputs.refinements[row], self.refiner.encode(boxes[box[row]], reference))
         share = weight[box[row]]
         return (
-            (blame.sum(1) * each[sure]).sum() / normaliser(blame.new_tensor(float(len(sure)))),
+            (error.sum(1) * each[sure]).sum() / normaliser(error.new_tensor(float(len(sure)))),
             (loss * share).sum() / normaliser(share.sum()),
         )
 
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        outputs = self(clouds)
+    def decode(self, outputs: Stages) -> list[Boxes]:
+        """The refined boxes of each frame after suppression, best first."""
         boxes = self.refiner.decode(outputs.refinements, self._proposal_reference(outputs.proposals, outputs.kinds))
         counts = outputs.proposal_lengths.tolist()
         scores = torch.sigmoid(outputs.confidences.float())

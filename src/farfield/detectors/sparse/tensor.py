@@ -99,3 +99,16 @@ class SparseTensor:
     def moved(self, features: Tensor, keys: Tensor, shape: Triple) -> "SparseTensor":
         """Features on other cells of the same frames, with the rulebooks found so far."""
         return replace(self, features=features, keys=keys, shape=shape)
+
+    def split(self, n: int) -> "tuple[SparseTensor, SparseTensor]":
+        """The first ``n`` frames, and the rest; both have at least one. Rulebooks are found anew."""
+        cells = n * math.prod(self.shape)
+        edge = int(torch.searchsorted(self.keys, cells))
+        one = replace(self, features=self.features[:edge], keys=self.keys[:edge], batch_size=n, rulebooks={})
+        return one, replace(
+            self,
+            features=self.features[edge:],
+            keys=self.keys[edge:] - cells,
+            batch_size=self.batch_size - n,
+            rulebooks={},
+        )

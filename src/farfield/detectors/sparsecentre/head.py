@@ -1,7 +1,7 @@
-"""The centre head on a sparse map: a heat value a class and a box at each occupied cell, its loss and its boxes.
+"""The centre head on a sparse map: a heat value a class and a box at each occupied cell, its losses and its boxes.
 
 CenterPoint (arXiv 2006.11275, section 4) with the changes of VoxelNeXt (arXiv 2303.11301, section 3.2): the occupied
-cell nearest to a box's centre answers for it, wherever it is, and boxes are read at local maxima over occupied cells.
+cell nearest to a box's centre is assigned to it, wherever it is, and boxes are read at local maxima over occupied cells.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,14 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.anchors.grid import cirrus_anchors
 from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.processes import normaliser
-from farfield.detectors.sparse import SparseTensor, SubmanifoldConv, decode_keys, neighbour_table
+from farfield.detectors.sparse import SubmanifoldConv, decode_keys, neighbour_table
 from farfield.detectors.sparsecentre.backbone import FLAT, normalised
 from farfield.detectors.sparsecentre.targets import (
+    BoxesOfClasses,
     CentreTargets,
     Truth,
     assign,
@@ -30,6 +31,7 @@ from farfield.detectors.sparsecentre.targets import (
     vote_loss,
 )
 from farfield.geometry.boxes import Boxes
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
 _NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw, sine and cosine of the yaw
 
@@ -37,9 +39,9 @@ _NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw,
 class CentreHeadConfig(DetectorConfig):
     """Settings of a detector with a centre head."""
 
-    classes: tuple[str, ...] = Field(tuple(cirrus_anchors()), min_length=1)
+    classes: tuple[str, ...] = Field(tuple(CIRRUS_SIZES_M), min_length=1)
     gaussian_m: float = Field(0.7, gt=0, description="standard deviation of the heat around a centre")
-    assign_m: float = Field(8.0, gt=0, description="an occupied cell this near to a centre may answer for it")
+    assign_m: float = Field(8.0, gt=0, description="an occupied cell this near to a centre may be assigned to it")
     box_m: float = Field(1.2, ge=0, description="cells this near to a centre learn its box, beside the nearest one")
     box_weight: float = 1.0
     direction_weight: float = 0.2
@@ -54,7 +56,7 @@ class CentreHeadConfig(DetectorConfig):
 
 
 class CentreMaps(NamedTuple):
-    """What is said of the occupied cells of a batch.
+    """The head's outputs for the occupied cells of a batch.
 
     Attributes:
         logits: Heat of each class, shape (n, classes).
@@ -63,6 +65,7 @@ class CentreMaps(NamedTuple):
         keys: The cells, shape (n,).
         votes: Foreground logit and step to the centre in cells, before diffusion, shape (m, 3).
         vote_keys: The cells before diffusion, shape (m,).
+        frames: Number of frames.
     """
 
     logits: Tensor
@@ -71,15 +74,10 @@ class CentreMaps(NamedTuple):
     keys: Tensor
     votes: Tensor
     vote_keys: Tensor
+    frames: int
 
 
-class CentreLosses(NamedTuple):
-    """The parts of the training loss, each over the weight of the boxes."""
-
-    heat: Tensor
-    box: Tensor
-    foreground: Tensor
-    vote: Tensor
+_LOSSES = ("heat", "box", "foreground", "vote")
 
 
 class CentreHead(nn.Module):
@@ -98,6 +96,9 @@ class CentreHead(nn.Module):
     ) -> None:
         super().__init__()
         self.config, self.shape, self.cell_m, self.y_min_m = config, shape, cell_m, y_min_m
+        self.assigner = BoxesOfClasses(
+            classes=config.classes, shape=shape, cell_m=cell_m, y_min_m=y_min_m, far_weight=config.far_weight
+        )
         self.heat_stem = normalised(SubmanifoldConv(channels, channels, FLAT), channels)
         self.box_stem = normalised(SubmanifoldConv(channels, channels, FLAT), channels)
         self.heat = nn.Linear(channels, len(config.classes))
@@ -107,37 +108,42 @@ class CentreHead(nn.Module):
             self.heat.bias.fill_(-2.2)  # every cell at a score of 0.1
             self.box.weight.normal_(std=0.01)
 
-    def forward(self, sparse: SparseTensor) -> tuple[Tensor, Tensor]:
-        """Heat logits (n, classes) and box codes (n, 10) of the occupied cells."""
-        return self.heat(self.heat_stem(sparse).features), self.box(self.box_stem(sparse).features)
+    def forward(self, features: FeatureMap, targets: Sequence[CentreTargets] | None = None) -> CentreMaps:
+        """Outputs for the occupied cells; targets are not looked at.
 
-    def targets(self, boxes: Boxes) -> CentreTargets:
-        """The boxes of the detector's classes with centres on the map."""
-        names, (nx, ny) = self.config.classes, self.shape
-        kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
-        x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
-        here = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
-        kept = boxes[here]
-        weight = self.config.box_weights(kept)
-        return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], weight)
+        Args:
+            features: Sparse features; ``aux`` holds the sparse tensors ``votes``, of the cells before diffusion, and
+                ``height_m``, the reference height of each cell.
+            targets: Of each frame.
+        """
+        del targets
+        sparse = features.sparse.replace(in_type_of(self, features.sparse.features))
+        votes, height_m = features.aux["votes"], features.aux["height_m"]
+        logits, codes = self.heat(self.heat_stem(sparse).features), self.box(self.box_stem(sparse).features)
+        height_m = height_m.features.squeeze(1)
+        return CentreMaps(logits, codes, height_m, sparse.keys, votes.features, votes.keys, sparse.batch_size)
 
     def places_m(self, keys: Tensor) -> tuple[Tensor, Tensor]:
         """Frame (n,) and centre x, y (n, 2) of cells."""
         frame, _, ix, iy = decode_keys(keys, (1, *self.shape)).unbind(1)
         return frame, torch.stack([(ix + 0.5) * self.cell_m, (iy + 0.5) * self.cell_m + self.y_min_m], 1)
 
-    def loss(self, maps: CentreMaps, targets: Sequence[CentreTargets]) -> CentreLosses:
-        """Penalty-reduced focal loss on the heat, smooth L1 on boxes and votes, focal loss on the foreground."""
+    def losses(self, maps: CentreMaps, targets: Sequence[CentreTargets]) -> dict[str, Tensor]:
+        """Penalty-reduced focal loss on the heat, smooth L1 on boxes and votes, focal loss on the foreground.
+
+        Each is normalised by the weight of the boxes.
+        """
         weight = sum(float(target.weight.sum()) for target in targets)
         total = normaliser(torch.tensor(weight, dtype=torch.float32, device=maps.logits.device))
         parts = [self._frame_loss(maps, index, target) for index, target in enumerate(targets)]
-        return CentreLosses(*(torch.stack(part).sum() / total for part in zip(*parts, strict=True)))
+        sums = (torch.stack(part).sum() / total for part in zip(*parts, strict=True))
+        return dict(zip(_LOSSES, sums, strict=True))
 
     def _frame_loss(self, maps: CentreMaps, index: int, target: CentreTargets) -> tuple[Tensor, ...]:
         config, truth = self.config, Truth.of(target, maps.logits.device)
         frame, place_m = self.places_m(maps.keys)
         rows = (frame == index).nonzero().squeeze(1)
-        duties = assign(
+        assigned = assign(
             place_m[rows],
             truth,
             len(config.classes),
@@ -145,21 +151,25 @@ class CentreHead(nn.Module):
             assign_m=config.assign_m,
             box_m=config.box_m,
         )
-        heat = heat_loss(maps.logits[rows], duties.heat, duties.heat_weight)
-        wanted = encode(truth, duties.box, place_m[rows[duties.cell]], maps.height_m[rows[duties.cell]], self.cell_m)
-        error = functional.smooth_l1_loss(maps.codes[rows[duties.cell]].float(), wanted, beta=1 / 9, reduction="none")
+        heat = heat_loss(maps.logits[rows], assigned.heat, assigned.heat_weight)
+        expected = encode(
+            truth, assigned.box, place_m[rows[assigned.cell]], maps.height_m[rows[assigned.cell]], self.cell_m
+        )
+        error = functional.smooth_l1_loss(
+            maps.codes[rows[assigned.cell]].float(), expected, beta=1 / 9, reduction="none"
+        )
         error = error[:, :8].sum(1) + config.direction_weight * error[:, 8:].sum(1)
         frame, place_m = self.places_m(maps.vote_keys)
         rows = (frame == index).nonzero().squeeze(1)
         foreground, vote = vote_loss(maps.votes[rows], place_m[rows], truth, self.cell_m)
         return (
             heat,
-            config.box_weight * (error * duties.weight).sum(),
+            config.box_weight * (error * assigned.weight).sum(),
             config.vote_weight * foreground,
             config.vote_weight * vote,
         )
 
-    def boxes(self, maps: CentreMaps, batch_size: int) -> list[Boxes]:
+    def decode(self, maps: CentreMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
         logits = maps.logits.float()
         score = torch.sigmoid(logits)
@@ -168,7 +178,7 @@ class CentreHead(nn.Module):
         frame, place_m = self.places_m(maps.keys[row])
         found = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
         found, score, kind, frame = (part.cpu().numpy() for part in (found, score[row, kind].double(), kind, frame))
-        return [self._frame(found[frame == i], score[frame == i], kind[frame == i]) for i in range(batch_size)]
+        return [self._frame(found[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
 
     def _frame(self, rows: np.ndarray, score: np.ndarray, kind: np.ndarray) -> Boxes:
         best = np.argsort(-score, kind="stable")[: self.config.candidates]

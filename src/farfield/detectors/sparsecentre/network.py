@@ -4,20 +4,20 @@ In the line of VoxelNeXt (Chen et al., CVPR 2023, arXiv 2303.11301) and SAFDNet 
 2403.05817): points -> voxels -> sparse 3D encoder -> heights summed to a bird's-eye map of occupied cells -> sparse
 pyramid with coarse stages -> diffusion to the empty centres -> heat and boxes at occupied cells -> local maxima ->
 rotated NMS. Nothing is as large as the range. Differences from the papers, each for long range: strided layers add no
-cells, so a single point is one path to the map; cells vote for the centre that they want occupied; heights of boxes are
-said relative to the points of their cell, since roads climb over 250 m; and any occupied cell can answer for a box.
+cells, so a single point is one path to the map; cells vote for the centre that should be occupied; heights of boxes are
+relative to the points of their cell, since roads climb over 250 m; and any occupied cell can be assigned to a box.
 """
 
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
 
-import numpy as np
 import torch
-from jaxtyping import Float32
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.detectors.contract import Channels
+from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.features import FeatureMap, in_type_of
+from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.sparse import SparseTensor, SubmanifoldConv
 from farfield.detectors.sparsecentre.backbone import (
     FLAT,
@@ -29,18 +29,16 @@ from farfield.detectors.sparsecentre.backbone import (
     normalised,
 )
 from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
-from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig, CentreLosses, CentreMaps
-from farfield.detectors.sparsecentre.targets import CentreTargets
-from farfield.detectors.voxels import VoxelGridConfig, mean_voxels
-from farfield.geometry.boxes import Boxes
+from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig
+from farfield.detectors.voxels import MEAN_FEATURES, VoxelGridConfig, mean_voxels
 
 Depth = Annotated[int, Field(ge=0, le=64)]
 
 
 class SparseCentreConfig(CentreHeadConfig):
-    """Everything that decides the shape of the network and of its answers."""
+    """Everything that decides the shape of the network and its boxes."""
 
-    name: Literal["sparsecentre"] = "sparsecentre"
+    name: str = "sparsecentre"
     grid: VoxelGridConfig = VoxelGridConfig(voxel_m=(0.2, 0.2, 0.25))
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
@@ -53,6 +51,11 @@ class SparseCentreConfig(CentreHeadConfig):
     vote_ring: int = Field(1, ge=0, le=8, description="cells around a voted one that become occupied")
     vote_reach_m: float = Field(10.0, gt=0, description="longest vote along x and along y")
     head_depth: Depth = Field(1, description="residual blocks after the diffusion")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        return (*POSITION, *["intensity"] * self.use_intensity, *["lag_s"] * self.use_lag)
 
     @property
     def reach_m(self) -> float:
@@ -81,15 +84,16 @@ class SparseCentreConfig(CentreHeadConfig):
         return self
 
 
-class SparseCentre(nn.Module):
-    """The network. ``forward`` gives what is said of occupied cells; ``loss`` and ``predict`` give it a meaning."""
+class SparseCentre(MapDetector):
+    """The network: its outputs are the centre head's, for occupied cells."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("encoder", "to_map", "pyramid", "diffusion", "refine", "head")
 
     def __init__(self, config: SparseCentreConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or SparseCentreConfig()
-        c_in, width = 7 + config.use_intensity + config.use_lag, config.pyramid_widths[0]
+        config = config or SparseCentreConfig()
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
+        c_in, width = len(MEAN_FEATURES) + len(config.columns) - len(POSITION), config.pyramid_widths[0]
         self.encoder = VoxelEncoder(c_in, config.widths, config.depths)
         self.to_map = normalised(SubmanifoldConv(config.widths[-1], width, (1, 1, 1)), width)
         self.pyramid = SparsePyramid(config.pyramid_widths, config.pyramid_depth)
@@ -105,44 +109,27 @@ class SparseCentre(nn.Module):
         _, nx, ny = config.grid.shape(config.multiple)
         shape, y_min_m = (nx // config.map_stride, ny // config.map_stride), config.grid.y_min_m(config.multiple)
         self.head = CentreHead(config, width, shape=shape, cell_m=cell_m, y_min_m=y_min_m)
+        self.assigner, self.channels = self.head.assigner, width
 
-    def forward(self, clouds: Sequence[Tensor], targets: Sequence[CentreTargets] | None = None) -> CentreMaps:
-        """Run the network.
-
-        Args:
-            clouds: One tensor a frame: x, y, z (metres), intensity, lag (s), shape (n, 5).
-            targets: Not looked at.
-        """
-        del targets
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
+        """Voxels, sparse encoder, pyramid, diffusion and refinement; ``aux`` holds votes and heights for the head."""
         config = self.config
-        voxels = mean_voxels(
-            clouds, config.grid, config.multiple, use_intensity=config.use_intensity, use_lag=config.use_lag
-        )
-        dtype = next(self.encoder.parameters()).dtype
-        flat = merge_heights(self.to_map(self.encoder(voxels.replace(voxels.features.to(dtype)))))
+        voxels = mean_voxels(batch["points"], config.grid, config.multiple, columns=config.columns)
+        flat = merge_heights(self.to_map(self.encoder(voxels.replace(in_type_of(self.encoder, voxels.features)))))
         flat = self.pyramid(flat)
         diffused = self.diffusion(flat, self._heights_m(voxels, flat.keys))
-        logits, codes = self.head(self.refine(diffused.sparse))
-        return CentreMaps(logits, codes, diffused.height_m, diffused.sparse.keys, diffused.votes, flat.keys)
+        refined = self.refine(diffused.sparse)
+        return FeatureMap(
+            values=refined,
+            cell_m=self.head.cell_m,
+            origin_m=(0.0, self.head.y_min_m),
+            aux={"votes": flat.replace(diffused.votes), "height_m": refined.replace(diffused.height_m[:, None])},
+        )
 
     def _heights_m(self, voxels: SparseTensor, keys: Tensor) -> Tensor:
         """Mean height of the points' voxels in each cell of the map, shape (n,)."""
         grid = self.config.grid
-        height_m = voxels.features[:, 5] * max(abs(grid.z_min_m), abs(grid.z_max_m))
+        height_m = voxels.features[:, MEAN_FEATURES.index("z")] * max(abs(grid.z_min_m), abs(grid.z_max_m))
         cell = torch.searchsorted(keys, flat_keys(voxels, self.config.map_stride))
         count = torch.bincount(cell, minlength=len(keys)).clamp(min=1)
         return height_m.new_zeros(len(keys)).index_add(0, cell, height_m) / count
-
-    def targets(self, boxes: Boxes, points: Float32[np.ndarray, "n 5"]) -> CentreTargets:
-        """The boxes of a frame that the network should find."""
-        del points
-        return self.head.targets(boxes)
-
-    def loss(self, outputs: CentreMaps, targets: Sequence[CentreTargets]) -> CentreLosses:
-        """Losses of heat, boxes, foreground and votes over a batch."""
-        return self.head.loss(outputs, targets)
-
-    @torch.no_grad()
-    def predict(self, clouds: Sequence[Tensor]) -> list[Boxes]:
-        """Detect: one set of scored boxes a frame, best first."""
-        return self.head.boxes(self(clouds), len(clouds))

@@ -1,8 +1,9 @@
-"""What a sparse map is asked for: boxes shared out among occupied cells, their codes, and the losses of both.
+"""Targets on a sparse map: boxes assigned to occupied cells, their codes, and the losses of both.
 
 Distances on the ground decide, since a cell of the map is where points fell or a vote landed, not where a grid has one.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +13,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from farfield.geometry.boxes import wrap_angle_rad
+from farfield.detectors.contract import range_weights
+from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
 _LOG_SIZE = (float(np.log(0.05)), float(np.log(40.0)))
 
@@ -36,6 +38,35 @@ class CentreTargets:
     weight: Float[np.ndarray, " n"]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoxesOfClasses:
+    """The boxes of a frame that are of the detector's classes and have their centre on the map.
+
+    Args:
+        classes: Names by number.
+        shape: Cells of the map along x and y.
+        cell_m: Edge length of a cell.
+        y_min_m: Right edge of the map.
+        far_weight: Extra weight of a box per 100 m of range.
+    """
+
+    classes: tuple[str, ...]
+    shape: tuple[int, int]
+    cell_m: float
+    y_min_m: float
+    far_weight: float = 0.0
+
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> CentreTargets:
+        """Targets of one frame; its points are not looked at."""
+        del inputs
+        names, (nx, ny) = self.classes, self.shape
+        kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
+        x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
+        here = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
+        kept = boxes[here]
+        return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], range_weights(kept, self.far_weight))
+
+
 class Truth(NamedTuple):
     """The boxes of one frame as tensors, float32; see :class:`CentreTargets`."""
 
@@ -53,11 +84,11 @@ class Truth(NamedTuple):
         return cls(centre, size, yaw, torch.from_numpy(target.kind).to(device), weight)
 
 
-class Duties(NamedTuple):
-    """What a frame asks of its n occupied cells.
+class Assignment(NamedTuple):
+    """Targets of the n occupied cells of a frame.
 
     Attributes:
-        heat: Wanted heat, shape (n, classes): 1 at the cell nearest to a box's centre, a Gaussian around it.
+        heat: Target heat, shape (n, classes): 1 at the cell nearest to a box's centre, a Gaussian around it.
         heat_weight: Weight of that one, zero elsewhere, shape (n, classes).
         cell: Rows of the cells that learn a box, shape (k,).
         box: Which box each of them learns, shape (k,).
@@ -71,21 +102,23 @@ class Duties(NamedTuple):
     weight: Tensor
 
 
-def assign(place_m: Tensor, truth: Truth, classes: int, *, gaussian_m: float, assign_m: float, box_m: float) -> Duties:
-    """Share a frame's boxes out among its occupied cells by distance on the ground.
+def assign(
+    place_m: Tensor, truth: Truth, classes: int, *, gaussian_m: float, assign_m: float, box_m: float
+) -> Assignment:
+    """Assign a frame's boxes to its occupied cells by distance on the ground.
 
     Args:
         place_m: Centres of the cells, shape (n, 2).
         truth: The boxes.
         classes: Number of classes.
         gaussian_m: Standard deviation of the heat around a centre.
-        assign_m: A box with no occupied cell this near asks for nothing.
+        assign_m: A box with no occupied cell this near has no target.
         box_m: Cells this near to a centre learn its box, beside the nearest one.
     """
     heat, heat_weight = place_m.new_zeros(2, len(place_m), classes).unbind(0)
     if len(place_m) == 0 or len(truth.kind) == 0:
         none = truth.kind.new_zeros(0)
-        return Duties(heat, heat_weight, none, none, place_m.new_zeros(0))
+        return Assignment(heat, heat_weight, none, none, place_m.new_zeros(0))
     gap = (place_m[:, None] - truth.centre_m[None, :, :2]).norm(dim=2)
     bell = torch.exp(-0.5 * (gap / gaussian_m) ** 2)
     heat = heat.scatter_reduce(1, truth.kind.expand_as(bell), bell, "amax")
@@ -94,13 +127,13 @@ def assign(place_m: Tensor, truth: Truth, classes: int, *, gaussian_m: float, as
     peak = nearest[reached] * classes + truth.kind[reached]
     heat_weight = heat_weight.view(-1).scatter_reduce(0, peak, truth.weight[reached], "amax").view_as(heat)
     heat = torch.where(heat_weight > 0, 1.0, heat)
-    answers = gap <= box_m
-    answers[nearest[reached], reached.nonzero().squeeze(1)] = True
-    box = torch.where(answers, gap, torch.inf).argmin(1)
-    cell = answers.any(1).nonzero().squeeze(1)
+    assigned = gap <= box_m
+    assigned[nearest[reached], reached.nonzero().squeeze(1)] = True
+    box = torch.where(assigned, gap, torch.inf).argmin(1)
+    cell = assigned.any(1).nonzero().squeeze(1)
     box = box[cell]
     share = torch.bincount(box, minlength=len(truth.kind)).clamp(min=1)
-    return Duties(heat, heat_weight, cell, box, (truth.weight / share)[box])
+    return Assignment(heat, heat_weight, cell, box, (truth.weight / share)[box])
 
 
 def heat_loss(logits: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
@@ -108,7 +141,7 @@ def heat_loss(logits: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
 
     Args:
         logits: Shape (n, classes).
-        heat: Wanted heat in [0, 1], shape (n, classes).
+        heat: Target heat in [0, 1], shape (n, classes).
         weight: Weight of the positives, zero at all others, shape (n, classes).
     """
     logits = logits.float()
@@ -147,14 +180,14 @@ def vote_loss(votes: Tensor, place_m: Tensor, truth: Truth, cell_m: float) -> tu
 
 
 def encode(truth: Truth, box: Tensor, place_m: Tensor, height_m: Tensor, cell_m: float) -> Tensor:
-    """What cells should say of their boxes, shape (k, 10).
+    """Target codes of cells, shape (k, 10).
 
     Offset of the centre in cells, height of the centre above the cell's reference height (metres), logarithm of the
     size, sine and cosine of twice the yaw (the axis, which any view shows) and of the yaw (which end is the front).
 
     Args:
         truth: The boxes.
-        box: Which box each cell speaks of, shape (k,).
+        box: Which box each cell is assigned to, shape (k,).
         place_m: Centres of the cells, shape (k, 2).
         height_m: Reference heights of the cells, shape (k,).
         cell_m: Edge length of a cell.

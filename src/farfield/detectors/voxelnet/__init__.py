@@ -1,1 +1,10 @@
 """VoxelNet (Zhou and Tuzel, CVPR 2018)."""
+
+from farfield.detectors.kinds import Kind
+
+KIND = Kind(
+    name="voxelnet",
+    paper="Zhou and Tuzel, CVPR 2018",
+    config="farfield.detectors.voxelnet.network:VoxelNetConfig",
+    network="farfield.detectors.voxelnet.network:VoxelNet",
+)

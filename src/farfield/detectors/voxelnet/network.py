@@ -2,22 +2,23 @@
 
 Points -> voxels of 0.2 x 0.2 x 0.4 m with learned features -> 3D convolutions -> region proposal network -> boxes.
 Differences from the paper: the 3D convolutions compute only what a point reaches (the same function, see
-``middle.py``); 1250 x 500 cells are padded to 1256 x 504, since the three strides must divide them; loss and
-anchors' answers are those of the house's anchor head (focal loss, direction bins, answers by distance).
+``middle.py``); 1250 x 500 cells are padded to 1256 x 504, since the three strides must divide them; losses and
+assignment are those of the house's anchor head (focal loss, direction bins, assignment by distance).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
-import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels
+from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.features import FeatureMap, in_type_of
+from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.voxelnet.middle import MiddleLayers, middle_depths
 from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder
 from farfield.detectors.voxels import VoxelGridConfig
@@ -26,9 +27,9 @@ _CIRRUS_GRID = VoxelGridConfig(range_m=250.0, half_width_m=50.0, z_min_m=-3.0, z
 
 
 class VoxelNetConfig(AnchorHeadConfig):
-    """Everything that decides the shape of the network and of its answers; widths and grid are the published ones."""
+    """Everything that decides the shape of the network and its boxes; widths and grid are the published ones."""
 
-    name: Literal["voxelnet"] = "voxelnet"
+    name: str = "voxelnet"
     grid: VoxelGridConfig = _CIRRUS_GRID
     max_points: int = Field(35, ge=1, le=10_000, description="points of a voxel that count")
     use_intensity: bool = Field(True, description="read the return strength; its scale differs between sensors")
@@ -54,29 +55,34 @@ class VoxelNetConfig(AnchorHeadConfig):
         return self
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        return (*POSITION, *["intensity"] * self.use_intensity, *["lag_s"] * self.use_lag)
+
+    @property
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
         return self.grid.range_m
 
 
-class VoxelNet(AnchorDetector):
-    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+class VoxelNet(MapDetector):
+    """The network: its outputs are the anchor head's maps."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("middle", "backbone", "head")
 
     def __init__(self, config: VoxelNetConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or VoxelNetConfig()
+        config = config or VoxelNetConfig()
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
         multiple = math.prod(config.strides)
         depth, nx, ny = config.grid.shape(multiple)
         self.encoder = VoxelFeatureEncoder(
             config.grid,
+            config.columns,
             multiple=multiple,
             widths=config.vfe_widths,
             channels=config.voxel_channels,
             max_points=config.max_points,
-            use_intensity=config.use_intensity,
-            use_lag=config.use_lag,
         )
         self.middle = MiddleLayers(config.voxel_channels, config.middle_widths, depth, config.middle)
         self.backbone = BevBackbone(
@@ -95,10 +101,10 @@ class VoxelNet(AnchorDetector):
             y_min_m=config.grid.y_min_m(multiple),
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
+        self.assigner, self.channels = self.head.assigner, self.backbone.channels
 
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxel features, convolutional middle layers and the region proposal network's trunk (section 2.1)."""
-        image = self.middle(self.encoder(clouds))
-        image = image.to(self.head.weight.dtype) if not torch.is_autocast_enabled(image.device.type) else image
-        features: Tensor = self.backbone(image)
-        return features
+        image, grid = self.middle(self.encoder(batch["points"])), self.head.anchors
+        features = self.backbone(in_type_of(self.backbone, image))
+        return FeatureMap(values=features, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))

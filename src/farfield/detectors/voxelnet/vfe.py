@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from farfield.detectors.folding import fold_linear
+from farfield.detectors.inputs import features_of, stacked
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
 
@@ -51,29 +52,27 @@ class VoxelFeatureEncoder(nn.Module):
 
     Args:
         grid: The voxel grid.
+        columns: Columns of the points; those after the position are features as they are.
         multiple: The network's coarsest stride, which must divide the grid.
         widths: Channels after each VFE layer, even numbers.
         channels: Features a voxel.
         max_points: Points of a voxel that count.
-        use_intensity: Feed the return strength.
-        use_lag: Feed the age of each point's sweep.
     """
 
     def __init__(
         self,
         grid: VoxelGridConfig,
+        columns: Sequence[str],
         *,
         multiple: int,
         widths: Sequence[int] = (32, 128),
         channels: int = 128,
         max_points: int = 35,
-        use_intensity: bool = True,
-        use_lag: bool = False,
     ) -> None:
         super().__init__()
         self.grid, self.multiple, self.max_points = grid, multiple, max_points
-        self.columns = [3] * use_intensity + [4] * use_lag
-        c_in = 6 + len(self.columns)
+        self.extra = features_of(columns)
+        c_in = 6 + len(self.extra)
         self.layers = nn.ModuleList()
         for width in widths:
             self.layers.append(PointLayer(c_in, width // 2))
@@ -81,10 +80,8 @@ class VoxelFeatureEncoder(nn.Module):
         self.last = PointLayer(c_in, channels)
 
     def forward(self, clouds: Sequence[Tensor]) -> SparseTensor:
-        """Encode the points x, y, z (metres), intensity, lag (s) of each frame, shape (n, 5), in float32."""
-        points = torch.cat(list(clouds))
-        lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
-        batch = torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+        """Encode the points of each frame, shape (n, columns), in float32."""
+        points, batch = stacked(clouds)
         rows, key = voxel_keys(points, batch, self.grid, self.multiple)
         points, keys, member = grouped(points[rows], key, self.max_points)
         with torch.autocast(points.device.type, enabled=False):
@@ -101,7 +98,7 @@ class VoxelFeatureEncoder(nn.Module):
         to_mean = xyz - (sums / member.bincount(minlength=voxel_count)[:, None])[member]
         grid = self.grid
         scale = xyz.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
-        return torch.cat([xyz / scale, points[:, self.columns], to_mean / xyz.new_tensor(grid.voxel_m)], 1)
+        return torch.cat([xyz / scale, points[:, self.extra], to_mean / xyz.new_tensor(grid.voxel_m)], 1)
 
 
 def grouped(points: Tensor, key: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -5,26 +5,18 @@ matched boxes with centres aligned. wDDS widens each threshold by omega = exp(ep
 far object may be located less exactly. What the paper leaves open is an option of :class:`DdsSettings`.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from jaxtyping import Float
-
-from farfield.metrics.bootstrap import Statistics, intervals
-from farfield.metrics.centre.evaluation import (
-    Part,
-    binned,
-    match_scene,
-    mean_of_parts,
-    statistics,
-    whole,
-    with_confidences,
-)
-from farfield.metrics.centre.scene import BoxesByFrame, Scene, gather
+from farfield.frame.drive import Drive
+from farfield.metrics.centre.protocol import CentreProtocol, evaluate_centre
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.curves import Ranking
-from farfield.metrics.result import Result, table
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.result import Result, table, value_at
+
+if TYPE_CHECKING:
+    from farfield.metrics.detections import Detections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +44,12 @@ class DdsResult(Result):
 
 
 def evaluate_dds(
-    predictions: BoxesByFrame, annotations: BoxesByFrame, settings: DdsSettings | None = None
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: DdsSettings | None = None,
+    *,
+    drives: Sequence[Drive] = (),
+    reach_m: float | None = None,
 ) -> DdsResult:
     """Score predictions with DDS and wDDS.
 
@@ -60,6 +57,8 @@ def evaluate_dds(
         predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
         annotations: Annotated boxes by (sequence, frame): every frame that counts, those without boxes too.
         settings: The options; None takes the defaults.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
+        reach_m: Range bins that begin here or beyond are not in the mean of the bins.
 
     Returns:
         Figures named ``ap/THRESHOLD``, ``errors/NAME`` (first epsilon) and ``dds/EPSILON/dds|map|aiou``.
@@ -68,73 +67,30 @@ def evaluate_dds(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     settings = settings or DdsSettings()
-    return DdsResult(**evaluate_centre(predictions, annotations, settings, protocol="dds"))
+    found = evaluate_centre(predictions, annotations, settings, protocol=Dds.name, drives=drives, reach_m=reach_m)
+    return DdsResult(**found)
 
 
-def evaluate_centre(
-    predictions: BoxesByFrame, annotations: BoxesByFrame, settings: CentreSettings, *, protocol: str
-) -> dict[str, Any]:
-    """Evaluate the region and each of its range bins; returns the fields of a :class:`Result`."""
-    scene = gather(predictions, annotations, settings)
-    parts = _parts(scene, settings)
+class Dds(CentreProtocol):
+    """DDS and wDDS of the Cirrus paper."""
 
-    def figures(weight: Float[np.ndarray, " groups"]) -> dict[str, Statistics]:
-        found = {name: statistics(part, settings, weight) for name, part in parts.items()}
-        return found | {"mean_of_bins": mean_of_parts([v for name, v in found.items() if name != "overall"])}
+    name = "dds"
+    Settings = DdsSettings
 
-    def flat(weight: Float[np.ndarray, " groups"]) -> Statistics:
-        return {f"{part}|{name}": v for part, named in figures(weight).items() for name, v in named.items()}
+    def evaluate(self, found: "Detections", settings: DdsSettings) -> DdsResult:
+        """DDS and wDDS by range and epsilon."""
+        return evaluate_dds(found.boxes, found.annotated, settings, drives=found.drives, reach_m=found.reach_m)
 
-    point = figures(np.ones(scene.n_groups))
-    drawn: dict[str, dict[str, list[float] | None]] = {}
-    for key, interval in intervals(flat, scene.n_groups, settings.bootstrap).items():
-        part, _, name = key.partition("|")
-        drawn.setdefault(part, {})[name] = interval
-    frames = np.union1d(scene.predicted_frame, scene.annotated_frame[~scene.ignored])
-    return {
-        "protocol": protocol,
-        "label": settings.label,
-        "settings": settings.to_json(),
-        "convention": settings.convention(),
-        "figures": point["overall"],
-        "ranges": {name: v for name, v in point.items() if name not in ("overall", "mean_of_bins")},
-        "mean_of_bins": point["mean_of_bins"],
-        "counts": {
-            "frames": len(frames),
-            "frames_given": len(annotations),
-            **_counts(parts["overall"]),
-            "predictions_over_limit": scene.over_limit,
-            "ranges": {name: _counts(part) for name, part in parts.items() if name != "overall"},
-        },
-        "intervals": drawn,
-        "grouped_by": scene.grouped_by,
-        "curves": {name: _curves(part, settings) for name, part in parts.items()},
-    }
+    def title(self, figure: str) -> str:
+        """DDS, wDDS with its epsilon, mAP, aIoU."""
+        words = figure.split("/")
+        if words[0] != "dds" or len(words) != 3:
+            return super().title(figure)
+        score = "DDS" if words[1] == "0" else f"wDDS {words[1]}"
+        return {"dds": score, "map": "mAP", "aiou": "aIoU"}.get(words[2], words[2])
 
-
-def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
-    scene = with_confidences(scene, settings)
-    matches = match_scene(scene, settings)
-    parts = {"overall": whole(scene, matches, settings)}
-    for low_m, high_m in settings.bins_m:
-        name = f"{low_m:g}-{high_m:g}"
-        if settings.range_assign == "match_then_bin":
-            parts[name] = binned(scene, matches, settings, low_m, high_m)
-        else:
-            inside = scene.cut_range(low_m, high_m)
-            if inside is scene:  # the bin holds everything
-                parts[name] = parts["overall"]
-            else:
-                parts[name] = whole(inside, match_scene(inside, settings), settings)
-    return parts
-
-
-def _counts(part: Part) -> dict[str, int]:
-    return {"annotated": part.annotated, "predictions": part.predicted, "ignored": part.ignored}
-
-
-def _curves(part: Part, settings: CentreSettings) -> dict[str, dict[str, Ranking]]:
-    return {
-        f"{epsilon:g}": {str(float(threshold)): part.ranking[epsilon, threshold] for threshold in settings.thresholds_m}
-        for epsilon in settings.epsilons
-    }
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """DDS and wDDS by epsilon, then mAP and aIoU of plain DDS."""
+        names = [f"dds/{epsilon}/dds" for epsilon in result.get("dds") or ()]
+        plain = ["dds/0/map", "dds/0/aiou"] if "0" in (result.get("dds") or ()) else []
+        return {name: value_at(result, name) for name in [*names, *plain]}

@@ -10,9 +10,10 @@ from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import aligned_iou
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
-from farfield.metrics.centre.scene import Scene, in_range
+from farfield.metrics.centre.scene import Scene
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import Curve, Ranking, average_precision, mean_error, weighted_curve
+from farfield.metrics.frames import in_range
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
 ERRORS = ("trans_err", "scale_err", "orient_err")
@@ -155,7 +156,7 @@ def statistics(part: Part, settings: CentreSettings, weight: Float[np.ndarray, "
     """All figures of a part under given group weights, None where nothing is annotated.
 
     Names: ``ap/0.5`` and ``errors/trans_err`` at the first epsilon; ``dds/EPSILON/dds``, ``.../map``, ``.../aiou``, or,
-    where aligned IoU is not scored, ``map``.
+    where aligned IoU is not scored, ``map``, at the first epsilon too.
     """
     curves = {variant: weighted_curve(ranking, weight) for variant, ranking in part.ranking.items()}
     figures: Statistics = {}
@@ -167,7 +168,7 @@ def statistics(part: Part, settings: CentreSettings, weight: Float[np.ndarray, "
             figures |= {f"errors/{name}": error(name, "nuscenes") for name in ERRORS}
         mean_ap = _mean(precisions)
         if not settings.with_aiou:
-            figures["map"] = mean_ap
+            figures.setdefault("map", mean_ap)
             continue
         aiou_err = error("aiou_err", settings.aiou_mean)
         aiou = None if aiou_err is None else 1.0 - aiou_err

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from farfield.geometry.boxes import Boxes
+
 NO_MATCH = -1
 _CACHED = 1 << 15  # costs held at a time: they stay in the processor's second-level cache
 DROPPED = -2  # the best match is a box that is neither right nor wrong to find
@@ -85,6 +87,34 @@ def greedy_match(
     for frames in _buckets(ranked.count, boxes.count, len(limits.threshold_m)):
         _play(frames, ranked, boxes, predicted_m, annotated_m, limits, ignored, result)
     return result
+
+
+def found_by(predictions: Boxes, annotated: Boxes, *, distance_m: float = 2.0) -> Int[np.ndarray, " m"]:
+    """Match one frame: for each annotated box the index of the prediction that found it, or -1, shape (m,).
+
+    Predictions take turns by falling score; each takes the nearest free annotated box nearer than ``distance_m``
+    between centres in the x-y plane.
+
+    Args:
+        predictions: Boxes of a detector; without scores their order is that of their turns.
+        annotated: m annotated boxes of the same frame.
+        distance_m: The distance at which a box no longer counts as found.
+    """
+    finder = np.full(len(annotated), -1, dtype=np.int64)
+    if not len(predictions) or not len(annotated):
+        return finder
+    score = np.zeros(len(predictions)) if predictions.score is None else predictions.score
+    one_frame = np.zeros(len(predictions), dtype=np.int64)
+    taken = greedy_match(
+        predictions.centre_m[:, :2],
+        one_frame,
+        rank_predictions(score, one_frame),
+        annotated.centre_m[:, :2],
+        np.zeros(len(annotated), dtype=np.int64),
+        Limits(threshold_m=np.array([distance_m])),
+    )[0]
+    finder[taken[taken >= 0]] = np.flatnonzero(taken >= 0)
+    return finder
 
 
 @dataclass(frozen=True, eq=False)

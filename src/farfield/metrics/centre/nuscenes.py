@@ -5,13 +5,18 @@ Centre distance in the x-y plane; AP above recall and precision 0.1 at 0.5, 1, 2
 index first). Velocity and attributes are not scored, hence no NDS.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from farfield.metrics.centre.dds import evaluate_centre
-from farfield.metrics.centre.scene import BoxesByFrame
+from farfield.frame.drive import Drive
+from farfield.metrics.centre.protocol import CentreProtocol, evaluate_centre
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.result import Result, table
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.result import Result, table, value_at
+
+if TYPE_CHECKING:
+    from farfield.metrics.detections import Detections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +51,12 @@ class NuScenesResult(Result):
 
 
 def evaluate_nuscenes(
-    predictions: BoxesByFrame, annotations: BoxesByFrame, settings: NuScenesSettings | None = None
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: NuScenesSettings | None = None,
+    *,
+    drives: Sequence[Drive] = (),
+    reach_m: float | None = None,
 ) -> NuScenesResult:
     """Score predictions as the nuScenes devkit does.
 
@@ -54,6 +64,8 @@ def evaluate_nuscenes(
         predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
         annotations: Annotated boxes by (sequence, frame): every frame that counts, those without boxes too.
         settings: The options; None takes the protocol's.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
+        reach_m: Range bins that begin here or beyond are not in the mean of the bins.
 
     Returns:
         Figures named ``ap/THRESHOLD``, ``errors/NAME`` and ``map``.
@@ -62,5 +74,20 @@ def evaluate_nuscenes(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     settings = settings or NuScenesSettings()
-    found = evaluate_centre(predictions, annotations, settings, protocol="nuscenes")
+    found = evaluate_centre(predictions, annotations, settings, protocol=NuScenes.name, drives=drives, reach_m=reach_m)
     return NuScenesResult(**found)
+
+
+class NuScenes(CentreProtocol):
+    """The detection metrics of nuScenes."""
+
+    name = "nuscenes"
+    Settings = NuScenesSettings
+
+    def evaluate(self, found: "Detections", settings: NuScenesSettings) -> NuScenesResult:
+        """AP by threshold and errors, by range."""
+        return evaluate_nuscenes(found.boxes, found.annotated, settings, drives=found.drives, reach_m=found.reach_m)
+
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """The mean AP."""
+        return {"map": value_at(result, "map")}

@@ -4,7 +4,6 @@ The Cirrus paper leaves them open, so each is an option, and the chosen setting 
 are those of the list of ambiguities in ``docs/metrics.md``.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -12,6 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
+from farfield.metrics.options import check_range_bins, json_options, option_text
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "distance": ("3d", "bev"),
@@ -124,34 +124,3 @@ class CentreSettings:
         if self.region != "window":
             del shown["window_m"]
         return option_text(shown)
-
-
-def check_range_bins(edges_m: tuple[float, ...]) -> None:
-    """Raise ConfigError unless these are edges of range bins."""
-    rising = all(low < high for low, high in pairwise(edges_m))
-    if len(edges_m) < 2 or not rising or edges_m[0] < 0:
-        raise ConfigError(f"range_bins_m: expected two or more rising edges from 0 on, got {edges_m}")
-
-
-def json_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options as JSON values; JSON has no infinity, so an open edge becomes the word ``inf``."""
-
-    def plain(value: Any) -> Any:
-        return str(value) if isinstance(value, float) and math.isinf(value) else value
-
-    return {
-        name: [plain(v) for v in value] if isinstance(value, tuple) else plain(value) for name, value in options.items()
-    }
-
-
-def option_text(options: Mapping[str, Any]) -> str:
-    """Options as one line of ``name=value`` pairs."""
-    return "; ".join(f"{name}={_text(value)}" for name, value in options.items())
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return ",".join(f"{a}->{b}" for a, b in value.items()) or "nothing"
-    if isinstance(value, list):
-        return ",".join(f"{v:g}" if isinstance(v, float) else str(v) for v in value) or "nothing"
-    return f"{value:g}" if isinstance(value, float) else str(value)

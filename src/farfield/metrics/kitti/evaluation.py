@@ -7,21 +7,28 @@ lets them do so here too. R11 averages the precision at recalls 0, 0.1 ... 1, R4
 2019). Without 2D facts there is one difficulty, ``all``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from farfield.frame.drive import Drive
 from farfield.metrics.bootstrap import Statistics, intervals
-from farfield.metrics.centre.scene import BoxesByFrame, in_range
 from farfield.metrics.counts import KittiCurve, ThresholdCounts, recall_mean, shifted
+from farfield.metrics.frames import BoxesByFrame, in_range
 from farfield.metrics.kitti.frames import Details, KittiFrames, candidates, gather_kitti
-from farfield.metrics.kitti.matching import count_at_thresholds, recall_scores, sample_thresholds
+from farfield.metrics.kitti.matching import count_at_thresholds, recall_scores
 from farfield.metrics.kitti.settings import DIFFICULTIES, KittiSettings
+from farfield.metrics.recall import sample_thresholds
 from farfield.metrics.result import Result, table
 
 __all__ = ["Details", "KittiCurve", "KittiResult", "KittiSettings", "evaluate_kitti"]
+
+_Counted = dict[tuple[str, str, str], ThresholdCounts]  # by part, measure and difficulty
+_Averages = dict[tuple[str, str, str], Statistics]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,6 +55,7 @@ def evaluate_kitti(
     *,
     prediction_details: Details | None = None,
     annotation_details: Details | None = None,
+    drives: Sequence[Drive] = (),
 ) -> KittiResult:
     """Score predictions with KITTI's average precision.
 
@@ -58,6 +66,7 @@ def evaluate_kitti(
         prediction_details: By frame, in the order of its boxes: ``box_px`` (n, 4) as left, top, right, bottom.
         annotation_details: Likewise ``truncation`` (n,), ``occlusion`` (n,), ``box_px`` (n, 4), and ``dontcare_px``
             (k, 4). None evaluates one difficulty, ``all``.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
 
     Returns:
         Figures in [0, 1] named ``ap/bev_r11/easy``, ``ap/3d_r40/moderate``...
@@ -66,7 +75,7 @@ def evaluate_kitti(
         ConfigError: If predictions lie in frames that are not annotated, lack scores, or details do not fit.
     """
     settings = settings or KittiSettings()
-    data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details)
+    data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details, drives)
     parts = {"overall": (np.ones(len(data.predicted), dtype=bool), np.ones(len(data.annotated), dtype=bool))} | {
         f"{low_m:g}-{high_m:g}": (in_range(data.predicted, low_m, high_m), in_range(data.annotated, low_m, high_m))
         for low_m, high_m in settings.bins_m
@@ -105,27 +114,27 @@ def evaluate_kitti(
 
 
 def _intervals(
-    counted: dict[tuple[str, str, str], ThresholdCounts], data: KittiFrames, settings: KittiSettings
+    counted: _Counted, data: KittiFrames, settings: KittiSettings
 ) -> dict[str, dict[str, list[float] | None]]:
     """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
     point = {name: _averages(found.sampled()) for name, found in counted.items()}
     start = {name: _averages(found.smooth(np.ones(data.groups))) for name, found in counted.items()}
-
-    def moved(weight: Float[np.ndarray, " groups"]) -> Statistics:
-        values: Statistics = {}
-        for (part, measure, difficulty), found in counted.items():
-            name = part, measure, difficulty
-            for points, drawn in _averages(found.smooth(weight)).items():
-                values[f"{part}|ap/{measure}_{points}/{difficulty}"] = shifted(
-                    point[name][points], drawn, start[name][points]
-                )
-        return values
-
     drawn: dict[str, dict[str, list[float] | None]] = {}
-    for key, interval in intervals(moved, data.groups, settings.bootstrap).items():
+    for key, interval in intervals(partial(_moved, counted, point, start), data.groups, settings.bootstrap).items():
         part, _, name = key.partition("|")
         drawn.setdefault(part, {})[name] = interval
     return drawn
+
+
+def _moved(counted: _Counted, point: _Averages, start: _Averages, weight: Float[np.ndarray, " groups"]) -> Statistics:
+    values: Statistics = {}
+    for (part, measure, difficulty), found in counted.items():
+        name = part, measure, difficulty
+        for points, drawn in _averages(found.smooth(weight)).items():
+            values[f"{part}|ap/{measure}_{points}/{difficulty}"] = shifted(
+                point[name][points], drawn, start[name][points]
+            )
+    return values
 
 
 def _averages(sampled: Float[np.ndarray, "41"] | None) -> Statistics:

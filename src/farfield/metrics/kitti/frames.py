@@ -1,23 +1,24 @@
 """All frames of a KITTI evaluation as flat arrays, and the candidates of each annotated box."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.errors import ConfigError
+from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
-from farfield.metrics.centre.scene import (
+from farfield.metrics.frames import (
     BoxesByFrame,
-    Key,
     check_frames,
     flatten,
     frame_order,
     group_frames,
     has_label,
     in_region,
+    same_owner,
 )
 from farfield.metrics.kitti.matching import Candidates
 from farfield.metrics.kitti.settings import DIFFICULTIES, KittiSettings
@@ -54,6 +55,7 @@ def gather_kitti(
     settings: KittiSettings,
     prediction_details: Details,
     annotation_details: Details | None,
+    drives: Sequence[Drive] = (),
 ) -> KittiFrames:
     """Collect one class from all frames; the arguments are those of ``evaluate_kitti``."""
     check_frames(predictions, annotations)
@@ -78,7 +80,7 @@ def gather_kitti(
     predicted, annotated = predicted[scored], annotated[used]
     predicted_frame, annotated_frame = predicted_frame[scored], annotated_frame[used]
     pair = _pairs(predicted, predicted_frame, annotated, annotated_frame, len(keys))
-    group, grouped_by = group_frames(keys)
+    group, grouped_by = group_frames(keys, drives)
     return KittiFrames(
         predicted=predicted,
         predicted_frame=predicted_frame,
@@ -148,17 +150,6 @@ def _pairs(
     reach = (np.hypot(*annotated.size_m[:, :2].T)[box] + np.hypot(*predicted.size_m[:, :2].T)[detection]) / 2
     near = (gap**2).sum(axis=1) < reach**2
     return np.column_stack([box[near], detection[near]])
-
-
-def same_owner(
-    a_owner: Int[np.ndarray, " n"], b_owner: Int[np.ndarray, " m"], owners: int
-) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """All pairs of a row of ``a`` with a row of ``b`` of the same owner; the rows of ``b`` are sorted by owner."""
-    count = np.bincount(b_owner, minlength=owners)
-    start = np.cumsum(count) - count
-    each = count[a_owner]
-    a = np.repeat(np.arange(len(a_owner)), each)
-    return a, np.arange(len(a)) - np.repeat(np.cumsum(each) - each, each) + np.repeat(start[a_owner], each)
 
 
 def _column(

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.centre.settings import check_range_bins, json_options, option_text
+from farfield.metrics.options import check_range_bins, json_options, option_text
 
 DIFFICULTIES: dict[str, tuple[float, int, float]] = {  # least height in pixels, largest occlusion and truncation
     "easy": (40.0, 0, 0.15),

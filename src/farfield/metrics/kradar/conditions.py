@@ -1,4 +1,4 @@
-"""K-Radar's conditions: weather, road and time of day of each sequence, and the files that tell them."""
+"""K-Radar's conditions: weather, road and time of day of each sequence, and the files that state them."""
 
 import csv
 import io
@@ -8,7 +8,7 @@ from pathlib import Path
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.description import read_description
-from farfield.metrics.centre.scene import Key
+from farfield.frame.drive import Key
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
 from farfield.vocabulary.kradar import DESCRIPTION_ORDER
 
@@ -25,10 +25,10 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
         keys: (sequence, frame) of the frames.
 
     Returns:
-        Conditions by frame; frames of sequences that are not told of are absent.
+        Conditions by frame; frames of sequences without known conditions are absent.
 
     Raises:
-        ConfigError: If there is no such file or folder, or no sequence of the frames is told of.
+        ConfigError: If there is no such file or folder, or it states no sequence of the frames.
         FileFormatError: If a file is not of that form.
     """
     path, keys = Path(path), list(keys)

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.metrics.counts import ThresholdCounts
-from farfield.metrics.kitti.matching import sample_thresholds
 from farfield.metrics.kradar.frames import KRadarFrames
 from farfield.metrics.kradar.matching import Gains, gains
 from farfield.metrics.kradar.settings import KRadarSettings
+from farfield.metrics.recall import sample_thresholds
 
 MEASURES = ("3d", "bev")
 
@@ -108,16 +108,20 @@ def _count(
     thresholds, recalls = sample_thresholds(score[gain.found[rows]], total) if total else ([], [])
     reached = np.searchsorted(-score, -np.array(thresholds, dtype=np.float64), side="right")
     step = np.repeat(np.arange(len(thresholds) + 1), np.diff(reached, prepend=0, append=len(rows)))
-
-    def above(values: np.ndarray | None) -> Float[np.ndarray, "t g"]:
-        sums = np.bincount(step * groups + owner, weights=values, minlength=(len(thresholds) + 1) * groups)
-        return sums.reshape(len(thresholds) + 1, groups)[:-1].cumsum(axis=0).astype(np.float64)
-
-    true = above(gain.true[rows])
+    cell, shape = step * groups + owner, (len(thresholds) + 1, groups)
+    true = _above(cell, gain.true[rows], shape)
     return ThresholdCounts(
         thresholds=thresholds,
         recalls=recalls,
         true=true,
-        false=above(None) - true - above(gain.excused[rows]),
+        false=_above(cell, None, shape) - true - _above(cell, gain.excused[rows], shape),
         annotated=annotated,
     )
+
+
+def _above(
+    cell: Int[np.ndarray, " r"], values: Int[np.ndarray, " r"] | None, shape: tuple[int, int]
+) -> Float[np.ndarray, "t g"]:
+    """Sums of the values (or numbers of rows) at or above each threshold, by group."""
+    sums = np.bincount(cell, weights=values, minlength=shape[0] * shape[1])
+    return sums.reshape(shape)[:-1].cumsum(axis=0).astype(np.float64)

@@ -6,16 +6,18 @@ K-Radar's development kit computes, see :mod:`farfield.metrics.kradar.settings`.
 per cent.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from farfield.frame.drive import Drive, Key
 from farfield.metrics.bootstrap import Statistics, intervals
-from farfield.metrics.centre.scene import BoxesByFrame, Key
 from farfield.metrics.counts import ThresholdCounts, recall_mean, shifted
+from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.kradar.conditions import group_conditions
 from farfield.metrics.kradar.counting import MEASURES, Matched, count, match
 from farfield.metrics.kradar.frames import KRadarFrames, Visibility, gather_kradar
@@ -94,6 +96,7 @@ def evaluate_kradar(
     conditions: Conditions | None = None,
     visibility: Visibility | None = None,
     protocol: str = "kradar",
+    drives: Sequence[Drive] = (),
 ) -> KRadarResult:
     """Score predictions with K-Radar's average precision.
 
@@ -104,6 +107,7 @@ def evaluate_kradar(
         conditions: ``weather``, ``road`` and ``time`` of each frame. Every subset is then scored by itself.
         visibility: ``R``, ``L`` or ``L1`` of each annotated box of a frame, in the order of its boxes.
         protocol: What the result is to be called.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
 
     Returns:
         Figures in [0, 1] named ``ap/vehicle/3d/0.3``, ``ap/vehicle/bev/0.5``...
@@ -112,7 +116,7 @@ def evaluate_kradar(
         ConfigError: If predictions lie in frames that are not annotated, lack scores, or the visibility does not fit.
     """
     settings = settings or KRadarSettings()
-    data = gather_kradar(predictions, annotations, settings, visibility)
+    data = gather_kradar(predictions, annotations, settings, visibility, drives)
     counted, counts = _all_counts(data, settings, conditions or {}, with_visibility=visibility is not None)
     figures = {part: _figures(found, settings) for part, found in counted.items()}
     ranges = {f"{low:g}-{high:g}": figures.pop(f"{low:g}-{high:g}") for low, high in settings.bins_m}
@@ -145,35 +149,48 @@ def _all_counts(
     data: KRadarFrames, settings: KRadarSettings, conditions: Conditions, *, with_visibility: bool
 ) -> tuple[_Parts, dict[str, dict[str, Any]]]:
     """Counts at thresholds by part and class, and the numbers of frames and boxes by part."""
-    drawn = settings.bootstrap.replicates > 0
-    group, groups = (data.group, data.groups) if drawn else (np.zeros(len(data.keys), dtype=np.int64), 1)
-    parts: _Parts = {}
-    counts: dict[str, dict[str, Any]] = {}
-
-    def add(part: str, label: str, matched: Matched, inside: Bool[np.ndarray, " f"] | None = None) -> None:
-        found = count(matched, inside, group, groups)
-        parts.setdefault(part, {})[label] = found
-        counted = data.counted if inside is None else data.counted & inside
-        here = counts.setdefault(part, {"frames": int(counted.sum()), "classes": {}})
-        there = [matched.annotated_frame, matched.frame]
-        sums = [len(frame) if inside is None else int(inside[frame].sum()) for frame in there]
-        here["classes"][label] = dict(zip(("annotated", "predictions"), sums, strict=True))
-
+    tally = _Tally(data, drawn=settings.bootstrap.replicates > 0)
     subsets = list(_subsets(data, conditions))
     for kind, label in enumerate(settings.classes):
         whole = match(data, settings, kind)
-        add("overall", label, whole)
+        tally.add("overall", label, whole)
         for part, inside in subsets:
-            add(part, label, whole, inside)
+            tally.add(part, label, whole, inside)
         for low_m, high_m in settings.bins_m:
             near = {
                 name: (side.range_m >= low_m) & (side.range_m < high_m)
                 for name, side in (("predicted_in", data.predicted), ("annotated_in", data.annotated))
             }
-            add(f"{low_m:g}-{high_m:g}", label, match(data, settings, kind, **near))
+            tally.add(f"{low_m:g}-{high_m:g}", label, match(data, settings, kind, **near))
         for name in _SEEN_BY if with_visibility else ():
-            add(f"visibility/{name}", label, match(data, settings, kind, optional=data.annotated.seen_by != name))
-    return parts, counts
+            unlike = data.annotated.seen_by != name
+            tally.add(f"visibility/{name}", label, match(data, settings, kind, optional=unlike))
+    return tally.parts, tally.counts
+
+
+class _Tally:
+    """Counts at thresholds by part and class, and the numbers of frames and boxes by part.
+
+    Args:
+        data: All frames.
+        drawn: Whether intervals are drawn, so that counts are kept by group.
+    """
+
+    def __init__(self, data: KRadarFrames, *, drawn: bool) -> None:
+        self.data = data
+        self.group = data.group if drawn else np.zeros(len(data.keys), dtype=np.int64)
+        self.groups = data.groups if drawn else 1
+        self.parts: _Parts = {}
+        self.counts: dict[str, dict[str, Any]] = {}
+
+    def add(self, part: str, label: str, matched: Matched, inside: Bool[np.ndarray, " f"] | None = None) -> None:
+        """Count one class in one part: in all frames, or in those marked."""
+        self.parts.setdefault(part, {})[label] = count(matched, inside, self.group, self.groups)
+        counted = self.data.counted if inside is None else self.data.counted & inside
+        here = self.counts.setdefault(part, {"frames": int(counted.sum()), "classes": {}})
+        there = [matched.annotated_frame, matched.frame]
+        sums = [len(frame) if inside is None else int(inside[frame].sum()) for frame in there]
+        here["classes"][label] = dict(zip(("annotated", "predictions"), sums, strict=True))
 
 
 def _subsets(data: KRadarFrames, conditions: Conditions) -> Iterator[tuple[str, Bool[np.ndarray, " f"]]]:
@@ -181,8 +198,8 @@ def _subsets(data: KRadarFrames, conditions: Conditions) -> Iterator[tuple[str, 
     for kind in CONDITIONS:
         if not any(kind in values for values in conditions.values()):
             continue
-        told = [condition_name(conditions.get(key, {}).get(kind, "")) for key in data.keys]
-        values = np.array(told, dtype=np.str_)
+        stated = [condition_name(conditions.get(key, {}).get(kind, "")) for key in data.keys]
+        values = np.array(stated, dtype=np.str_)
         for value in group_conditions(conditions, kind):
             yield f"{kind}/{value}", values == value
 
@@ -209,25 +226,33 @@ def _intervals(
         for label, counts in found.items()
         for (measure, iou), at in counts.items()
     }
-
-    def smooth(at: ThresholdCounts, weight: Float[np.ndarray, " g"]) -> float | None:
-        sampled = at.smooth(weight)
-        return None if sampled is None else recall_mean(sampled, settings.recall_points)
-
+    smooth = partial(_smooth, settings.recall_points)
     start = {name: smooth(at, np.ones(data.groups)) for name, at in flat.items()}
-
-    def moved(weight: Float[np.ndarray, " g"]) -> Statistics:
-        values: Statistics = {}
-        for name, at in flat.items():
-            part, _, figure = name.partition("|")
-            values[name] = shifted(point[part][figure], smooth(at, weight), start[name])
-        return values
-
     drawn: dict[str, dict[str, list[float] | None]] = {}
+    moved = partial(_moved, settings.recall_points, flat, point, start)
     for name, interval in intervals(moved, data.groups, settings.bootstrap).items():
         part, _, figure = name.partition("|")
         drawn.setdefault(part, {})[figure] = interval
     return drawn
+
+
+def _smooth(points: int, at: ThresholdCounts, weight: Float[np.ndarray, " g"]) -> float | None:
+    sampled = at.smooth(weight)
+    return None if sampled is None else recall_mean(sampled, points)
+
+
+def _moved(
+    points: int,
+    flat: Mapping[str, ThresholdCounts],
+    point: Mapping[str, Statistics],
+    start: Mapping[str, float | None],
+    weight: Float[np.ndarray, " g"],
+) -> Statistics:
+    values: Statistics = {}
+    for name, at in flat.items():
+        part, _, figure = name.partition("|")
+        values[name] = shifted(point[part][figure], _smooth(points, at, weight), start[name])
+    return values
 
 
 def _nested(counts: dict[str, dict[str, Any]], given: int, cut: int) -> dict[str, Any]:

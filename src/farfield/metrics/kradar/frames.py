@@ -8,10 +8,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.errors import ConfigError
+from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import bev_intersection_m2
-from farfield.metrics.centre.scene import BoxesByFrame, Key, check_frames, flatten, frame_order, group_frames, has_label
-from farfield.metrics.kitti.frames import same_owner
+from farfield.metrics.frames import (
+    BoxesByFrame,
+    check_frames,
+    flatten,
+    frame_order,
+    group_frames,
+    has_label,
+    same_owner,
+)
 from farfield.metrics.kradar.settings import KRadarSettings
 
 Visibility = Mapping[Key, Sequence[str]]
@@ -84,7 +92,11 @@ class KRadarFrames:
 
 
 def gather_kradar(
-    predictions: BoxesByFrame, annotations: BoxesByFrame, settings: KRadarSettings, visibility: Visibility | None
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: KRadarSettings,
+    visibility: Visibility | None,
+    drives: Sequence[Drive] = (),
 ) -> KRadarFrames:
     """Collect the classes from all frames; the arguments are those of ``evaluate_kradar``.
 
@@ -107,7 +119,7 @@ def gather_kradar(
         counted = np.bincount(annotated.frame, minlength=len(keys)) > 0
         predicted = predicted[counted[predicted.frame]]
     pair = _pairs(annotated, predicted, len(keys) * len(settings.classes), len(settings.classes))
-    group, grouped_by = group_frames(keys)
+    group, grouped_by = group_frames(keys, drives)
     return KRadarFrames(
         keys=keys,
         counted=counted,

@@ -1,6 +1,6 @@
 """Which point belongs to which annotated box: what the first stage of a point-based detector learns."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
+from farfield.detectors.contract import range_weights
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import points_in_boxes
 
@@ -16,7 +17,7 @@ BACKGROUND, UNSURE = -1, -2
 
 @dataclass(frozen=True, eq=False)
 class PointTargets:
-    """What a frame asks of the network.
+    """The targets of a frame.
 
     Args:
         rows: Annotated boxes x, y, z, length, width, height, yaw, shape (k, 7).
@@ -31,16 +32,39 @@ class PointTargets:
     owner: Int[np.ndarray, " n"]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointAssigner:
+    """Assigns the points of a frame to its boxes.
+
+    Args:
+        class_names: Names by class number.
+        margin_m: Boxes grow by this before they claim points.
+        unsure_m: Points this far outside count neither as box nor as background.
+        far_weight: Extra weight of a box per 100 m of range.
+    """
+
+    class_names: tuple[str, ...]
+    margin_m: float
+    unsure_m: float
+    far_weight: float = 0.0
+
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> PointTargets:
+        """Targets of one frame, from its points."""
+        weight = range_weights(boxes, self.far_weight)
+        margins = {"margin_m": self.margin_m, "unsure_m": self.unsure_m}
+        return assign_points(boxes, inputs["points"], self.class_names, weight=weight, **margins)
+
+
 def assign_points(
     boxes: Boxes,
-    points: Float32[np.ndarray, "n 5"],
+    points: Float32[np.ndarray, "n columns"],
     class_names: Sequence[str],
     *,
     weight: Float[np.ndarray, " k"],
     margin_m: float,
     unsure_m: float,
 ) -> PointTargets:
-    """Give each point to the box that it lies in, of several to the smallest.
+    """Assign each point to the box that it lies in, of several to the smallest.
 
     Args:
         boxes: Annotated boxes of the named classes.

@@ -4,11 +4,11 @@ Points -> voxels -> sparse 3D convolutions -> bird's-eye image -> two blocks of 
 rotated NMS. Differences from the paper, each for long range and one key away from what was published: voxels of 0.1 m
 (``grid.voxel_m``, published 0.05 x 0.05 x 0.1 m), half the widths behind the sparse layers, so that two cores keep up
 (published ``middle_out: 128``, ``widths: [128, 256]``, ``neck_width: 256``), a taller grid, since roads climb over
-250 m, no limit of points (``max_points: 5``), and anchors that answer for a box by the distance of its centre
+250 m, no limit of points (``max_points: 5``), and anchors assigned to a box by the distance of its centre
 (``matching: iou``). ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -16,21 +16,23 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.anchors.head import AnchorDetector, AnchorHead, AnchorHeadConfig
+from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels
-from farfield.detectors.published import first_points_of_voxels, use_published_momentum
+from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.features import FeatureMap
+from farfield.detectors.inputs import POSITION, CloudInput
+from farfield.detectors.openpcdet_features import use_openpcdet_momentum
 from farfield.detectors.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
-from farfield.detectors.voxels import VoxelGridConfig, mean_voxels
+from farfield.detectors.voxels import MEAN_FEATURES, VoxelGridConfig, first_points_of_voxels, mean_voxels
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks
 
 
 class SecondConfig(AnchorHeadConfig):
-    """Everything that decides the shape of the network and of its answers."""
+    """Everything that decides the shape of the network and its boxes."""
 
-    name: Literal["second"] = "second"
+    name: str = "second"
     grid: VoxelGridConfig = VoxelGridConfig()
     features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
     max_points: int = Field(0, ge=0, description="first points of a voxel that count; 0 for all")
@@ -57,6 +59,12 @@ class SecondConfig(AnchorHeadConfig):
         if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
             raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
         return self
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the points that the network reads."""
+        intensity = self.use_intensity or self.features == "openpcdet"
+        return (*POSITION, *["intensity"] * intensity, *["lag_s"] * self.use_lag)
 
     @property
     def reach_m(self) -> float:
@@ -114,14 +122,15 @@ def stack_z(sparse: SparseTensor) -> Tensor:
     return image.view(sparse.batch_size, nx, ny, depth * channels).permute(0, 3, 1, 2)
 
 
-class Second(AnchorDetector):
-    """The network. ``forward`` gives raw maps; ``loss`` and ``predict`` give them a meaning."""
+class Second(MapDetector):
+    """The network: its outputs are the anchor head's maps."""
 
     low_precision: ClassVar[tuple[str, ...]] = ("middle", "backbone", "head")
 
     def __init__(self, config: SecondConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or SecondConfig()
+        config = config or SecondConfig()
+        super().__init__(config)
+        self.inputs = {"points": CloudInput(columns=config.columns)}
         self.multiple = _MIDDLE_STRIDE * int(np.prod(config.strides))
         depth, nx, ny = config.grid.shape(self.multiple)
         self.middle = SparseMiddle(self._feature_count(), config.middle_widths, config.middle_out)
@@ -142,21 +151,23 @@ class Second(AnchorDetector):
             y_min_m=config.grid.y_min_m(self.multiple),
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
+        self.assigner, self.channels = self.head.assigner, self.backbone.channels
         if config.features == "openpcdet":
-            use_published_momentum(self)
+            use_openpcdet_momentum(self)
 
     def _feature_count(self) -> int:
-        config = self.config
-        return 4 if config.features == "openpcdet" else 7 + config.use_intensity + config.use_lag
+        columns = len(self.config.columns)
+        return columns if self.config.features == "openpcdet" else len(MEAN_FEATURES) + columns - len(POSITION)
 
     def voxels(self, clouds: Sequence[Tensor]) -> SparseTensor:
         """The occupied voxels of a batch with their mean features (section 3.1.1, with the mean for the VFE)."""
         config = self.config
         clouds = first_points_of_voxels(clouds, config.grid, self.multiple, config.max_points)
-        extra = {"use_intensity": config.use_intensity, "use_lag": config.use_lag}
-        return mean_voxels(clouds, config.grid, self.multiple, published=config.features == "openpcdet", **extra)
+        published = config.features == "openpcdet"
+        return mean_voxels(clouds, config.grid, self.multiple, columns=config.columns, published=published)
 
-    def image(self, clouds: Sequence[Tensor]) -> Tensor:
+    def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxels, sparse middle layers and the bird's-eye backbone (section 3.1)."""
-        features: Tensor = self.backbone(stack_z(self.middle(self.voxels(clouds))))
-        return features
+        features = self.backbone(stack_z(self.middle(self.voxels(batch["points"]))))
+        grid = self.head.anchors
+        return FeatureMap(values=features, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))

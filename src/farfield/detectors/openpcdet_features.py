@@ -11,50 +11,19 @@ from torch import Tensor, nn
 from farfield.detectors.folding import fold_linear
 from farfield.detectors.grid import GridConfig
 from farfield.detectors.norm import normalise_rows
-from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
+from farfield.detectors.voxels import first_points
 
 _MOMENTUM = 0.01  # of batch normalisation, as OpenPCDet trains
 
 
-def use_published_momentum(network: nn.Module) -> None:
+def use_openpcdet_momentum(network: nn.Module) -> None:
     """Let running statistics move as slowly as OpenPCDet's: of use for further training only."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             module.momentum = _MOMENTUM
 
 
-def first_points(member: Tensor, limit: int) -> Tensor:
-    """Which points are among the first of their cell, in the order given.
-
-    Args:
-        member: Cell of each point, shape (n,), int64.
-        limit: Points of a cell that count; 0 for all.
-
-    Returns:
-        Mask of shape (n,).
-    """
-    if limit == 0:
-        return torch.ones_like(member, dtype=torch.bool)
-    order = torch.argsort(member, stable=True)
-    _, cell, count = torch.unique_consecutive(member[order], return_inverse=True, return_counts=True)
-    rank = torch.arange(len(member), device=member.device) - (torch.cumsum(count, 0) - count)[cell]
-    return torch.zeros_like(member, dtype=torch.bool).index_put_((order,), rank < limit)
-
-
-def first_points_of_voxels(
-    clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int, limit: int
-) -> Sequence[Tensor]:
-    """The clouds, shape (n, 5), without the points that come after the first ``limit`` of their voxel; 0 for all."""
-    if limit == 0:
-        return clouds
-    kept = []
-    for cloud in clouds:
-        rows, key = voxel_keys(cloud, torch.zeros(len(cloud), dtype=torch.long, device=cloud.device), grid, multiple)
-        kept.append(cloud[rows[first_points(key, limit)]])
-    return kept
-
-
-class PublishedPillarEncoder(nn.Module):
+class OpenPCDetPillarEncoder(nn.Module):
     """Points of a batch to a dense image of pillar features, from the ten published features of a point.
 
     They are x, y, z and intensity, the offset from the mean of the pillar's points, and the offset from the pillar's
@@ -63,14 +32,18 @@ class PublishedPillarEncoder(nn.Module):
 
     Args:
         grid: The bird's-eye grid.
+        columns: Columns of the points, intensity among them.
         multiple: The network's coarsest stride, which must divide the grid.
         channels: Features a pillar.
         max_points: First points of a pillar that count, in the cloud's order; 0 for all, without padding.
     """
 
-    def __init__(self, grid: GridConfig, *, multiple: int, channels: int, max_points: int) -> None:
+    def __init__(
+        self, grid: GridConfig, columns: Sequence[str], *, multiple: int, channels: int, max_points: int
+    ) -> None:
         super().__init__()
         self.grid, self.channels, self.max_points = grid, channels, max_points
+        self.intensity = columns.index("intensity")
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
         self.linear = nn.Linear(10, channels, bias=False)
@@ -80,7 +53,7 @@ class PublishedPillarEncoder(nn.Module):
         """Encode points.
 
         Args:
-            points: x, y, z (metres), intensity and lag (s) of all frames of the batch, shape (n, 5).
+            points: Those of all frames of the batch, shape (n, columns).
             batch: Frame number of each point, shape (n,), int64.
             batch_size: Number of frames.
 
@@ -119,4 +92,4 @@ class PublishedPillarEncoder(nn.Module):
         height = xyz.new_full((len(key),), (grid.z_min_m + grid.z_max_m) / 2)
         across = (iy + 0.5) * grid.cell_m + self.y_min_m
         centre = torch.stack([(ix + 0.5) * grid.cell_m, across, height], 1)
-        return torch.cat([points[:, :4], xyz - mean[member], xyz - centre], 1)
+        return torch.cat([xyz, points[:, [self.intensity]], xyz - mean[member], xyz - centre], 1)

@@ -1,0 +1,10 @@
+"""SECOND (Yan, Mao and Li, Sensors 2018)."""
+
+from farfield.detectors.kinds import Kind
+
+KIND = Kind(
+    name="second",
+    paper="Yan, Mao and Li, Sensors 2018",
+    config="farfield.detectors.second.network:SecondConfig",
+    network="farfield.detectors.second.network:Second",
+)

@@ -1,0 +1,125 @@
+"""The protocols that match boxes by the distance of their centres: what DDS and nuScenes share."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.frame.drive import Drive
+from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.centre.evaluation import (
+    Part,
+    binned,
+    match_scene,
+    mean_of_parts,
+    statistics,
+    whole,
+    with_confidences,
+)
+from farfield.metrics.centre.scene import Scene, gather
+from farfield.metrics.centre.settings import CentreSettings
+from farfield.metrics.curves import Ranking
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.protocol import Protocol
+
+
+class CentreProtocol(Protocol):
+    """A protocol whose settings are :class:`CentreSettings`."""
+
+    def depends_on(self, settings: Mapping[str, Any], *, by_range: bool = False) -> dict[str, Any]:
+        """As of every protocol; of the epsilons the first, for which AP and errors hold: wDDS names its own."""
+        kept = super().depends_on(settings, by_range=by_range)
+        if isinstance(kept.get("epsilons"), list):
+            kept["epsilons"] = kept["epsilons"][:1]
+        return kept
+
+
+def evaluate_centre(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: CentreSettings,
+    *,
+    protocol: str,
+    drives: Sequence[Drive] = (),
+    reach_m: float | None = None,
+) -> dict[str, Any]:
+    """Evaluate the region and each of its range bins; returns the fields of a :class:`Result`.
+
+    Args:
+        predictions: Scored boxes by (sequence, frame).
+        annotations: Annotated boxes by (sequence, frame): every frame that counts.
+        settings: The options.
+        protocol: What the result is to be called.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
+        reach_m: Range bins that begin here or beyond are not in the mean of the bins.
+    """
+    scene = gather(predictions, annotations, settings, drives)
+    parts = _parts(scene, settings)
+    reached = [f"{low_m:g}-{high_m:g}" for low_m, high_m in settings.bins_m if reach_m is None or low_m < reach_m]
+    figures = partial(_figures, parts, reached, settings)
+    point = figures(np.ones(scene.n_groups))
+    drawn: dict[str, dict[str, list[float] | None]] = {}
+    for key, interval in intervals(partial(_flat, figures), scene.n_groups, settings.bootstrap).items():
+        part, _, name = key.partition("|")
+        drawn.setdefault(part, {})[name] = interval
+    frames = np.union1d(scene.predicted_frame, scene.annotated_frame[~scene.ignored])
+    return {
+        "protocol": protocol,
+        "label": settings.label,
+        "settings": settings.to_json(),
+        "convention": settings.convention(),
+        "figures": point["overall"],
+        "ranges": {name: v for name, v in point.items() if name not in ("overall", "mean_of_bins")},
+        "mean_of_bins": point["mean_of_bins"],
+        "counts": {
+            "frames": len(frames),
+            "frames_given": len(annotations),
+            **_counts(parts["overall"]),
+            "predictions_over_limit": scene.over_limit,
+            "ranges": {name: _counts(part) for name, part in parts.items() if name != "overall"},
+        },
+        "intervals": drawn,
+        "grouped_by": scene.grouped_by,
+        "curves": {name: _curves(part, settings) for name, part in parts.items()},
+    }
+
+
+def _figures(
+    parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
+) -> dict[str, Statistics]:
+    found = {name: statistics(part, settings, weight) for name, part in parts.items()}
+    return found | {"mean_of_bins": mean_of_parts([found[name] for name in reached])}
+
+
+def _flat(figures: "partial[dict[str, Statistics]]", weight: Float[np.ndarray, " groups"]) -> Statistics:
+    return {f"{part}|{name}": v for part, named in figures(weight).items() for name, v in named.items()}
+
+
+def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
+    scene = with_confidences(scene, settings)
+    matches = match_scene(scene, settings)
+    parts = {"overall": whole(scene, matches, settings)}
+    for low_m, high_m in settings.bins_m:
+        name = f"{low_m:g}-{high_m:g}"
+        if settings.range_assign == "match_then_bin":
+            parts[name] = binned(scene, matches, settings, low_m, high_m)
+        else:
+            inside = scene.cut_range(low_m, high_m)
+            if inside is scene:  # the bin holds everything
+                parts[name] = parts["overall"]
+            else:
+                parts[name] = whole(inside, match_scene(inside, settings), settings)
+    return parts
+
+
+def _counts(part: Part) -> dict[str, int]:
+    return {"annotated": part.annotated, "predictions": part.predicted, "ignored": part.ignored}
+
+
+def _curves(part: Part, settings: CentreSettings) -> dict[str, dict[str, Ranking]]:
+    return {
+        f"{epsilon:g}": {str(float(threshold)): part.ranking[epsilon, threshold] for threshold in settings.thresholds_m}
+        for epsilon in settings.epsilons
+    }

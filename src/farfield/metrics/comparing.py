@@ -1,0 +1,267 @@
+"""Results side by side: read from files, set into tables, never two conventions in one column."""
+
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from farfield.errors import ConfigError, FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
+from farfield.metrics.protocol import Protocol, protocol_of
+from farfield.metrics.result import at, figure_names, table, value_at
+from farfield.vocabulary.conditions import CONDITIONS
+
+Tree = Mapping[str, Any]
+_MAX_BYTES = 1 << 28
+_HOMES = {"range": ("ranges",), "visibility": ("visibility",)}  # others: conditions
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One result of one class.
+
+    Args:
+        name: What its row is called.
+        family: The protocol without its variant.
+        label: The class.
+        tree: Result JSON.
+        protocol: The protocol.
+    """
+
+    name: str
+    family: str
+    label: str
+    tree: Tree
+    protocol: Protocol
+
+
+@dataclass(frozen=True)
+class Column:
+    """One figure of one part of the results: ``("ranges", "0-70")``, ``("conditions", "weather", "fog")`` or ``()``."""
+
+    title: str
+    figure: str
+    part: tuple[str, ...] = ()
+
+
+def compare(
+    entries: Sequence[Entry],
+    *,
+    label: str | None = None,
+    figures: Sequence[str] = (),
+    by: str = "none",
+    separate: bool = False,
+) -> str:
+    """Tables of results with their conventions, a row a result, a table a protocol and class.
+
+    Args:
+        entries: The results, see :func:`read_results`.
+        label: The class; None for all.
+        figures: Names of figures; none for those that stand for a result.
+        by: ``"none"``: the figures of the whole; ``"range"``, ``"visibility"``, ``"weather"``, ``"road"``, ``"time"``:
+            the parts, a table a figure.
+        separate: Give each convention columns of its own instead of refusing to compare.
+
+    Raises:
+        ConfigError: If results of one table differ in their convention, or a label, figure or part is in none of them.
+    """
+    groups = dict.fromkeys((entry.family, entry.label) for entry in entries if label in (None, entry.label))
+    if not groups:
+        present = ", ".join(dict.fromkeys(entry.label for entry in entries))
+        raise ConfigError(f"label: expected one of {present}; got {label!r}")
+    tables: list[str] = []
+    for group in groups:
+        members = [entry for entry in entries if (entry.family, entry.label) == group]
+        tables += _tables(members, figures=figures, by=by, separate=separate)
+    return "\n\n".join(tables)
+
+
+def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Entry]:
+    """Read result files: what ``farfield score --json`` and ``farfield evaluate`` write.
+
+    Args:
+        paths: JSON files.
+        names: What to call the results; the files' names unless given.
+
+    Raises:
+        ConfigError: If there is no such file, or there are not as many names as results.
+        FileFormatError: If a file holds no result.
+    """
+    found: list[tuple[str, Tree]] = []
+    for path in paths:
+        trees = _read(path)
+        found += [(path.stem if len(trees) == 1 else f"{path.stem}: {name}", tree) for name, tree in trees.items()]
+    called = list(names) or [name for name, _ in found]
+    if not found or len(called) != len(found) or not all(called):
+        raise ConfigError(f"expected one or more results and as many names, got {len(found)} and {', '.join(names)!r}")
+    if len(set(called)) < len(called):
+        called = [f"{number}: {name}" for number, name in enumerate(called, 1)]
+    entries = []
+    for name, (_, tree) in zip(called, found, strict=True):
+        family, protocol = protocol_family(tree), protocol_of(tree)
+        if protocol.several_classes:
+            classes = dict.fromkeys(tree["settings"].get("classes") or (), tree)
+        else:
+            classes = tree.get("labels") or {tree.get("label", ""): tree}
+        entries += [Entry(name, family, str(label), each, protocol) for label, each in classes.items()]
+    return entries
+
+
+def _read(path: Path) -> dict[str, Tree]:
+    """Results of a file: one of ``farfield score``, or those of each cloud of ``farfield evaluate``."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: expected a JSON file of results, found none there")
+    try:
+        tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the text", expected="JSON", found=str(error)[:100]) from None
+    inner = tree.get("results") if isinstance(tree, dict) else None
+    found = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
+    for result in found.values():
+        _check(path, result)
+        for each in (result.get("labels") or {}).values():
+            _check(path, each)
+    return found
+
+
+def _check(path: Path, result: Any) -> None:
+    good = (
+        isinstance(result, dict)
+        and isinstance(result.get("protocol"), str)
+        and isinstance(result.get("settings"), dict)
+        and isinstance(result.get("labels") or {}, dict)
+        and isinstance(result.get("counts") or {}, dict)
+    )
+    if not good:
+        raise FileFormatError(
+            path,
+            where="the top",
+            expected="a result with protocol and settings",
+            found=f"{type(result).__name__} with {', '.join(map(str, result))[:80]}"
+            if isinstance(result, dict)
+            else type(result).__name__,
+            mend="Write it with farfield score --json or farfield evaluate.",
+        )
+
+
+def _tables(members: list[Entry], *, figures: Sequence[str], by: str, separate: bool) -> list[str]:
+    """Tables of one protocol and class, then their conventions and what is to be known of the data."""
+    conventions = _conventions(members, by_range=by == "range", separate=separate)
+    letters = {entry.name: letter for entry, letter in zip(members, conventions, strict=True)}
+    tables = [
+        f"{members[0].family}, {members[0].label}{title}{_unit(members[0])}; '-': nothing annotated\n\n"
+        + _layout(members, columns, letters)
+        for title, columns in _columns(members, figures, by)
+    ]
+    return [*tables, _footer(members, letters, by_range=by == "range")]
+
+
+def _layout(members: list[Entry], columns: list[Column], letters: Mapping[str, str]) -> str:
+    """The table; where there are several conventions, each figure has a column for each of them."""
+    kinds = list(dict.fromkeys(letters.values()))
+    head = [column.title + (f" [{kind}]" if len(kinds) > 1 else "") for column in columns for kind in kinds]
+    rows = []
+    for entry in members:
+        mine = letters[entry.name]
+        cells = [_cell(entry, column) if kind == mine else "" for column in columns for kind in kinds]
+        rows.append([entry.name, *cells])
+    return table(["", *head], rows)
+
+
+def _cell(entry: Entry, column: Column) -> str:
+    value = value_at(at(entry.tree, column.part), column.figure)
+    if value is None:
+        return "-"
+    return f"{100 * value:.2f}" if _unit(entry) else f"{value:.4f}"
+
+
+def _unit(entry: Entry) -> str:
+    return ", per cent" if entry.protocol.per_cent else ""
+
+
+def _footer(members: list[Entry], letters: Mapping[str, str], *, by_range: bool) -> str:
+    firsts: dict[str, Entry] = {}
+    for entry in members:
+        firsts.setdefault(letters[entry.name], entry)
+    lines = []
+    for letter, entry in firsts.items():
+        mark = f"[{letter}] " if len(firsts) > 1 else ""
+        text = mark + convention_text(entry.tree, by_range=by_range)
+        lines.append(textwrap.fill(text, 116, subsequent_indent="  ", break_on_hyphens=False))
+    data = {entry.name: _data(entry) for entry in members}
+    if len(set(data.values())) > 1:
+        known = "; ".join(f"{name}: {frames} frames, {boxes} annotated" for name, (frames, boxes) in data.items())
+        lines.append(f"note: not the same data. {known}")
+    return "\n".join(lines)
+
+
+def _data(entry: Entry) -> tuple[Any, Any]:
+    counts = entry.tree.get("counts") or {}
+    mine = at(counts, ("classes", entry.label)) or counts
+    return counts.get("frames_given"), mine.get("annotated")
+
+
+def _conventions(members: list[Entry], *, by_range: bool, separate: bool) -> list[str]:
+    """A letter for the convention of each result; there is one letter only unless they may stand apart."""
+    firsts: list[Entry] = []
+    letters = []
+    for entry in members:
+        same = [not differing_settings(first.tree, entry.tree, by_range=by_range) for first in firsts]
+        if not any(same):
+            if firsts and not separate:
+                differing = differing_settings(firsts[0].tree, entry.tree, by_range=by_range)
+                words = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
+                raise ConfigError(
+                    f"{firsts[0].name} and {entry.name} were scored by different conventions ({words}), so their "
+                    "numbers do not belong in one column. Score them alike, or keep them apart (--separate)"
+                )
+            firsts.append(entry)
+            same.append(True)
+        letters.append(chr(ord("A") + same.index(True)) if same.index(True) < 26 else f"Z{same.index(True)}")
+    return letters
+
+
+def _columns(members: list[Entry], figures: Sequence[str], by: str) -> list[tuple[str, list[Column]]]:
+    """Title and columns of each table."""
+    trees, protocol = [entry.tree for entry in members], members[0].protocol
+    prefix = f"ap/{members[0].label}/" if protocol.several_classes else ""
+    wanted = [name if name.startswith(prefix) else prefix + name for name in figures] or _usual(members, prefix, by)
+    for name in wanted:
+        if not any(name.split("/")[-1] in _node(tree, name) for tree in trees):
+            present = [leaf.removeprefix(prefix) for tree in trees for leaf in _figures_of(tree, prefix)]
+            raise ConfigError(f"figures: expected some of {', '.join(dict.fromkeys(present))}; got {name!r}")
+    titles = {name: protocol.title(name.removeprefix(prefix)) for name in wanted}
+    if by == "none":
+        return [("", [Column(title, name) for name, title in titles.items()])]
+    return [(f", {title}", [Column("total", name), *_part_columns(trees, name, by)]) for name, title in titles.items()]
+
+
+def _part_columns(trees: list[Tree], figure: str, by: str) -> list[Column]:
+    home = _HOMES.get(by, ("conditions", by))
+    present: list[str] = list(CONDITIONS.get(by, ()))
+    for tree in trees:
+        node = at(tree, home)
+        present += [name for name in (node if isinstance(node, dict) else {}) if name not in present]
+    if not any(at(tree, home) for tree in trees):
+        raise ConfigError(f"by {by}: none of the results has figures by {by}; see farfield score --help")
+    return [Column(name.replace("_", " "), figure, (*home, name)) for name in present]
+
+
+def _usual(members: list[Entry], prefix: str, by: str) -> list[str]:
+    """Figures that are shown if none are named: the protocol's headline; of parts the first of it alone."""
+    named = (name for entry in members for name in entry.protocol.headline(entry.tree) if name.startswith(prefix))
+    found = list(dict.fromkeys(named)) or _figures_of(members[0].tree, prefix)
+    return found[: 1 if by != "none" else None]
+
+
+def _figures_of(tree: Tree, prefix: str) -> list[str]:
+    """Names of all figures, of several classes those of one."""
+    return [name for name in figure_names(tree) if name.startswith(prefix)]
+
+
+def _node(tree: Tree, figure: str) -> Mapping[str, Any]:
+    node = at(tree, figure.split("/")[:-1])
+    return node if isinstance(node, Mapping) else {}

@@ -1,0 +1,181 @@
+"""Detections: what was found in the frames of a data set, with all that scores it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Shaped
+
+from farfield.errors import ConfigError
+from farfield.frame.annotation import Annotation, CameraField
+from farfield.frame.drive import Drive, Key
+from farfield.geometry.boxes import Boxes
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.protocol import PROTOCOLS, Protocol
+from farfield.metrics.result import Result
+
+Details = Mapping[str, Shaped[np.ndarray, "n *rest"]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Detections:
+    """Predictions by (sequence, frame), what was annotated there, and what is known of both.
+
+    Args:
+        boxes: Scored boxes by frame; an annotated frame without an entry has none.
+        annotations: Annotations of the frames that have one, those without boxes included. No other frame counts.
+        reference: Name of the coordinates of both, such as ``"os2-64"``; empty where not known.
+        cloud: The cloud in which was detected.
+        classes: Classes that the detector knows.
+        drives: The drives that hold the frames, with times and poses; none where frames are shuffled.
+        conditions: ``weather``, ``road``, ``time`` of the frames, where known.
+        facts: What else is known of the data, such as ``label_version``.
+        prediction_details: Rows beside the predictions, such as KITTI's ``box_px`` (n, 4).
+        ms: Time that each frame took, milliseconds.
+        reach_m: How far the detector sees; None where not known.
+        notes: What was assumed so far, one sentence each.
+    """
+
+    boxes: BoxesByFrame
+    annotations: Mapping[Key, Annotation]
+    reference: str = ""
+    cloud: str | None = None
+    classes: tuple[str, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    conditions: Mapping[Key, Mapping[str, str]] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+    prediction_details: Mapping[Key, Details] = field(default_factory=dict)
+    ms: tuple[float, ...] = ()
+    reach_m: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        boxes = sum(map(len, self.boxes.values()))
+        return f"Detections({boxes} boxes in {len(self.boxes)} frames, {len(self.annotations)} annotated)"
+
+    @property
+    def annotated(self) -> dict[Key, Boxes]:
+        """The annotated boxes by frame."""
+        return {key: annotation.boxes for key, annotation in self.annotations.items()}
+
+    def replaced(self, boxes: BoxesByFrame) -> "Detections":
+        """The same with other boxes, as a tracker gives them."""
+        return replace(self, boxes=boxes, prediction_details={})
+
+    def score(self, protocol: str | Protocol = "dds", **settings: Any) -> Result:
+        """Score the boxes.
+
+        Frames without annotation do not count, nor do boxes outside the region that was annotated. A range bin that
+        begins beyond the detector's reach has no figure. The result's notes say so.
+
+        Args:
+            protocol: Its name, such as ``"dds"`` or ``"kradar-compat:rtnh_wide"``, or the object.
+            **settings: The protocol's settings: ``label``, ``range_bins_m``, ``region``, ``bootstrap``...
+
+        Raises:
+            ConfigError: If the protocol or a setting is unknown, or no frame with predictions is annotated.
+        """
+        chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+        found = self.counted()
+        return found.evaluated(chosen, chosen.settings(found, **settings))
+
+    def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
+        """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
+
+        A protocol that scores several classes at once gives one result. Arguments and errors are those of
+        :meth:`score`; a label that no box bears is a ConfigError too.
+        """
+        chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+        found = self.counted()
+        return [found.evaluated(chosen, each) for each in chosen.each(found, **settings)]
+
+    def evaluated(self, protocol: Protocol, settings: Any) -> Result:
+        """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""
+        result = protocol.evaluate(self, settings)
+        convention = result.convention or protocol.convention_text(result.settings)
+        noted = replace(result, convention=convention, notes=(*self.notes, *result.notes))
+        return _within_reach(noted, self.reach_m)
+
+    def counted(self) -> "Detections":
+        """The frames and boxes that count, an entry of boxes for every annotated frame, and notes on what is left out.
+
+        Raises:
+            ConfigError: If there are predictions and none lies in an annotated frame.
+        """
+        strangers = [key for key in self.boxes if key not in self.annotations]
+        if strangers and len(strangers) == len(self.boxes):
+            raise ConfigError(
+                f"expected predictions in annotated frames, got none in common: predictions hold {strangers[0]}, "
+                f"annotations {next(iter(self.annotations), 'nothing')}. A score needs frames that are annotated."
+            )
+        notes = list(self.notes)
+        if strangers:
+            notes.append(f"{len(strangers)} of {len(self.boxes)} frames are not annotated and do not count")
+        boxes, annotations, details, left = {}, {}, {}, _LeftOut()
+        for key, annotation in self.annotations.items():
+            found, known = self.boxes.get(key, _NOTHING), self.prediction_details.get(key)
+            if annotation.region is not None:
+                seen, there = _inside(found, annotation.region), _inside(annotation.boxes, annotation.region)
+                left.add(annotation.region, seen, there)
+                found = found if seen.all() else found[seen]
+                annotation = annotation if there.all() else annotation[there]
+                known = None if known is None else {name: np.asarray(rows)[seen] for name, rows in known.items()}
+            boxes[key], annotations[key] = found, annotation
+            if known is not None:
+                details[key] = known
+        return replace(
+            self,
+            boxes=boxes,
+            annotations=annotations,
+            prediction_details=details,
+            conditions={key: self.conditions[key] for key in annotations if key in self.conditions},
+            notes=(*notes, *left.notes()),
+        )
+
+
+_NOTHING = Boxes.empty(scored=True)
+
+
+def _inside(boxes: Boxes, region: CameraField) -> Bool[np.ndarray, " n"]:
+    return region.contains(boxes.centre_m) if len(boxes) else np.zeros(0, dtype=bool)
+
+
+class _LeftOut:
+    """Counts of the boxes outside the annotated regions."""
+
+    def __init__(self) -> None:
+        self.sums: dict[str, tuple[int, ...]] = {}
+
+    def add(self, region: CameraField, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> None:
+        """Count the boxes of a frame; the masks mark those inside."""
+        before = self.sums.get(str(region), (0, 0, 0, 0))
+        here = (int((~predicted).sum()), int((~annotated).sum()), len(predicted), len(annotated))
+        self.sums[str(region)] = tuple(a + b for a, b in zip(before, here, strict=True))
+
+    def notes(self) -> list[str]:
+        """A sentence for each region with boxes outside it."""
+        return [
+            f"{predicted} of {all_predicted} predicted and {annotated} of {all_annotated} annotated boxes have their "
+            f"centre outside {region}, where nothing was annotated; they do not count"
+            for region, (predicted, annotated, all_predicted, all_annotated) in self.sums.items()
+            if predicted or annotated
+        ]
+
+
+def _within_reach(result: Result, reach_m: float | None) -> Result:
+    """A result whose range bins beyond the detector's reach are null, with notes that say so."""
+    if reach_m is None:
+        return result
+    edges_m = [float(edge) for edge in result.settings.get("range_bins_m") or ()]
+    named = {f"{low:g}-{high:g}": (low, high) for low, high in pairwise(edges_m)}
+    scored = [name for name in named if any(v is not None for v in result.ranges.get(name, {}).values())]
+    beyond = [name for name in scored if named[name][0] >= reach_m]
+    partly = [name for name in scored if named[name][0] < reach_m < named[name][1]]
+    notes = list(result.notes)
+    if beyond:
+        notes.append(f"range {', '.join(beyond)} m begins beyond the detector's reach of {reach_m:g} m: not scored")
+    if partly:
+        notes.append(f"range {', '.join(partly)} m ends beyond the detector's reach of {reach_m:g} m")
+    return replace(result.without(beyond), notes=tuple(notes))

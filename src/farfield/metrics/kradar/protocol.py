@@ -1,0 +1,128 @@
+"""K-Radar's average precision as protocols: by condition and visibility, and as the development kit computes it."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from farfield.errors import ConfigError
+from farfield.metrics.frames import BoxesByFrame, labels_of
+from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
+from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
+from farfield.metrics.options import option_text
+from farfield.metrics.protocol import Protocol
+from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
+
+if TYPE_CHECKING:
+    from farfield.metrics.detections import Detections
+
+_FIRST = ("label_version", "region", "azimuth_deg", "score_cut", "recall_points", "empty_frames", "yaw")
+_UNSAID = ("relabel", "origin_m")
+
+
+class KRadar(Protocol):
+    """K-Radar's average precision with boxes as they stand."""
+
+    name = "kradar"
+    family = "kradar"
+    Settings = KRadarSettings
+    uses = frozenset({"conditions", "visibility"})
+    several_classes = True
+    per_cent = True
+
+    @property
+    def fixed(self) -> Mapping[str, Any]:
+        """Settings that cannot be chosen."""
+        return {}
+
+    def settings(self, found: "Detections", **given: Any) -> KRadarSettings:
+        """The settings; unless given, the classes are those that the detector knows, as far as it says so.
+
+        The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
+        """
+        label, relabel = given.pop("label", None), given.get("relabel", CIRRUS_FROM_ANY_KRADAR)
+        if label is not None:
+            given["classes"] = (relabel.get(label, label),)
+        known: dict[str, Any] = {}
+        if found.classes and "classes" not in self.fixed:
+            known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in found.classes))
+        if found.reference:
+            known["boxes_in"] = "radar" if found.reference == "radar" else "os2-64"
+        settings = kradar_settings(str(self), **{**known, **given})
+        version = found.facts.get("label_version")
+        return replace(settings, label_version=version) if version and "label_version" not in given else settings
+
+    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
+        """The classes of the settings that occur, the most frequent first."""
+        settings = kradar_settings(str(self), **{name: given[name] for name in ("relabel", "classes") if name in given})
+        return tuple(name for name, _ in labels_of(boxes, settings.relabel) if name in settings.classes)
+
+    def each(self, found: "Detections", *, label: str | None = None, **given: Any) -> list[KRadarSettings]:
+        """One result for all classes; refused if none of them is annotated but others are."""
+        settings = self.settings(found, label=label, **given)
+        present = [name for name, _ in labels_of(found.annotated, settings.relabel)]
+        if present and not set(present) & set(settings.classes):
+            raise ConfigError(
+                f"{self}: expected annotated boxes of {' or '.join(settings.classes)}, got {', '.join(present[:8])}. "
+                "Choose with --label, --options classes=a,b or rename with --options relabel=old:new"
+            )
+        return [settings]
+
+    def evaluate(self, found: "Detections", settings: KRadarSettings) -> KRadarResult:
+        """AP by class, measure and overlap, by range, and by condition and visibility where these are known."""
+        seen = {key: tuple(a.visibility) for key, a in found.annotations.items() if a.visibility is not None}
+        result = evaluate_kradar(
+            found.boxes,
+            found.annotated,
+            settings,
+            conditions=found.conditions,
+            visibility=seen or None,
+            protocol=str(self),
+            drives=found.drives,
+        )
+        notes = []
+        lacking = [key for key, annotation in found.annotations.items() if len(annotation) and key not in seen]
+        if seen and lacking:
+            notes.append(
+                f"{len(lacking)} of {len(found.annotations)} annotated frames do not say which sensor sees their boxes "
+                f"(the first: {' '.join(lacking[0])}); in the figures by visibility these may be found or not"
+            )
+        if settings.label_version != self.fixed.get("label_version", settings.label_version):
+            published = self.fixed["label_version"]
+            notes.append(f"{self} stands for results on labels {published}; these are {settings.label_version}")
+        return replace(result, notes=(*result.notes, *notes))
+
+    def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
+        """Besides those of every protocol: overlaps and classes, which have figures of their own.
+
+        The classes bear on all figures where frames without any of them are dropped.
+        """
+        names = [*super().inert(settings), "ious", "boxes_in", "range_bins_m"]
+        names += ["azimuth_deg", "outside"] if settings.get("region") == "none" else []
+        return [*names, *(["classes"] if settings.get("empty_frames") == "counted" else [])]
+
+    def convention_text(self, settings: Mapping[str, Any], *, by_range: bool = False) -> str:
+        """The settings on which figures depend in one line, those that vary between publications first."""
+        shown = self.depends_on(settings, by_range=by_range)
+        shown = {name: value for name, value in shown.items() if name not in _UNSAID}
+        return option_text({name: shown[name] for name in _FIRST if name in shown} | shown)
+
+
+class KRadarCompat(KRadar):
+    """K-Radar's average precision as its development kit computes it, by variant.
+
+    Args:
+        variant: One of :data:`farfield.metrics.kradar.settings.VARIANTS`.
+    """
+
+    name = "kradar-compat"
+
+    def __init__(self, variant: str = "") -> None:
+        self.variant = variant
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.variant}" if self.variant else self.name
+
+    @property
+    def fixed(self) -> Mapping[str, Any]:
+        """Settings that the variant fixes."""
+        return VARIANTS.get(self.variant, {})

@@ -1,0 +1,197 @@
+"""What every detector must do, whatever its paper and whatever it reads: plain functions that raise AssertionError.
+
+They know a detector by its name and settings alone, so that one of another package goes through them too.
+"""
+
+import copy
+import pickle
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.contract import Network
+from farfield.detectors.features import FeatureMap, PointFeatures
+from farfield.detectors.inputs import Inputs
+from farfield.detectors.sparse import SparseTensor
+from farfield.frame import Boxes
+
+LARGEST_ASSIGNER = 1_000_000
+"""Bytes: what travels to every loader's worker."""
+
+
+def built(name: str, settings: Mapping[str, Any], *, seed: int = 3) -> Network:
+    """The network of a detector by name."""
+    return build_detector(DETECTORS[name].config_class.model_validate({"name": name, **settings}), seed=seed)
+
+
+def made_frame(network: Network, *, seed: int = 5, objects: int = 4) -> tuple[Inputs, Boxes]:
+    """A frame of ground and boxes full of points, in every cloud that a network reads."""
+    rng = np.random.default_rng(seed)
+    reach = min(60.0, network.config.reach_m)
+    x = reach * (0.15 + 0.7 * np.arange(objects) / max(objects - 1, 1))
+    boxes = Boxes(
+        centre_m=np.column_stack([x, rng.uniform(-5, 5, objects), np.full(objects, -1.2)]),
+        size_m=np.tile([4.4, 1.8, 1.4], (objects, 1)),
+        yaw_rad=rng.uniform(-3, 3, objects),
+        label=network.config.class_names[0],
+    )
+    named = {}
+    for source, wants in network.inputs.items():
+        ground = np.column_stack([rng.uniform(1, reach, 2000), rng.uniform(-6, 6, 2000), rng.normal(-2, 0.02, 2000)])
+        shells = [centre + rng.uniform(-1, 1, (90, 3)) * [1.5, 0.8, 0.6] for centre in boxes.centre_m]
+        xyz = np.concatenate([ground, *shells])
+        further = [rng.uniform(0, 1, len(xyz)) * (column != "lag_s") for column in wants.columns[3:]]
+        named[source] = [torch.from_numpy(np.column_stack([xyz, *further]).astype(np.float32))]
+    return Inputs(named), boxes
+
+
+def arrays_of(batch: Inputs, frame: int) -> dict[str, np.ndarray]:
+    """What an assigner sees of a frame."""
+    return {name: tensors[frame].numpy() for name, tensors in batch.items()}
+
+
+def losses_of(network: Network, batch: Inputs, boxes: list[Boxes]) -> dict[str, Tensor]:
+    """The losses of a batch by name."""
+    targets = [network.assigner(each, arrays_of(batch, index)) for index, each in enumerate(boxes)]
+    return network.losses(network(batch, targets), targets)
+
+
+def tensors_of(outputs: Any) -> list[Tensor]:
+    """All tensors in whatever a network returns, in a fixed order."""
+    if torch.is_tensor(outputs):
+        return [outputs]
+    if isinstance(outputs, dict):
+        return [t for key in sorted(outputs) for t in tensors_of(outputs[key])]
+    if isinstance(outputs, tuple | list):
+        return [t for part in outputs for t in tensors_of(part)]
+    return [t for part in vars(outputs).values() for t in tensors_of(part)] if hasattr(outputs, "__dict__") else []
+
+
+def check_declared(network: Network) -> None:
+    """What a network declares is there and of its kind."""
+    assert network.inputs, "expected at least one entry in inputs"
+    assert network.channels > 0, "expected the number of features of a row in channels"
+    assert callable(network.assigner), "expected an assigner: assigner(boxes, inputs) -> targets"
+    for name in network.low_precision:
+        network.get_submodule(name)
+    assert callable(network.head), "expected a submodule or a method head(features, targets=None)"
+
+
+def check_gradients(network: Network) -> None:
+    """Outputs and losses are finite, and every parameter gets a gradient."""
+    network.train()
+    batch, boxes = made_frame(network)
+    outputs = tensors_of(network(batch))
+    assert outputs, "expected tensors in the outputs"
+    assert all(torch.isfinite(part).all() for part in outputs), "expected finite outputs"
+    losses = losses_of(network, batch, [boxes])
+    assert isinstance(losses, dict), "expected losses by name"
+    assert all(value.ndim == 0 and torch.isfinite(value) for value in losses.values()), "expected finite scalars"
+    network.zero_grad()
+    sum(losses.values()).backward()
+    without = [key for key, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert not without, f"expected a gradient for every parameter; none for {', '.join(without)}"
+
+
+def check_assigner_is_small(network: Network) -> bytes:
+    """The assigner pickles, and holds no network."""
+    sent = pickle.dumps(network.assigner)
+    assert len(sent) < LARGEST_ASSIGNER, f"expected an assigner below 1 MB pickled, got {len(sent)} bytes"
+    assert b"torch" not in sent, "expected an assigner that knows no module and no tensor"
+    return sent
+
+
+def check_assigner(network: Network) -> None:
+    """The assigner travels without the network, is small, and gives the same targets there."""
+    sent = check_assigner_is_small(network)
+    batch, boxes = made_frame(network)
+    inputs = arrays_of(batch, 0)
+    one, other = network.assigner(boxes, inputs), pickle.loads(sent)(boxes, inputs)
+    assert pickle.dumps(one) == pickle.dumps(other), "expected the same targets from an assigner that travelled"
+    assert pickle.dumps(one) == pickle.dumps(network.assigner(boxes, inputs)), "expected the same targets again"
+
+
+def check_rows(network: Network) -> None:
+    """Rows have the declared width, the frame that they belong to, and a place within reach."""
+    network.eval()
+    first, second = (made_frame(network, seed=seed)[0] for seed in (5, 6))
+    with torch.no_grad():
+        features = network.encode(first + second)
+    assert isinstance(features, FeatureMap | PointFeatures), "expected a FeatureMap or PointFeatures from encode"
+    assert len(features) == 2, "expected as many frames as went in"
+    rows = features.rows()
+    count = len(rows.values)
+    assert rows.values.shape == (count, network.channels), "expected rows (n, channels)"
+    assert rows.frame.shape == (count,), "expected the frame of each row"
+    assert rows.place_m.shape == (count, 2), "expected the place of each row"
+    assert set(rows.frame.tolist()) == {0, 1}, "expected rows of both frames"
+    assert torch.equal(rows.frame, rows.frame.sort().values), "expected rows frame after frame"
+    few = features.rows(limit=64, generator=torch.Generator().manual_seed(1))
+    again = features.rows(limit=64, generator=torch.Generator().manual_seed(1))
+    assert len(few.values) == min(64, count), "expected at most so many rows"
+    assert all(torch.equal(a, b) for a, b in zip(few, again, strict=True)), "expected the same rows for one seed"
+    every = {(f, *place): value for f, place, value in zip(rows.frame.tolist(), rows.place_m.tolist(), rows.values)}
+    for frame, place, value in zip(few.frame.tolist(), few.place_m.tolist(), few.values, strict=True):
+        assert torch.equal(every[frame, *place], value), "expected chosen rows to be among all rows"
+    even = features.rows(limit=64)
+    assert len(even.values) == min(64, count), "expected rows without a generator too"
+
+
+def check_place(network: Network) -> None:
+    """Features change where a point is added, and the rows say that place."""
+    network.eval()
+    batch, _ = made_frame(network)
+    spot = torch.tensor([min(60.0, network.config.reach_m) / 2, 3.0])
+    added = Inputs({name: [torch.cat([c, _pillar(c, spot)]) for c in clouds] for name, clouds in batch.items()})
+    with torch.no_grad():
+        before, after = network.encode(batch), network.encode(added)
+    if isinstance(before, PointFeatures) or isinstance(before.values, SparseTensor):
+        old = {tuple(place) for place in before.rows().place_m.tolist()}
+        new = torch.tensor([place for place in after.rows().place_m.tolist() if tuple(place) not in old])
+        if not len(new):  # every place was occupied before
+            return
+        nearest = (new - spot).norm(dim=1).min()
+    else:
+        change = (after.rows().values - before.rows().values).abs().sum(1)
+        nearest = (before.rows().place_m[change.argmax()] - spot).norm()
+    assert float(nearest) < 12.0, (
+        f"expected the largest change near {spot.tolist()}, got it {float(nearest):.1f} m away"
+    )
+
+
+def _pillar(cloud: Tensor, spot: Tensor) -> Tensor:
+    points = cloud.new_full((40, cloud.shape[1]), 0.5)
+    points[:, :2], points[:, 2] = spot, torch.linspace(-1.9, 0.5, 40)
+    return points
+
+
+def check_joined(network: Network) -> None:
+    """Frames of two batches in one forward give what each gives alone; split parts them again."""
+    network.eval()
+    first, second = (made_frame(network, seed=seed, objects=objects)[0] for seed, objects in ((5, 4), (6, 2)))
+    with torch.no_grad():
+        parts = network.encode(first + second + first).split(1)
+        alone = [network.encode(first), network.encode(second + first)]
+        for part, own in zip(parts, alone, strict=True):
+            assert len(part) == len(own), "expected split(n) to give n frames and the rest"
+            _same(part.rows(), own.rows())
+            _same(network.head(part), network.head(own))
+            assert set(part.aux) == set(own.aux), "expected what the head needs on both sides"
+
+
+def _same(one: Any, other: Any) -> None:
+    for a, b in zip(tensors_of(one), tensors_of(other), strict=True):
+        assert a.shape == b.shape, f"expected the shape of a forward alone, {tuple(b.shape)}; got {tuple(a.shape)}"
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+
+
+def check_copies(network: Network) -> None:
+    """A copy gives the same boxes: nothing hangs on the object itself."""
+    network.eval()
+    batch, _ = made_frame(network)
+    one, other = network.predict(batch)[0], copy.deepcopy(network).predict(batch)[0]
+    np.testing.assert_array_equal(one.centre_m, other.centre_m)

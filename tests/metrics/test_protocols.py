@@ -1,0 +1,172 @@
+"""Every protocol, built in or registered: the same few things hold for all of them."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from farfield.errors import ConfigError
+from farfield.frame import Annotation
+from farfield.geometry.boxes import Boxes
+from farfield.metrics import PROTOCOLS, Detections, Protocol, Result, protocol, score
+from farfield.metrics.centre.matching import found_by
+from farfield.metrics.comparing import compare, read_results
+from farfield.metrics.protocol import ForeignProtocol, protocol_of
+
+NAMES = ("dds", "nuscenes", "kitti", "kradar", "kradar-compat:old_as_shipped@0.3", "kradar-compat:revised_yaw_fixed")
+
+
+class Recall(Protocol):
+    """The share of boxes that are found, as a newcomer would write it."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Settings:
+        """What can be chosen."""
+
+        label: str = "vehicle"
+        distance_m: float = 2.0
+
+    def evaluate(self, found: Detections, settings: Any) -> Result:
+        """Recall of one class."""
+        marked = {k: a.boxes[a.boxes.label == settings.label] for k, a in found.annotations.items()}
+        hits = [found_by(found.boxes[k], boxes, distance_m=settings.distance_m) >= 0 for k, boxes in marked.items()]
+        share = float(np.concatenate(hits).mean()) if any(map(len, hits)) else None
+        return Result(
+            protocol="recall",
+            label=settings.label,
+            settings=asdict(settings),
+            convention="",
+            figures={"recall": share},
+        )
+
+
+@pytest.fixture
+def registered() -> Iterator[None]:
+    protocol("recall")(Recall)
+    yield
+    PROTOCOLS._registered.pop("recall")
+
+
+def example() -> Detections:
+    """Perfect boxes of two classes in six frames of two drives, one frame of them annotated as empty."""
+    boxes, annotations = {}, {}
+    for number in range(6):
+        many = 0 if number == 3 else 10
+        place = np.arange(many)
+        marked = Boxes(
+            centre_m=np.column_stack([5.0 + 6.0 * place, (place % 3) * 3.0 - 3.0, np.zeros(many)]),
+            size_m=np.tile([4.0, 2.0, 1.5], (many, 1)),
+            yaw_rad=np.linspace(-1, 1, many),
+            label=np.where(place % 5 == 0, "pedestrian", "vehicle"),
+        )
+        key = (f"drive{number % 2}", str(number))
+        annotations[key] = Annotation(boxes=marked)
+        boxes[key] = marked.replace(score=np.linspace(0.5, 0.9, many))
+    return Detections(boxes=boxes, annotations=annotations, reference="radar")
+
+
+def check_protocol(protocol: str | Protocol) -> None:
+    """Check what holds for every protocol: the best and the worst score, order, JSON, empty frames.
+
+    Raises:
+        AssertionError: If something does not hold; the message says what and how to mend it.
+    """
+    made = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+    found = example()
+    best = found.score(made)
+    tree = json.loads(json.dumps(best.to_json(), allow_nan=False))
+    top = made.headline(tree)
+    assert any(value is not None for value in top.values()), f"{made}: headline() must name figures of the result"
+    assert made.settings(found) == made.settings(found), f"{made}: settings() must depend on its arguments alone"
+    assert tree["protocol"] == str(made), f"{made}: Result.protocol must be the protocol's name"
+    assert str(best), f"{made}: a result must print itself"
+
+    shifted = {
+        key: boxes.replace(centre_m=boxes.centre_m + np.array([0.8, 0.0, 0.0])) for key, boxes in found.boxes.items()
+    }
+    for worse, name in ((shifted, "moved by 0.8 m"), ({}, "absent")):
+        low = made.headline(found.replaced(worse).score(made).to_json())
+        for figure, value in top.items():
+            assert low.get(figure) is None or value is None or low[figure] <= value, (
+                f"{made}: {figure} is larger for boxes that are {name} than for perfect ones"
+            )
+    none = [value for value in low.values() if value is not None]
+    most = max(value for value in top.values() if value is not None)
+    assert none, f"{made}: no boxes at all where some are annotated must score something, such as 0"
+    assert max(none) < most, f"{made}: no boxes at all must score less than perfect ones"
+
+    rng = np.random.default_rng(0)
+    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed(found.boxes.items())}
+    again = found.replaced(turned).score(made)
+    assert made.headline(again.to_json()) == pytest.approx(top, abs=1e-12), f"{made}: order of boxes or frames matters"
+
+    nothing = Annotation(boxes=Boxes.empty())
+    bare = Detections(boxes={}, annotations=dict.fromkeys(found.annotations, nothing)).score(made)
+    json.dumps(bare.to_json(), allow_nan=False)
+    assert not any(made.headline(bare.to_json()).values()), f"{made}: frames without boxes must give None, or 0"
+    json.dumps(Detections(boxes={}, annotations={}).score(made).to_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_protocol_holds_what_all_promise(name: str) -> None:
+    check_protocol(name)
+
+
+def test_a_registered_protocol_is_found_and_holds_it_too(registered: None) -> None:
+    assert "recall" in PROTOCOLS.names()
+    assert PROTOCOLS.origin("recall") == "registered here"
+    check_protocol("recall")
+    boxes = {key: part for key, part in example().boxes.items() if key[0] == "drive0"}
+    annotations = {key: annotation.boxes for key, annotation in example().annotations.items()}
+    result = score(boxes, annotations, protocol="recall", label="pedestrian")
+    assert result.figures == {"recall": pytest.approx(3 / 5)}
+    assert "recall of 'pedestrian'" in str(result)
+    assert "recall: distance_m=2" in str(result)
+    assert score(boxes, annotations, protocol=Recall(), distance_m=1.0).label == "vehicle"
+    assert [each.label for each in example().score_each("recall")] == ["vehicle", "pedestrian"]
+    with pytest.raises(ConfigError, match="expected options among label, distance_m; got far_m"):
+        score(boxes, annotations, protocol="recall", far_m=3)
+
+
+def test_what_is_no_protocol_is_refused(without_shape_checks: None) -> None:
+    with pytest.raises(ConfigError, match="built in"):
+        protocol("dds")(Recall)
+    with pytest.raises(ConfigError, match="inherits"):
+        protocol("recall")(int)  # type: ignore[type-var]
+    with pytest.raises(ConfigError, match="no variants"):
+        PROTOCOLS["dds:wide"]
+    with pytest.raises(ConfigError, match="one of dds"):
+        PROTOCOLS["coco"]
+
+
+def test_the_variant_is_the_objects_argument() -> None:
+    assert str(PROTOCOLS["kradar-compat:rtnh_wide"]) == "kradar-compat:rtnh_wide"
+    assert PROTOCOLS["kradar-compat:rtnh_wide"].family == PROTOCOLS["kradar"].family == "kradar"
+    assert isinstance(protocol_of({"protocol": "theirs:x"}), ForeignProtocol)
+
+
+def test_results_of_a_protocol_that_is_not_installed_are_compared(tmp_path: Any, registered: None) -> None:
+    path = tmp_path / "theirs.json"
+    tree = example().score("recall").to_json() | {"protocol": "theirs"}
+    path.write_text(json.dumps(tree))
+    text = compare(read_results([path, path], ["a", "b"]))
+    assert "theirs, vehicle" in text
+    assert ["a", "1.0000"] in [line.split() for line in text.splitlines()]
+    with pytest.raises(ConfigError, match="not installed"):
+        protocol_of(tree).evaluate(example(), None)
+
+
+def test_one_score_imports_one_protocol() -> None:
+    code = (
+        "import sys; from farfield.metrics import score; score({}, {}, protocol='dds')\n"
+        "print(*(name for name in sys.modules if name.startswith('farfield.metrics.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[2] for name in done.stdout.split()}
+    assert not loaded & {"kitti", "kradar", "reading", "comparing"}
+    assert "farfield.metrics.centre.nuscenes" not in done.stdout.split()
