@@ -13,9 +13,8 @@ from typing import Any
 from _report import ROOT, header, progress
 from simulated_detection import EPSILONS, rows_of
 
-from farfield.api import as_trained, load_detector, open_dataset
-from farfield.evaluation import detect_all
-from farfield.metrics import score
+from farfield.api import load_detector, open_dataset
+from farfield.detection import detect
 
 ON_SPLIT = {
     "plain": "sparsecentre-cirrus-sim-table",
@@ -32,10 +31,8 @@ def report(title: str, run: str, data: Any) -> None:
         print(f" {title}: {run} is not trained here")
         return
     detector = load_detector(folder)
-    (predictions, annotations, *_), _ = detect_all(
-        detector, as_trained(data, detector), cloud="gaussian", progress=progress
-    )
-    result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
+    found = detect(detector, data, cloud="gaussian", annotated_only=True, progress=partial(progress, what="gaussian"))
+    result = found.score("dds", epsilons=EPSILONS)
     training = detector.provenance["experiment"]["training"]
     print(f" {title}: {training['steps']} steps of {training['batch_size']}, seed {training['seed']}")
     print("  range     AP 0.5   1     2     4      aIoU    DDS    wDDS .003 .006  .009   DDS 95 %")

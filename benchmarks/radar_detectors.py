@@ -26,10 +26,11 @@ from typing import Any
 import numpy as np
 from _report import ROOT, header, progress
 
-from farfield.api import as_trained, load_detector, open_dataset
+from farfield.api import load_detector, open_dataset
+from farfield.detection import detect
 from farfield.detectors.weights import resolve_weights
-from farfield.evaluation import Detected, detect_all
 from farfield.files.atomic import write_text
+from farfield.metrics import Detections
 from farfield.metrics.bootstrap import Bootstrap, replicate_weights
 from farfield.recording import record
 
@@ -61,7 +62,7 @@ def evaluated(run: str, data: Any, fingerprint: str, *, draws: bool) -> dict[str
             return dict(known)
     detector = load_detector(run)
     cloud = detector.provenance["experiment"]["data"]["clouds"][0]
-    found, _ = detect_all(detector, as_trained(data, detector), cloud=cloud, progress=progress)
+    found = detect(detector, data, cloud=cloud, annotated_only=True, progress=partial(progress, what=cloud))
     results: dict[str, Any] = {"key": key, "cloud": cloud, "precision": detector.precision}
     for protocol in PROTOCOLS:
         ours: dict[str, Any] = {"region": "narrow", "classes": ("vehicle",)} if protocol == "kradar" else {}
@@ -75,7 +76,7 @@ def evaluated(run: str, data: Any, fingerprint: str, *, draws: bool) -> dict[str
     return results
 
 
-def resampled(found: Detected) -> dict[str, list[float | None]]:
+def resampled(found: Detections) -> dict[str, list[float | None]]:
     """AP_3d of Sedan at IoU 0.3, per cent, in all and by weather, on REPLICATES draws of as many drives.
 
     The draws depend on the number of drives alone: those of two runs pair.
@@ -90,11 +91,10 @@ def resampled(found: Detected) -> dict[str, list[float | None]]:
             for number in range(count)
             for key in frames[drive]
         }
-        again = Detected(
-            predictions={new: found.predictions[key] for new, key in keys.items() if key in found.predictions},
+        again = Detections(
+            boxes={new: found.boxes[key] for new, key in keys.items() if key in found.boxes},
             annotations={new: found.annotations[key] for new, key in keys.items()},
             conditions={new: {"weather": found.conditions[key]["weather"]} for new, key in keys.items()},
-            visibility={},
         )
         result = again.score(
             "kradar",

@@ -14,8 +14,7 @@ from pathlib import Path
 from _report import ROOT, header, progress
 
 from farfield.api import load_detector, open_dataset
-from farfield.evaluation import detect_all
-from farfield.metrics import score
+from farfield.detection import detect, median_ms
 from farfield.recording import record
 
 EPSILONS = (0.0, 0.003, 0.006, 0.009)
@@ -55,8 +54,8 @@ def main() -> None:
         clouds, steps = (trained.get(group, {}).get(key) for group, key in (("data", "clouds"), ("training", "steps")))
         print(f"\n{model}: trained on {clouds}, {steps} steps")
         for cloud in ("gaussian", "uniform"):
-            (predictions, annotations, *_), taken = detect_all(detector, data, cloud=cloud, progress=progress)
-            result = score(predictions, annotations, protocol="dds", epsilons=EPSILONS)
+            seen = detect(detector, data, cloud=cloud, annotated_only=True, progress=partial(progress, what=cloud))
+            result, taken = seen.score("dds", epsilons=EPSILONS), median_ms(seen)
             found[f"{model}/{cloud}"] = result.to_json()
             print(f" {cloud}: {taken:.0f} ms a frame ({detector.precision})")
             print("  range     AP 0.5   1     2     4      aIoU    DDS    wDDS .003 .006  .009   DDS 95 %")

@@ -1,8 +1,9 @@
 """The functions most people need. Each imports what it uses when it is called."""
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError
 
@@ -11,9 +12,10 @@ if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
+    from farfield.metrics.detections import Detections
+    from farfield.metrics.result import Result
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
-Frames = TypeVar("Frames")
 
 
 def open_dataset(path: Path | str, **options: Any) -> "Dataset":
@@ -34,87 +36,75 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
         FarfieldError: If there is nothing of this name.
         MissingExtraError: If torch is not installed.
     """
-    from farfield.detectors import detector_classes
+    from farfield.detectors import DETECTORS
 
-    detector_classes("pointpillars")  # names the missing extra where torch is absent
+    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
     from farfield.detectors.runtime import Detector
 
     return Detector.load(name, **options)
 
 
-def as_trained(data: Frames, detector: Any) -> Frames:
-    """Return the data as the detector was trained to see them, by its provenance.
+def detect(
+    detector: "Callable[[Frame | Cloud], Boxes]",
+    data: "Sequence[Frame] | Dataset",
+    *,
+    cloud: str | None = None,
+    progress: Progress = iter,
+) -> "Detections":
+    """Detect objects in every frame, seen as the detector learnt to see them; ``.score(protocol)`` scores them.
 
-    That is with as many sweeps a frame, and in the view of its reader's options: K-Radar's frames in the radar's
-    coordinates, with as dense a radar cloud. Frames that are not a data set's stay as they are, and data that are
-    stacked already are not stacked again.
-
-    Raises:
-        DatasetError: If the detector wants several sweeps and the frames have no poses or times.
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        data: A data set, or frames in memory.
+        cloud: Which of the frames' clouds to read; by default the first that suits the detector.
+        progress: Wraps the frame numbers, to show progress.
     """
-    from farfield.datasets.base import Dataset
-    from farfield.datasets.sweeps import stack_sweeps, sweeps_of
+    from farfield.detection import detect as detect_all
 
-    trained_on = (getattr(detector, "provenance", None) or {}).get("experiment", {}).get("data", {})
-    count = int(trained_on.get("sweeps", 1))
-    if not isinstance(data, Dataset):
-        return data
-    seen = data.viewed(trained_on.get("options", {}))
-    return cast(Frames, seen if sweeps_of(seen) > 1 else stack_sweeps(seen, count))
-
-
-def predict(
-    detector: "Callable[[Frame | Cloud], Boxes]", data: "Sequence[Frame] | Dataset", *, progress: Progress = iter
-) -> "dict[tuple[str, str], Boxes]":
-    """Detect objects in every frame, in as many sweeps as the detector was trained on; boxes by (sequence, frame)."""
-    data, found = as_trained(data, detector), {}
-    for index in progress(range(len(data))):
-        frame = data[index]
-        found[frame.key] = detector(frame)
-    return found
+    return detect_all(detector, data, cloud=cloud, progress=progress)
 
 
 def evaluate(
     detector: "Callable[[Frame | Cloud], Boxes] | Mapping[tuple[str, str], Boxes]",
     data: "Sequence[Frame] | Dataset",
     *,
-    metric: str = "dds",
-    range_bins_m: Sequence[float | int] = (0.0, 70.0, 150.0, 250.0),
+    protocol: str = "dds",
+    cloud: str | None = None,
     progress: Progress = iter,
+    metric: str | None = None,
     **settings: Any,
-) -> Any:
-    """Score a detector, or predictions made before, on annotated frames.
+) -> "Result":
+    """Score a detector, or predictions made before, on annotated frames: ``detect(detector, data).score(protocol)``.
 
     Args:
-        detector: A detector, or its boxes by (sequence, frame).
+        detector: A detector, or its boxes by (sequence, frame), in the coordinates of ``data``.
         data: Annotated frames.
-        metric: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"`` or ``"kradar-compat:VARIANT"``; K-Radar's also
-            score by the frames' conditions, and take boxes in the frame that the data are in.
-        range_bins_m: Edges of the range bins, metres.
+        protocol: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"``, ``"kradar-compat:VARIANT"`` or a registered one.
+        cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
-        **settings: Further settings of the protocol.
+        metric: The old name of ``protocol``.
+        **settings: Settings of the protocol, such as ``range_bins_m``, ``epsilons``, ``region``.
 
     Returns:
         The protocol's result; ``print`` shows its table, ``to_json()`` gives everything.
 
     Raises:
         DatasetError: If no frame is annotated.
+        ConfigError: If the protocol or a setting is unknown, or no cloud suits the detector.
     """
-    from farfield.metrics import score
+    from farfield.detection import detect as detect_all
+    from farfield.detection import given
 
-    predictions = detector if isinstance(detector, Mapping) else predict(detector, data, progress=progress)
-    if not isinstance(detector, Mapping):
-        data = as_trained(data, detector)
-    frames = [frame for frame in (data[i] for i in range(len(data))) if frame.boxes is not None]
-    annotations = {frame.key: frame.boxes for frame in frames if frame.boxes is not None}
-    if metric.startswith("kradar") and frames:
-        settings.setdefault("boxes_in", "radar" if frames[0].reference == "radar" else "os2-64")
-        settings.setdefault("conditions", {frame.key: frame.conditions for frame in frames})
-    if not annotations:
+    if metric is not None:
+        warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
+        protocol = metric
+    if isinstance(detector, Mapping):
+        found = given(detector, data, cloud=cloud, progress=progress)
+    else:
+        found = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
+    if not found.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
-    kept = {key: boxes for key, boxes in predictions.items() if key in annotations}
-    edges_m = tuple(float(edge) for edge in range_bins_m)
-    return score(kept, annotations, protocol=metric, range_bins_m=edges_m, **settings)
+    return found.score(protocol, **settings)
 
 
 def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:

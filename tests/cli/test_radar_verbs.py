@@ -14,6 +14,7 @@ from farfield.api import as_trained, evaluate, load_detector
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
+from farfield.datasets.maps import Coordinates
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.frame import Annotation, Boxes
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
@@ -85,7 +86,7 @@ def test_predict_reads_the_cloud_that_it_learnt_from(home: Path, monkeypatch: py
 def test_the_one_line_evaluation_knows_where_the_boxes_are(home: Path) -> None:
     """The car stands in the corridor whichever frame the data are opened in."""
     data = open_dataset(home / "data")
-    for given in (data, data.viewed({"reference": "radar"})):
+    for given in (data, data.mapped(Coordinates("radar"))):
         found = {frame.key: frame.boxes.replace(score=np.ones(1)) for frame in (given[i] for i in range(4))}
         result = evaluate(found, given, metric="kradar", region=(19.0, 21.0, 0.5, 1.5, -1.0, 1.0)).to_json()
         assert result["ap"]["vehicle"]["3d"]["0.7"] == 1

@@ -197,3 +197,25 @@ class TestRealLuminar:
         assert not examine(open_dataset(root)).failed
         spoil(root, shrink_yaw)
         assert "pi/180" in failures(examine(open_dataset(root)))["yaw"]
+
+
+def verdict(report: Report) -> list[tuple[str, str]]:
+    return [(finding.topic, finding.severity) for finding in report.findings]
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_selection_and_a_moved_set_are_examined_as_the_whole_is(street_root: Path, wrong: bool) -> None:
+    """Wrong quaternions are read anew in the order that the data show, in the coordinates that were asked for."""
+    if wrong:
+        spoil(street_root, rotate_list)
+    data = open_dataset(street_root)
+    whole = examine(data)
+    assert whole.failed == wrong
+    for seen in (data.select(range(len(data))), data.turned(90), data.select(range(len(data))).turned(180)):
+        report = examine(seen)
+        assert verdict(report) == verdict(whole)
+        assert report.facts["quaternion_order"] == whole.facts["quaternion_order"]
+    part = examine(data.select([0]))
+    assert {topic for topic, _ in verdict(part)} >= {"Gaussian sweeps", "quaternion order", "size order"}
+    assert "1 Gaussian frame" in next(one.what for one in part.findings if one.topic == "Gaussian sweeps")
+    assert "of full scale" in next(one.what for one in part.findings if one.topic == "cloud gaussian")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset
-from farfield.datasets.base import Dataset, deal_out
+from farfield.datasets.base import Dataset
 from farfield.datasets.folder import read_boxes, write_boxes
+from farfield.datasets.splits import deal_out
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.clouds import write_bin, write_cache
 from farfield.files.pcd import write_pcd

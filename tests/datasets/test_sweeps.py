@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.sweeps import stack_sweeps, sweeps_of
+from farfield.datasets.maps import Sweeps, make
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor
 from farfield.geometry.poses import invert, pose_from_yaw
@@ -53,7 +53,7 @@ class Drive(Dataset):
 
 
 def test_standing_points_stay_in_place_whatever_the_sensor_does():
-    stacked = stack_sweeps(Drive(), 3)
+    stacked = Drive().mapped(Sweeps(3))
     cloud = stacked[3].cloud("gaussian")
     assert len(cloud) == 12
     for part in range(3):
@@ -65,7 +65,7 @@ def test_standing_points_stay_in_place_whatever_the_sensor_does():
 
 
 def test_sweeps_stay_within_their_sequence_and_sensor():
-    stacked = stack_sweeps(Drive(), 3)
+    stacked = Drive().mapped(Sweeps(3))
     assert [len(stacked[index].cloud("gaussian")) for index in range(8)] == [4, 8, 12, 12] * 2
     uniform = stacked[2].cloud("uniform").extra["lag_s"]  # frame 1 has no uniform sweep; frame 0's came 20 ms late
     np.testing.assert_allclose(uniform, np.repeat([0.0, 0.18], 4), atol=1e-7)
@@ -74,29 +74,36 @@ def test_sweeps_stay_within_their_sequence_and_sensor():
 
 
 def test_selected_and_moved_frames_have_the_sweeps_of_the_whole():
-    whole = stack_sweeps(Drive(), 2)
-    for made in (stack_sweeps(Drive().select([3, 6]), 2), whole.select([3, 6])):
+    whole = Drive().mapped(Sweeps(2))
+    for made in (Drive().select([3, 6]).mapped(Sweeps(2)), whole.select([3, 6])):
         assert len(made) == 2
-        assert sweeps_of(made) == 2
+        assert made.recipe["maps"] == [{"name": "sweeps", "settings": {"count": 2}}]
         np.testing.assert_array_equal(made[0].cloud("gaussian").points_m, whole[3].cloud("gaussian").points_m)
-    turned = stack_sweeps(Drive().select([3]).turned(180), 2)
-    np.testing.assert_allclose(
-        turned[0].cloud("gaussian").points_m[:, :2], -whole[3].cloud("gaussian").points_m[:, :2], atol=1e-4
-    )
-    assert turned[0].cloud("gaussian").extra["lag_s"].max() == pytest.approx(0.1)
+    behind = np.array([-1, -1, 1])
+    for turned in (Drive().select([3]).turned(180).mapped(Sweeps(2)), whole.select([3]).turned(180)):
+        points_m = turned[0].cloud("gaussian").points_m
+        np.testing.assert_allclose(points_m, whole[3].cloud("gaussian").points_m * behind, atol=1e-4)
+        assert turned[0].cloud("gaussian").extra["lag_s"].max() == pytest.approx(0.1)
 
 
 def test_one_sweep_changes_nothing_and_none_is_refused():
-    drive = Drive()
-    assert stack_sweeps(drive, 1) is drive
-    assert sweeps_of(drive) == 1
+    one = Drive().mapped(Sweeps(1))[3].cloud("gaussian")
+    np.testing.assert_array_equal(one.points_m, Drive()[3].cloud("gaussian").points_m)
+    assert set(one.extra) == {"ring"}
     with pytest.raises(ConfigError, match="at least 1 sweep"):
-        stack_sweeps(drive, 0)
+        make("sweeps", {"count": 0})
 
 
 def test_frames_without_poses_are_refused():
     with pytest.raises(DatasetError, match=r"has no pose.*data\.sweeps=1"):
-        stack_sweeps(Drive(with_poses=False), 2)
+        Drive(with_poses=False).mapped(Sweeps(2))[0]
+
+
+def test_sweeps_of_sweeps_name_all_files():
+    twice = Drive().mapped(Sweeps(2)).mapped(Sweeps(2))
+    assert twice.files(3) == [Path(f"{number}.xyz") for number in (3, 2, 1)]
+    lag_s = twice[3].cloud("gaussian").extra["lag_s"]
+    np.testing.assert_allclose(lag_s, np.repeat([0.0, 0.1, 0.1, 0.2], 4), atol=1e-7)
 
 
 def test_simulated_sweeps_line_up(tmp_path):
@@ -109,7 +116,7 @@ def test_simulated_sweeps_line_up(tmp_path):
     for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=2):
         CirrusWriter(tmp_path).write(frame)
     first, second = open_dataset(tmp_path)
-    cloud = stack_sweeps(open_dataset(tmp_path), 2)[1].cloud("gaussian")
+    cloud = open_dataset(tmp_path).mapped(Sweeps(2))[1].cloud("gaussian")
     earlier = cloud[cloud.extra["lag_s"] > 0]
     then, now = first.annotation.full_boxes, second.annotation.full_boxes
     second_T_first = invert(second.world_T_frame) @ first.world_T_frame

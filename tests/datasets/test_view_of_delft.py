@@ -9,6 +9,7 @@ import pytest
 from trees import LIDAR_T_RADAR_M, PITCH_RAD, RADAR_ROWS, write_delft, write_tree
 
 from farfield.datasets import open_dataset, recognise
+from farfield.datasets.recipes import recipe_of_experiment, replay
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects
 from farfield.datasets.view_of_delft.layout import CLIPS, clip_of
 from farfield.datasets.view_of_delft.reader import ViewOfDelft, read_radar
@@ -56,11 +57,16 @@ def test_everything_is_in_the_reference_sensors_frame(root, reference):
 
 def test_the_frames_may_be_seen_from_the_other_sensor(root):
     """As a detector that learnt in the radar's frame needs them."""
-    data = ViewOfDelft(root)
-    seen, opened = data.viewed({"reference": "radar", "sweeps": 3})[0], ViewOfDelft(root, reference="radar")[0]
-    np.testing.assert_array_equal(seen.boxes.centre_m, opened.boxes.centre_m)
-    np.testing.assert_array_equal(seen.clouds["lidar"].points_m, opened.clouds["lidar"].points_m)
-    assert data.viewed({"reference": "os2-64"}) is data
+    data, native = ViewOfDelft(root), ViewOfDelft(root, reference="radar")
+    learnt = recipe_of_experiment({"options": {"reference": "radar"}, "sweeps": 1})
+    seen, opened = replay(data, learnt)[0], native[0]
+    np.testing.assert_allclose(seen.boxes.centre_m, opened.boxes.centre_m, atol=1e-12)
+    np.testing.assert_allclose(seen.clouds["lidar"].points_m, opened.clouds["lidar"].points_m, atol=1e-6)
+    np.testing.assert_array_equal(seen.clouds["radar"].points_m, opened.clouds["radar"].points_m)
+    assert replay(native, learnt) is native
+    assert native.recipe["maps"] == replay(data, learnt).recipe["maps"]
+    assert native.fingerprint() == replay(data, learnt).fingerprint() != data.fingerprint()
+    assert replay(data, recipe_of_experiment({"options": {"reference": "os2-64"}})) is data
 
 
 def test_no_column_of_the_radar_is_lost(root):

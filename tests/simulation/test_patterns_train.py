@@ -10,8 +10,7 @@ pytest.importorskip("embreex")
 
 from farfield.api import load_detector, open_dataset
 from farfield.cli import main
-from farfield.evaluation import detect_all
-from farfield.metrics import score
+from farfield.detection import detect
 
 EXPERIMENT = """
 name: NAME
@@ -45,9 +44,9 @@ def test_gaussian_beats_uniform_and_a_change_of_pattern_costs(tmp_path: Path, mo
             assert main(["train", f"{name}.yaml"]) == 0
             detector = load_detector(f"runs/{name}")
             for tested in ("gaussian", "uniform"):
-                (predictions, annotations, *_), _ = detect_all(detector, data, cloud=tested)
+                seen = detect(detector, data, cloud=tested)
                 window = {"window_m": (0.0, 128.0, -32.0, 32.0), "range_bins_m": (0.0, 70.0, 128.0)}
-                result = score(predictions, annotations, protocol="dds", **window)
+                result = seen.score("dds", **window)
                 found.setdefault((trained, tested), []).append(float(result.figures["dds/0/dds"]))
     print({" on ".join(key): np.round(values, 3).tolist() for key, values in found.items()})
     own = {name: np.array(found[name, name]) for name in ("gaussian", "uniform")}

@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch")
 from small import SMALL
 
 from farfield.datasets import open_dataset
-from farfield.datasets.sweeps import stack_sweeps
+from farfield.datasets.maps import Sweeps
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
 from farfield.experiments.catalogue import shipped
@@ -352,7 +352,7 @@ def test_min_points_counts_the_present_sweep_only(data):
     assert len(cut_out(rows, car, min_points=1)) == 1
     assert len(cut_out(rows, car, min_points=2)) == 0
     one, two = samples(data, min_points=3), samples(data, min_points=3)
-    two.data = stack_sweeps(two.data, 3)
+    two.data = two.data.mapped(Sweeps(3))
     assert [len(two.load(number)[1]) for number in range(6)] == [len(one.load(number)[1]) for number in range(6)]
     assert len(two.load(5)[0]) > 2 * len(one.load(5)[0])
 

@@ -1,6 +1,7 @@
 """``farfield predict``."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -9,7 +10,7 @@ from tyro.conf import Positional
 from farfield.cli._progress import bar
 
 if TYPE_CHECKING:
-    from farfield.frame import Frame
+    from farfield.frame import Boxes, Frame
 
 
 def run(
@@ -20,6 +21,7 @@ def run(
     cloud: str | None = None,
     score_threshold: float = 0.1,
     rotate_deg: float = 0.0,
+    reference: str = "",
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
     picture: Path | None = None,
@@ -40,23 +42,29 @@ def run(
         cloud: Which of a data set's clouds; its first unless given.
         score_threshold: Boxes below this score are left out.
         rotate_deg: Turn every frame counter-clockwise about z first.
+        reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
+            sees the frames, such as radar.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
         picture: Draw the first frame from above into this file.
     """
-    from farfield.api import as_trained, load_detector, show
+    from farfield.api import load_detector, show
+    from farfield.detection import as_trained, back_in_own, detect
+    from farfield.errors import ConfigError
     from farfield.files.boxes_csv import format_boxes_csv, write_boxes_csv
+    from farfield.frame import Frame
     from farfield.recording.convert import box_rows
 
     frames = _frames(files, rotate_deg)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud)
-    frames = as_trained(frames, loaded)
-    found = []
-    for index in bar(range(len(frames)), "detecting"):
-        frame = frames[index]
-        boxes = loaded(frame)
-        found.append((frame, boxes[boxes.score >= score_threshold] if boxes.score is not None else boxes))
-    rows = box_rows(found)
+    seen = as_trained(frames, loaded)
+    found = detect(loaded, frames, cloud=cloud, progress=partial(bar, what="detecting"))
+    found = found.replaced({key: _sure(boxes, score_threshold) for key, boxes in found.boxes.items()})
+    known = (frames[0].reference, found.reference)
+    if reference and reference not in known:
+        raise ConfigError(f"--reference: expected {' or '.join(dict.fromkeys(known))}, got {reference!r}")
+    written = found if reference == found.reference else back_in_own(found, frames, seen)
+    rows = box_rows((Frame(sequence=key[0], frame_id=key[1]), boxes) for key, boxes in written.boxes.items())
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_boxes_csv(out, rows)
@@ -64,9 +72,13 @@ def run(
     else:
         sys.stdout.write(format_boxes_csv(rows))
     if picture is not None:
-        show(*found[0]).savefig(picture, dpi=120)
+        show(seen[0], found.boxes[seen[0].key]).savefig(picture, dpi=120)
         print(f"picture: {picture}")
     return 0
+
+
+def _sure(boxes: "Boxes", score_threshold: float) -> "Boxes":
+    return boxes if boxes.score is None else boxes[boxes.score >= score_threshold]
 
 
 def _frames(files: tuple[Path, ...], rotate_deg: float) -> "list[Frame]":

@@ -110,13 +110,14 @@ def _notes(dataset: "Dataset") -> tuple[str, ...]:
     from farfield.datasets.kradar import KRadar
     from farfield.errors import FarfieldError
 
-    if not isinstance(dataset, KRadar):
+    reader = dataset.unwrapped
+    if not isinstance(reader, KRadar):
         return ()
-    versions = Counter(entry.version or "none" for entry in dataset.entries)
+    versions = Counter(reader.entries[index].version or "none" for index in dataset.origins)
     said: Counter[str] = Counter()
     for sequence in dict.fromkeys(dataset.sequences):
         try:
-            said[dataset.of_sequence(sequence).conditions_from or "nowhere"] += 1
+            said[reader.of_sequence(sequence).conditions_from or "nowhere"] += 1
         except FarfieldError:
             said["a damaged file"] += 1
     shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
@@ -161,6 +162,13 @@ class Argoverse2(Dataset):
         log, sweep = self._index[index]
         path = log.root / "annotations.feather"
         return [sweep, *([path] if path.is_file() else [])]
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(_time(self._index[index][1]) for index in indices)
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        sweeps = (self._index[index] for index in indices)
+        return all_poses(_pose_near(log, _time(sweep)) for log, sweep in sweeps)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""

@@ -1,32 +1,40 @@
-"""What every data set offers: frames by index, sequences known without reading, selection, splits, a fingerprint."""
+"""What every data set offers: frames by index, drives known without reading, maps, selection, splits, a fingerprint."""
 
-import copy
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
+from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.datasets.drives import Indices, Poses, before_each, by_sequence, cut, gather, seen
+from farfield.datasets.maps.contract import FrameMap, described
+from farfield.datasets.maps.move import Move
+from farfield.datasets.splits import SPLIT_FILE, cut_in_time, deal_out, read_parts
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Frame, moved
-from farfield.geometry.poses import pose_from_yaw
-
-SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
-SPLIT_FILE = Path("splits") / "cirrus_v1.json"
+from farfield.frame import Annotation, Drive, Frame, Key
 
 
 class Dataset(ABC):
     """Frames on disk. Indexing builds a :class:`Frame` whose clouds and images load when they are read.
+
+    A reader's frames stand in its drives in the order of time.
 
     Attributes:
         name: Format, such as ``"cirrus"``.
         root: Folder that was opened.
         sequences: Sequence of every frame.
         frame_ids: Name of every frame within its sequence.
+        protocol: The protocol that scores detections in it unless another is named.
+        options: Options with which the reader was opened, as JSON takes them.
+        references: Sensors in whose coordinates the frames can be seen, the reader's own first; empty where there is no
+            choice.
+        view_options: Further options of ``open_dataset`` that the format offers, which become maps.
     """
 
     name: str
@@ -34,6 +42,10 @@ class Dataset(ABC):
     sequences: tuple[str, ...]
     frame_ids: tuple[str, ...]
     split_file: Path = SPLIT_FILE
+    protocol: str = "dds"
+    options: Mapping[str, Any] = MappingProxyType({})
+    references: tuple[str, ...] = ()
+    view_options: tuple[str, ...] = ()
 
     @abstractmethod
     def frame(self, index: int) -> Frame:
@@ -42,6 +54,14 @@ class Dataset(ABC):
     @abstractmethod
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
+
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index`` was annotated; nothing that holds boxes or points is read."""
+        return self.frame(index).has_annotation
+
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``, without its clouds; None where nothing was."""
+        return self.frame(index).annotation
 
     def __len__(self) -> int:
         return len(self.sequences)
@@ -63,35 +83,114 @@ class Dataset(ABC):
         return f"{type(self).__name__}({str(self.root)!r}: {len(self)} frames, {len(set(self.sequences))} sequences)"
 
     @property
-    def keys(self) -> tuple[tuple[str, str], ...]:
+    def keys(self) -> tuple[Key, ...]:
         """(sequence, frame) of every frame."""
         return tuple(zip(self.sequences, self.frame_ids, strict=True))
+
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives, without building a frame; none where the frames are shuffled, as KITTI's object set's are.
+
+        Times and poses are given where they are known without reading every frame's files.
+        """
+        keys = self.keys
+        return tuple(
+            Drive(
+                name=name,
+                indices=indices,
+                keys=tuple(keys[index] for index in indices),
+                times_ns=self._times_of(indices),
+                world_T_frame=self._poses_of(indices),
+            )
+            for name, indices in self.drive_indices().items()
+        )
+
+    def drive_indices(self) -> Mapping[str, Indices]:
+        """Indices of each drive's frames in the order of time: by sequence, unless a format knows better."""
+        return by_sequence(self.sequences)
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        """Time of each of a drive's frames, where that is known cheaply."""
+        del indices
+        return None
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        """Pose of each of a drive's frames, where that is known cheaply."""
+        del indices
+        return None
+
+    @cached_property
+    def _index_before(self) -> Indices:
+        """Index of the frame before each in its drive, -1 where there is none."""
+        return before_each(self.drive_indices().values(), len(self))
+
+    def _at(self, index: int, k: int) -> int | None:
+        for _ in range(k):
+            index = int(self._index_before[index])
+            if index < 0:
+                return None
+        return index
+
+    def before(self, index: int, k: int) -> Frame | None:
+        """The k-th frame before frame ``index`` in its drive, k >= 0; None where there is none.
+
+        Of a selection it is that of the whole data set.
+        """
+        found = self._at(index, k)
+        return None if found is None else self.frame(found)
+
+    def files_before(self, index: int, k: int) -> Sequence[Path]:
+        """Files of the k-th frame before frame ``index`` in its drive; none where there is no such frame."""
+        found = self._at(index, k)
+        return () if found is None else self.files(found)
+
+    @property
+    def unwrapped(self) -> "Dataset":
+        """The reader under selections and maps."""
+        return self
+
+    @property
+    def origins(self) -> tuple[int, ...]:
+        """Index of every frame in :attr:`unwrapped`."""
+        return tuple(range(len(self)))
+
+    @property
+    def maps(self) -> tuple[FrameMap, ...]:
+        """The maps through which the frames are seen, in the order in which they are applied."""
+        return ()
+
+    @property
+    def recipe(self) -> Mapping[str, Any]:
+        """How the frames come about: ``format``, ``options`` of the reader and ``maps``, as JSON takes them."""
+        reader = self.unwrapped
+        return {
+            "format": reader.name,
+            "options": dict(reader.options),
+            "maps": [described(function) for function in self.maps],
+        }
 
     def select(self, indices: Sequence[int]) -> "Dataset":
         """Return the data set of some frames, in the order given."""
         return Subset(self, indices)
 
-    def moved(self, target_T_lidar: Float[np.ndarray, "4 4"]) -> "Dataset":
+    def mapped(self, function: FrameMap) -> "Dataset":
+        """Return the data set whose frames are seen through a map, such as :class:`~farfield.datasets.maps.Sweeps`."""
+        return Mapped(self, function)
+
+    def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Dataset":
         """Return the data set with every frame (clouds, boxes, poses, cameras) moved rigidly into another frame."""
-        return Moved(self, target_T_lidar)
+        return self.mapped(Move(target_T_frame))
 
     def turned(self, yaw_deg: float | int) -> "Dataset":
         """Return the data set with every frame turned counter-clockwise about z, such as 180 to look backwards."""
-        return self.moved(pose_from_yaw(float(np.deg2rad(yaw_deg))))
-
-    def viewed(self, options: Mapping[str, Any]) -> "Dataset":
-        """Return the data set seen as a reader with these options sees it, such as K-Radar's in the radar's frame.
-
-        Args:
-            options: Options of a reader; those that do not decide how frames look are passed over, all of them by a
-                format that has no such options.
-        """
-        del options
-        return self
+        return self.mapped(Move.turned(yaw_deg))
 
     def split_units(self) -> tuple[str, ...]:
-        """Name what must not be torn apart by a split, one name a frame: its sequence, unless a format knows better."""
-        return self.sequences
+        """Name what must not be torn apart by a split, one name a frame: its drive, or itself where it is in none."""
+        units = list(self.frame_ids)
+        for name, indices in self.drive_indices().items():
+            for index in indices:
+                units[index] = name
+        return tuple(units)
 
     def split(self, name: str, *, by: str = "sequence") -> "Dataset":
         """Return the part ``"train"``, ``"val"`` or ``"test"``, about 70, 15 and 15 per cent of the frames.
@@ -101,45 +200,46 @@ class Dataset(ABC):
 
         Args:
             name: The part.
-            by: ``"sequence"``, or ``"time"`` to cut every sequence in time (neighbouring frames look alike, so scores
-                come out too good: only for a single sequence).
+            by: ``"sequence"``, ``"time"`` to cut every sequence in time (neighbouring frames look alike, so scores come
+                out too good: only for a single sequence), or ``"benchmark"`` for the parts that the format's authors
+                published, where those tear sequences apart.
 
         Raises:
             ConfigError: If there is no such part.
-            DatasetError: If there are fewer than three sequences to deal out.
+            DatasetError: If there are fewer than three sequences to deal out, or no drives to cut in time.
         """
         if by == "time":
-            return self.select(_cut_in_time(self.sequences, name))
+            drives = self.drive_indices()
+            if not drives and len(self):
+                raise DatasetError(f"{self.root}: cannot be cut in time, its frames are shuffled. Split by 'sequence'.")
+            return self.select(cut_in_time(drives.values(), name))
+        if by == "benchmark":
+            members = self._benchmark(name)
+            return self.select([index for index, key in enumerate(self.keys) if key in members])
         if by != "sequence":
-            raise ConfigError(f"split: expected by to be one of 'sequence', 'time', got {by!r}")
-        parts = self._split_from_file() or deal_out(self.split_units(), root=self.root)
+            raise ConfigError(f"split: expected by to be one of 'sequence', 'time', 'benchmark', got {by!r}")
+        units = self.split_units()
+        parts = self._split_from_file() or deal_out(units, root=self.root)
         if name not in parts:
             raise ConfigError(f"{self.root}: expected a split, one of {', '.join(parts)}; got {name!r}")
         chosen = set(parts[name])
-        return self.select([index for index, unit in enumerate(self.split_units()) if unit in chosen])
+        return self.select([index for index, unit in enumerate(units) if unit in chosen])
 
     def _split_from_file(self) -> dict[str, list[str]]:
-        path = self.root / self.split_file
-        if not path.is_file():
-            return {}
-        try:
-            parts = json.loads(path.read_text("utf-8"))
-        except (ValueError, UnicodeDecodeError) as error:
-            raise DatasetError(f"{path}: expected JSON such as {{'train': ['segment_00']}}, found: {error}") from error
-        if not isinstance(parts, dict) or not all(isinstance(names, list) for names in parts.values()):
-            raise DatasetError(f"{path}: expected an object of lists of sequence names, such as {{'train': [...]}}")
-        missing = sorted({str(unit) for names in parts.values() for unit in names} - set(self.split_units()))
-        if missing:
-            raise DatasetError(f"{path}: names sequences that the data set lacks: {', '.join(missing[:5])}")
-        return parts
+        return read_parts(self.root / self.split_file, self.split_units())
+
+    def _benchmark(self, name: str) -> Set[Key]:
+        raise ConfigError(f"{self.root}: {self.name} has no parts {name!r} beside those of split(name).")
 
     def fingerprint(self) -> str:
-        """SHA-256 over the frames' names and their files' names and sizes (not their contents)."""
+        """SHA-256 over the frames' names, their files' names and sizes (not their contents), and the maps if any."""
         digest = hashlib.sha256()
         for index, key in enumerate(self.keys):
             digest.update("\0".join(key).encode())
             for path in self.files(index):
                 digest.update(f"\0{path.name}\0{path.stat().st_size}\n".encode())
+        if self.maps:
+            digest.update(json.dumps([described(function) for function in self.maps], sort_keys=True).encode())
         return digest.hexdigest()
 
 
@@ -151,7 +251,9 @@ class Subset(Dataset):
         if wrong:
             raise IndexError(f"{parent.root}: expected frame indices below {len(parent)}, got {wrong[0]}")
         self.parent, self.indices = parent, tuple(int(index) % len(parent) for index in indices)
-        self.name, self.root, self.split_file = parent.name, parent.root, parent.split_file
+        self.name, self.root, self.protocol = parent.name, parent.root, parent.protocol
+        self.split_file = parent.split_file
+        self.options, self.references, self.view_options = dict(parent.options), parent.references, parent.view_options
         self.sequences = tuple(parent.sequences[index] for index in self.indices)
         self.frame_ids = tuple(parent.frame_ids[index] for index in self.indices)
 
@@ -163,14 +265,55 @@ class Subset(Dataset):
         """List the files that frame ``index`` of the selection is read from."""
         return self.parent.files(self.indices[index])
 
-    def viewed(self, options: Mapping[str, Any]) -> "Dataset":
-        """The same frames of the parent seen with these options."""
-        parent = self.parent.viewed(options)
-        if parent is self.parent:
-            return self
-        other = copy.copy(self)
-        other.parent = parent
-        return other
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index`` of the selection was annotated."""
+        return self.parent.has_annotation(self.indices[index])
+
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index`` of the selection."""
+        return self.parent.annotation(self.indices[index])
+
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives' frames that were selected, in the order of time."""
+        places = self._places()
+        found = ((drive, gather(drive.indices, places)) for drive in self.parent.drives())
+        return tuple(cut(drive, rows, own) for drive, (rows, own) in found if len(rows))
+
+    def drive_indices(self) -> Mapping[str, Indices]:
+        """Indices of each drive's selected frames in the order of time."""
+        places = self._places()
+        own = {name: gather(indices, places)[1] for name, indices in self.parent.drive_indices().items()}
+        return {name: indices for name, indices in own.items() if len(indices)}
+
+    def _places(self) -> dict[int, list[int]]:
+        places: dict[int, list[int]] = {}
+        for place, index in enumerate(self.indices):
+            places.setdefault(index, []).append(place)
+        return places
+
+    def before(self, index: int, k: int) -> Frame | None:
+        """The k-th frame before frame ``index`` in its drive of the whole data set."""
+        return self.parent.before(self.indices[index], k)
+
+    def files_before(self, index: int, k: int) -> Sequence[Path]:
+        """Files of the k-th frame before frame ``index`` in its drive of the whole data set."""
+        return self.parent.files_before(self.indices[index], k)
+
+    @property
+    def unwrapped(self) -> Dataset:
+        """The reader under selections and maps."""
+        return self.parent.unwrapped
+
+    @property
+    def origins(self) -> tuple[int, ...]:
+        """Index of every frame in :attr:`unwrapped`."""
+        below = self.parent.origins
+        return tuple(below[index] for index in self.indices)
+
+    @property
+    def maps(self) -> tuple[FrameMap, ...]:
+        """The maps through which the frames are seen."""
+        return self.parent.maps
 
     def split_units(self) -> tuple[str, ...]:
         """Name what must not be torn apart, one name a frame."""
@@ -180,58 +323,52 @@ class Subset(Dataset):
     def _split_from_file(self) -> dict[str, list[str]]:
         return self.parent._split_from_file()
 
+    def _benchmark(self, name: str) -> Set[Key]:
+        return self.parent._benchmark(name)
 
-class Moved(Subset):
-    """Another data set whose frames are moved rigidly."""
 
-    def __init__(self, parent: Dataset, target_T_lidar: Float[np.ndarray, "4 4"]) -> None:
+class Mapped(Subset):
+    """Another data set whose frames are seen through a map."""
+
+    def __init__(self, parent: Dataset, function: FrameMap) -> None:
         super().__init__(parent, range(len(parent)))
-        self.target_T_lidar = np.asarray(target_T_lidar, dtype=np.float64)
+        self.function = function
 
     def frame(self, index: int) -> Frame:
-        """Build frame ``index``, moved."""
-        return moved(super().frame(index), self.target_T_lidar)
+        """Build frame ``index``, seen through the map."""
+        return self.function(self.parent.frame(index), partial(self.parent.before, index))
 
-    def fingerprint(self) -> str:
-        """SHA-256 of the parent's fingerprint and the motion."""
-        return hashlib.sha256(self.parent.fingerprint().encode() + self.target_T_lidar.tobytes()).hexdigest()
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``, seen through the map."""
+        if getattr(self.function, "keeps_annotation", False):
+            return self.parent.annotation(index)
+        return self.frame(index).annotation
+
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives; their poses where the map says what becomes of them."""
+        return tuple(seen(drive, self.function) for drive in self.parent.drives())
+
+    def before(self, index: int, k: int) -> Frame | None:
+        """The k-th frame before frame ``index``, seen through the map as well."""
+        frame = self.parent.before(index, k)
+        return None if frame is None else self.function(frame, partial(_further, self.parent, index, k))
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files that frame ``index`` is read from, its own first."""
+        return self.files_before(index, 0)
+
+    def files_before(self, index: int, k: int) -> Sequence[Path]:
+        """Files of the k-th frame before, with those that the map reads besides."""
+        count = int(getattr(self.function, "frames_before", 0))
+        own = self.parent.files(index) if k == 0 else self.parent.files_before(index, k)
+        further = (path for step in range(1, count + 1) for path in self.parent.files_before(index, k + step))
+        return list(dict.fromkeys((*own, *further))) if own else []
+
+    @property
+    def maps(self) -> tuple[FrameMap, ...]:
+        """The maps through which the frames are seen, this one last."""
+        return (*self.parent.maps, self.function)
 
 
-def deal_out(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
-    """Deal whole units out to train, val and test by the hash of their names, near the shares asked for.
-
-    Args:
-        units: Unit of every frame.
-        root: Named in the error.
-
-    Raises:
-        DatasetError: If there are fewer than three units.
-    """
-    names, counts = np.unique(np.asarray(units, dtype=np.str_), return_counts=True)
-    if len(names) < 3:
-        raise DatasetError(
-            f"{root}: a split keeps sequences whole and needs at least 3, found {len(names)}. Give the parts in "
-            f"{SPLIT_FILE}, take frames with select(), or cut in time with split(name, by='time')."
-        )
-    order = sorted(range(len(names)), key=lambda i: hashlib.sha256(str(names[i]).encode()).digest())
-    parts: dict[str, list[str]] = {"train": [], "val": [], "test": []}
-    for part in ("val", "test"):
-        taken, aim = 0, SPLIT_SHARES[part] * counts.sum()
-        left_for_others = 1 if part == "test" else 2
-        while len(order) > left_for_others and (not parts[part] or taken + counts[order[0]] / 2 < aim):
-            taken += counts[order[0]]
-            parts[part].append(str(names[order.pop(0)]))
-    parts["train"] = [str(names[i]) for i in order]
-    return parts
-
-
-def _cut_in_time(sequences: Sequence[str], name: str) -> list[int]:
-    if name not in SPLIT_SHARES:
-        raise ConfigError(f"split: expected one of {', '.join(SPLIT_SHARES)}, got {name!r}")
-    before = sum(list(SPLIT_SHARES.values())[: list(SPLIT_SHARES).index(name)])
-    chosen: list[int] = []
-    for sequence in dict.fromkeys(sequences):
-        members = [index for index, other in enumerate(sequences) if other == sequence]
-        first, last = (round(len(members) * share) for share in (before, before + SPLIT_SHARES[name]))
-        chosen += members[first:last]
-    return chosen
+def _further(parent: Dataset, index: int, k: int, step: int) -> Frame | None:
+    return parent.before(index, k + step)

@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.images import read_image
@@ -100,6 +101,10 @@ def write_boxes(path: Path | str, boxes: Boxes) -> None:
     write_text(path, json.dumps({"boxes": entries}, indent=1) + "\n")
 
 
+def _time_ns(stem: str) -> int | None:
+    return int(stem) if _NANOSECONDS.fullmatch(stem) else None
+
+
 def _read_annotation(path: Path) -> Annotation:
     return Annotation(boxes=read_boxes(path))
 
@@ -142,6 +147,14 @@ class Folder(Dataset):
         beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
         return [self.clouds[index], *(path for path in beside if path)]
 
+    def annotation(self, index: int) -> Annotation | None:
+        """The boxes beside frame ``index``."""
+        path = self._beside(index, _BOX_FOLDERS, [".json"])
+        return None if path is None else _read_annotation(path)
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(_time_ns(self.frame_ids[index]) for index in indices)
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
@@ -156,7 +169,7 @@ class Folder(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=stem,
-            time_ns=int(stem) if _NANOSECONDS.fullmatch(stem) else None,
+            time_ns=_time_ns(stem),
             clouds=Lazy({"lidar": load}),
             images=images,
             cameras=cameras,

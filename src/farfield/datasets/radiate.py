@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.drives import Indices, all_known
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
@@ -118,6 +119,9 @@ class Radiate(Dataset):
             if near is not None:
                 found[sensor] = (folder / sensor / f"{near[0]:06d}{suffix}", near[1])
         return {name: (path, time) for name, (path, time) in found.items() if path.is_file()}
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(self._time_ns(int(index)) for index in indices)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index`` that are there."""

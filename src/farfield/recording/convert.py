@@ -88,16 +88,18 @@ def convert(
 
 
 def _to_cache(dataset: Dataset, overwrite: bool, step: Progress) -> Outcome:
-    if isinstance(dataset, Cirrus):
+    reader = dataset.unwrapped
+    if isinstance(reader, Cirrus):
         sources = [
-            (getattr(entry, pattern), entry.part.root, len(getattr(dataset.mapping.xyz.columns, pattern)))
-            for entry in dataset.entries
+            (getattr(entry, pattern), entry.part.root, len(getattr(reader.mapping.xyz.columns, pattern)))
+            for entry in (reader.entries[index] for index in dataset.origins)
             for pattern in ("gaussian", "uniform")
             if getattr(entry, pattern) is not None
         ]
-        delimiter = dataset.mapping.xyz.delimiter
-    elif isinstance(dataset, Folder):
-        sources = [(path, dataset.root, 5) for path in dataset.clouds if path.suffix == ".xyz"]
+        delimiter = reader.mapping.xyz.delimiter
+    elif isinstance(reader, Folder):
+        clouds = (reader.clouds[index] for index in dataset.origins)
+        sources = [(path, dataset.root, 5) for path in clouds if path.suffix == ".xyz"]
         delimiter = "auto"
     else:
         sources = []

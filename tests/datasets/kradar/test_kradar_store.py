@@ -91,7 +91,7 @@ def test_the_reader_sees_the_same_cloud_with_the_store_alone(tree: Path, store: 
     shutil.copytree(tree, light, ignore=shutil.ignore_patterns("radar_*", "rdr_polar_3d"))
     options = {"reference": "radar", "radar_region": "narrow", "radar_rate": 0.01}
     for index in (0, 1):
-        whole, stored = KRadar(tree, **options)[index], KRadar(light, roots=[store], **options)[index]
+        whole, stored = open_dataset(tree, **options)[index], open_dataset(light, roots=[store], **options)[index]
         assert "cells" in stored.radar
         assert not {"tesseract", "cube"} & set(stored.radar)
         one, other = whole.cloud("radar"), stored.cloud("radar")
@@ -144,7 +144,7 @@ def test_a_lower_rate_makes_smaller_files_with_the_same_strong_cells(tree: Path,
     files = [root / "radar_cells" / "1" / "cells_00034.h5" for root in (tmp_path, store)]
     assert files[0].stat().st_size < files[1].stat().st_size
     few, all_cells = (
-        KRadar(root, radar_region="narrow")[index].radar["cells"] for root, index in ((tmp_path, 0), (store, 1))
+        open_dataset(root, radar_region="narrow")[index].radar["cells"] for root, index in ((tmp_path, 0), (store, 1))
     )
     np.testing.assert_array_equal(few.select("narrow", 0.01).index, all_cells.select("narrow", 0.01).index)
 
@@ -238,4 +238,5 @@ def test_a_set_on_several_disks_is_converted_whole(tree: Path, tmp_path: Path, c
     command = ["convert", str(labels), str(tmp_path / "store"), "--to", "radar-store", "--roots", str(radar)]
     assert main([*command, "--region", "narrow", "--rate", "0.1"]) == 0
     assert "1 written" in capsys.readouterr().out
-    assert len(KRadar(labels, roots=[tmp_path / "store"], radar_rate=0.01, reference="radar")[1].cloud("radar")) > 100
+    thin = open_dataset(labels, roots=[tmp_path / "store"], radar_rate=0.01, reference="radar")
+    assert len(thin[1].cloud("radar")) > 100

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drive import frame
 
+from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.errors import ConfigError
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
@@ -31,7 +32,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_cells_and_cube_give_the_same_points(root: Path) -> None:
-    data = KRadar(root, reference="radar", radar_rate=0.01, radar_region="narrow")
+    data = open_dataset(root, format="kradar", reference="radar", radar_rate=0.01, radar_region="narrow")
     cells, cube = data[0].clouds["radar"], data[1].clouds["radar"]
     assert len(cells) > 100
     np.testing.assert_array_equal(cells.points_m, cube.points_m)
@@ -40,7 +41,8 @@ def test_cells_and_cube_give_the_same_points(root: Path) -> None:
 
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_the_strongest_point_is_the_target(root: Path, index: int) -> None:
-    cloud = KRadar(root, reference="radar", radar_rate=0.01, radar_region="narrow")[index].clouds["radar"]
+    view = {"reference": "radar", "radar_rate": 0.01, "radar_region": "narrow"}
+    cloud = open_dataset(root, format="kradar", **view)[index].clouds["radar"]
     np.testing.assert_allclose(cloud.points_m[cloud.extra["power"].argmax()], [27.77, 0.0, 0.0], atol=0.45)
     assert 10 < cloud.extra["power"].max() <= 20.01  # a node of the Cartesian grid lies beside the polar cell
     assert ("doppler_m_s" in cloud.extra) == (index == 2)
@@ -49,16 +51,18 @@ def test_the_strongest_point_is_the_target(root: Path, index: int) -> None:
 def test_a_share_of_the_region_is_the_same_from_every_product(root: Path) -> None:
     """A tenth of the corridor's cells, and of the polar cells that lie in it."""
     options = {"reference": "radar", "radar_region": "narrow", "radar_over": "region"}
-    cells, cube, polar = (frame.clouds["radar"] for frame in KRadar(root, radar_rate=0.1, **options))
+    cells, cube, polar = (
+        frame.clouds["radar"] for frame in open_dataset(root, format="kradar", radar_rate=0.1, **options)
+    )
     assert len(cells) == pytest.approx(20 * 32 * 180 * 0.1, rel=1e-3)
     np.testing.assert_array_equal(cells.points_m, cube.points_m)
-    every = KRadar(root, radar_rate=1, **options)[2].clouds["radar"]
+    every = open_dataset(root, format="kradar", radar_rate=1, **options)[2].clouds["radar"]
     assert len(polar) == pytest.approx(0.1 * len(every), abs=2)
     assert polar.extra["power"].min() >= np.sort(every.extra["power"])[-len(polar)]
 
 
 def test_a_frame_is_moved_as_a_whole(root: Path) -> None:
-    ours, theirs = KRadar(root)[0], KRadar(root, reference="radar")[0]
+    ours, theirs = KRadar(root)[0], open_dataset(root, format="kradar", reference="radar")[0]
     origin = np.array(KRADAR_ORIGIN_M)
     assert (ours.reference, theirs.reference) == ("os2-64", "radar")
     np.testing.assert_allclose(theirs.boxes.centre_m, ours.boxes.centre_m - origin, atol=1e-12)
@@ -80,7 +84,7 @@ def test_wrong_settings_of_the_radar_are_told(root: Path) -> None:
         ({"radar_over": "some"}, "all, valid, region"),
     ):
         with pytest.raises(ConfigError, match=told):
-            KRadar(root, **options)
+            open_dataset(root, format="kradar", **options)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +96,7 @@ def test_every_published_cloud_is_read(tmp_path: Path, product: str, columns: in
     writer = KRadarWriter(tmp_path)
     writer.write(frame(1, radar={product: points}))
     writer.finish()
-    back = KRadar(tmp_path, reference="radar", radar_region="cube")[0]
+    back = open_dataset(tmp_path, format="kradar", reference="radar", radar_region="cube")[0]
     np.testing.assert_array_equal(back.radar[product], points)
     np.testing.assert_allclose(back.clouds["radar"].points_m, points[:, :3], rtol=1e-6)
     np.testing.assert_allclose(back.clouds["radar"].extra["power"], points[:, 3], rtol=1e-6)
@@ -104,13 +108,15 @@ def test_of_two_clouds_that_of_the_rate_is_taken(tmp_path: Path) -> None:
     writer = KRadarWriter(tmp_path)
     writer.write(frame(1, radar={"sparse": thick, "sparse_1p": thin}))
     writer.finish()
-    assert len(KRadar(tmp_path, radar_rate=0.1)[0].clouds["radar"]) == 3
-    assert len(KRadar(tmp_path, radar_rate=0.01)[0].clouds["radar"]) == 1
+    assert len(open_dataset(tmp_path, format="kradar", radar_rate=0.1)[0].clouds["radar"]) == 3
+    assert len(open_dataset(tmp_path, format="kradar", radar_rate=0.01)[0].clouds["radar"]) == 1
 
 
 def test_the_corridor_is_the_cloud_of_the_region(tmp_path: Path) -> None:
     writer = KRadarWriter(tmp_path)
     writer.write(frame(1, radar={"sparse": np.full((3, 4), 5.0), "corridor": np.full((2, 4), 5.0)}))
     writer.finish()
-    assert len(KRadar(tmp_path, radar_region="narrow")[0].clouds["radar"]) == 3
-    assert len(KRadar(tmp_path, radar_region="narrow", radar_over="region")[0].clouds["radar"]) == 2
+    assert len(open_dataset(tmp_path, format="kradar", radar_region="narrow")[0].clouds["radar"]) == 3
+    assert (
+        len(open_dataset(tmp_path, format="kradar", radar_region="narrow", radar_over="region")[0].clouds["radar"]) == 2
+    )

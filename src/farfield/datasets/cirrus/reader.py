@@ -13,9 +13,10 @@ from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, r
 from farfield.datasets.cirrus.layout import Entry, expectation, find_parts, index_frames, time_of
 from farfield.datasets.cirrus.mapping import Mapping, read_mapping
 from farfield.datasets.cirrus.sweeps import IntensityScale, Sweep
+from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
-from farfield.frame import Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
 from farfield.vocabulary.patterns import PATTERNS
 
 
@@ -70,6 +71,9 @@ class Cirrus(Dataset):
         entry = self.entries[index]
         return [path for path in (entry.gaussian, entry.uniform, entry.camera, entry.labels) if path]
 
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(time_of(self.entries[index].key) for index in indices)
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         entry = self.entries[index]
@@ -91,6 +95,11 @@ class Cirrus(Dataset):
             conditions=_conditions(raw),
             metadata=Lazy(self._metadata(index, entry)),
         )
+
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``."""
+        raw = self.raw_labels(index)
+        return None if raw is None else annotation_from_labels(raw, self.mapping.labels)
 
     def raw_labels(self, index: int) -> RawLabels | None:
         """Read the annotations of frame ``index`` as the file has them; None where there are none."""

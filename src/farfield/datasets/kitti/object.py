@@ -15,6 +15,7 @@ from PIL import Image
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.drives import Indices
 from farfield.datasets.kitti.boxes import camera_from_calib, camera_of, image_size
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.images import read_image
@@ -61,9 +62,9 @@ class Kitti(Dataset):
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
 
-    def split_units(self) -> tuple[str, ...]:
-        """Name what a split may not tear apart: single frames, as the set shuffles its drives."""
-        return self.frame_ids
+    def drive_indices(self) -> Mapping[str, Indices]:
+        """No drives: the set shuffles their frames."""
+        return {}
 
     def _split_from_file(self) -> dict[str, list[str]]:
         """Use the usual lists ``ImageSets/{train,val,test}.txt`` where they stand in the root."""

@@ -1,4 +1,4 @@
-"""The radar's strongest cells as a point cloud, from whichever product is there, and frames in its coordinates.
+"""The radar's strongest cells as a point cloud, from whichever product is there.
 
 From the store (``cells``), the published sparse files (``sparse``), the cube or the tesseract comes the same cloud; the
 published files hold what their rate and region left. The polar map gives its own strongest cells, with their Doppler.
@@ -7,40 +7,59 @@ published files hold what their rate and region left. The polar map gives its ow
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from jaxtyping import Float, Float32
+from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.kradar.layout import SPARSE_COLUMNS
-from farfield.datasets.kradar.tesseract import read_moments
+from farfield.datasets.maps import Earlier, Placed
+from farfield.datasets.maps.sweeps import Stacked
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Given, Lazy, moved
-from farfield.geometry.poses import invert
+from farfield.frame import Cloud, Frame, Given, Lazy, Pose
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
-from farfield.radar.products import Moments, doppler_cube, moments, polar_cloud, zyx_cube
+from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
-_SOURCES = ("cells", "sparse", "corridor", "sparse_1p", "cube", "tesseract", "polar_cloud", "polar_cloud_1p", "polar3d")
+_SOURCES = (
+    *("cells", "sparse", "corridor", "sparse_1p", "cube", "moments", "tesseract"),
+    *("polar_cloud", "polar_cloud_1p", "polar3d"),
+)
 _SPARSE_RATE = 0.01
 _NEARLY_ALL = 0.999
 
 
+class RadarViewSettings(BaseModel):
+    """Settings of :class:`RadarView`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate: float = 0.1
+    region: str = "wide"
+    over: str = "all"
+
+
 @dataclass(frozen=True, kw_only=True)
 class RadarView:
-    """Which cells of a radar frame become points.
+    """The cloud ``radar`` of every frame made anew from its radar products; it is read when it is asked for.
+
+    Frames without such products stay as they are. Stack sweeps afterwards, since a new cloud has one.
 
     Args:
-        rate: Share of the cube's cells, 1 or one of ``farfield.radar.cells.RATES``.
+        rate: Share of the cube's cells that become points, 1 or one of ``farfield.radar.cells.RATES``.
         region: Name of a region.
         over: ``"all"`` or ``"valid"`` cells of the cube are counted, or those of the ``"region"``. Published files hold
             what was counted when they were made.
 
     Raises:
-        ConfigError: If one is none of those possible.
+        ConfigError: If one is none of those possible, or a frame has several sweeps already.
     """
 
+    name: ClassVar[str] = "radar_view"
+    Settings: ClassVar[type[BaseModel]] = RadarViewSettings
+    overrules: ClassVar[bool] = True
+    keeps_annotation: ClassVar[bool] = True
     rate: float | int = 0.1
     region: str = "wide"
     over: str = "all"
@@ -52,41 +71,29 @@ class RadarView:
             raise ConfigError(f"radar_over: expected one of {', '.join(OVERS)}; got {self.over!r}")
         find_region(self.region)
 
+    def settings(self) -> Mapping[str, Any]:
+        """Rate, region and what is counted."""
+        return {"rate": float(self.rate), "region": self.region, "over": self.over}
 
-def with_radar_cloud(
-    frame: Frame, view: RadarView, frame_T_radar: Float[np.ndarray, "4 4"], tesseract: Path | None = None
-) -> Frame:
-    """The frame with its cloud ``radar``, if it has a product that gives one; it is read when it is asked for.
+    def fits(self, dataset: Any) -> bool:
+        """Whether the data set offers views of its radar."""
+        return "radar_rate" in dataset.view_options
 
-    Args:
-        frame: The frame, with its radar products.
-        view: Which cells.
-        frame_T_radar: Pose of the radar in the frame's coordinates.
-        tesseract: The tesseract's file, which is reduced while it is read if there is nothing smaller.
-    """
-    source = _source(frame, view)
-    if source is None:
-        return frame
-    clouds = {name: _loader(frame, name) for name in frame.clouds}
-    clouds[RADAR_CLOUD] = partial(_placed_cloud, frame.radar, source, view, frame_T_radar, tesseract)
-    return replace(frame, clouds=Lazy(clouds))
+    def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+        """The poses as they are."""
+        return world_T_frame
 
-
-def _loader(frame: Frame, name: str) -> Callable[[], Any]:
-    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Given(frame.clouds[name])
-
-
-def _placed_cloud(
-    radar: Mapping[str, Any],
-    source: str,
-    view: RadarView,
-    frame_T_radar: Float[np.ndarray, "4 4"],
-    tesseract: Path | None,
-) -> Cloud:
-    """The cloud of a product in the frame's coordinates."""
-    reduced = read_moments(tesseract) if source == "tesseract" and tesseract is not None else None
-    cloud = radar_cloud(source, radar[source] if reduced is None else reduced, view)
-    return cloud if np.array_equal(frame_T_radar, np.eye(4)) else cloud.transform(frame_T_radar)
+    def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
+        """The frame with its cloud ``radar`` in this view, if it has a product that gives one."""
+        del earlier
+        source = _source(frame, self)
+        if source is None:
+            return frame
+        kept = {name: _loader(frame, name) for name in frame.clouds}
+        if isinstance(kept.get(RADAR_CLOUD), Stacked):
+            raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
+        loader = Placed(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
+        return replace(frame, clouds=Lazy(kept | {RADAR_CLOUD: loader}))
 
 
 def _source(frame: Frame, view: RadarView) -> str | None:
@@ -96,12 +103,29 @@ def _source(frame: Frame, view: RadarView) -> str | None:
     return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
 
 
+def _loader(frame: Frame, name: str) -> Callable[[], Any]:
+    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Given(frame.clouds[name])
+
+
+def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:
+    return radar_cloud(source, products[source], view)
+
+
+def _frame_T_radar(frame: Frame, source: str) -> Pose:
+    """Pose of the radar that a product is from, or else of the frame's radar."""
+    known = (frame.sensors[name].frame_T_sensor for name in (source, RADAR_CLOUD) if name in frame.sensors)
+    pose = next((one for one in known if one is not None), None)
+    if pose is None:
+        raise ConfigError(f"radar_view: expected frame {frame.key} to know where the radar of {source!r} stands.")
+    return pose
+
+
 def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
     """A cloud in the radar's frame: column ``power`` is power over 1e13, ``doppler_m_s`` stands where it is known.
 
     Args:
         product: Name of a radar product.
-        values: The product; of a tesseract also its moments.
+        values: The product.
         view: Which cells.
     """
     if product in SPARSE_COLUMNS:
@@ -114,8 +138,8 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
         power = inside.extra["power"]
         return inside[power > np.quantile(power, 1 - view.rate)] if len(inside) else inside
     doppler = None
-    if product == "tesseract":
-        reduced = values if isinstance(values, Moments) else moments(np.asarray(values, dtype=np.float32))
+    if product in ("moments", "tesseract"):
+        reduced = values if product == "moments" else moments(np.asarray(values, dtype=np.float32))
         values, doppler = zyx_cube(reduced.mean_power), doppler_cube(reduced.mean_power_63, reduced.velocity_moment)
     cells = values
     if not isinstance(values, RadarCells):
@@ -131,8 +155,3 @@ def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
     kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
     extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
     return Cloud(kept[:, :3], None, {"power": kept[:, 3], **extra})
-
-
-def in_radar_frame(frame: Frame, os2_T_radar: Float[np.ndarray, "4 4"]) -> Frame:
-    """A frame of the os2-64's coordinates in the radar's; the os1-128's cloud stays in its own."""
-    return moved(frame, invert(os2_T_radar), reference=RADAR_CLOUD)

@@ -3,9 +3,7 @@
 Paek et al., "K-Radar: 4D Radar Object Detection for Autonomous Driving in Various Weather Conditions", NeurIPS 2022.
 """
 
-import copy
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.datasets.kradar.index import Entry, Files, find_sequences, index_sequence, radar_geometry
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.datasets.kradar.labels import KRadarLabels, annotation_of, read_labels
@@ -28,18 +27,23 @@ from farfield.datasets.kradar.layout import (
     SPLIT_FOLDER,
     index_name,
     os2_T_radar,
+    product_path,
 )
 from farfield.datasets.kradar.motion import TimedTable
 from farfield.datasets.kradar.products import read_eye, read_lidar, read_radar
-from farfield.datasets.kradar.radar_cloud import RADAR_CLOUD, RadarView, in_radar_frame, with_radar_cloud
+from farfield.datasets.kradar.radar_cloud import RADAR_CLOUD, RadarView
 from farfield.datasets.kradar.record import FrameRecord, read_record, record_path
 from farfield.datasets.kradar.sequence import RELEASES, SequenceFacts, annotated_poses, read_sequence
 from farfield.datasets.kradar.sequence_files import quarters
 from farfield.datasets.kradar.splits import read_split_list, split_of_sequences
+from farfield.datasets.kradar.tesseract import read_moments
+from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Camera, Frame, Given, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Camera, Frame, Given, Key, Lazy, Sensor, camera_sensor
 
-_VIEW = ("radar_rate", "radar_region", "radar_over")
+_USUAL_VIEW = RadarView()
+MOMENTS = "moments"
+"""What a tesseract gives while it is read, see :class:`~farfield.radar.products.Moments`."""
 
 
 class KRadar(Dataset):
@@ -70,13 +74,16 @@ class KRadar(Dataset):
         roots: Further such folders, for a set that is spread over several disks.
         labels: ``"v2.1"``, ``"v2.0"``, ``"v1.1"`` or ``"v1.0"``; None takes the newest that a sequence has.
         calibration: Release of the camera calibrations, ``"v2"`` or ``"v1"``; None takes the newest that there is.
-        reference: ``"os2-64"``, or ``"radar"`` for frames in the radar's coordinates, as K-Radar's own tools train and
-            score: boxes, clouds, cameras and poses are moved. The os1-128 keeps its own.
-        radar_rate: Share of cells that the cloud ``radar`` holds; 1 for every cell.
-        radar_region: Where it is cropped: ``"narrow"``, ``"wide"`` or ``"cube"``.
-        radar_over: Whether that share is of ``"all"`` cells of the cube before it is cropped, as published for the wide
-            region (benchmark v2.0), of the ``"valid"`` ones in the field of view, or of the cells of the ``"region"``,
-            as published for the corridor (benchmark v1.0).
+
+    ``open_dataset`` has further options, which become maps (:attr:`~farfield.datasets.base.Dataset.maps`):
+
+    - ``reference``: ``"os2-64"``, or ``"radar"`` for frames in the radar's coordinates, as K-Radar's own tools train
+      and score: boxes, clouds, cameras and poses are moved. The os1-128 keeps its own.
+    - ``radar_rate``: share of cells that the cloud ``radar`` holds, 0.1 if left out; 1 for every cell.
+    - ``radar_region``: where it is cropped: ``"narrow"``, ``"wide"`` (if left out) or ``"cube"``.
+    - ``radar_over``: whether that share is of ``"all"`` cells of the cube before it is cropped, as published for the
+      wide region (benchmark v2.0), of the ``"valid"`` ones in the field of view, or of the cells of the ``"region"``,
+      as published for the corridor (benchmark v1.0).
 
     Raises:
         DatasetError: If there is nothing of K-Radar, or no annotation of the version asked for.
@@ -85,6 +92,9 @@ class KRadar(Dataset):
 
     name = "kradar"
     split_file = SEQUENCE_SPLIT
+    protocol = "kradar"
+    references = ("os2-64", "radar")
+    view_options = ("reference", "radar_rate", "radar_region", "radar_over")
 
     def __init__(
         self,
@@ -93,17 +103,12 @@ class KRadar(Dataset):
         roots: Iterable[Path | str] = (),
         labels: str | None = None,
         calibration: str | None = None,
-        reference: str = "os2-64",
-        radar_rate: float | int = 0.1,
-        radar_region: str = "wide",
-        radar_over: str = "all",
     ) -> None:
         if labels is not None and labels not in LABEL_TREES:
             raise ConfigError(f"KRadar: expected labels to be one of {', '.join(LABEL_TREES)}; got {labels!r}")
         if calibration is not None and calibration not in RELEASES:
             raise ConfigError(f"KRadar: expected calibration to be one of {', '.join(RELEASES)}; got {calibration!r}")
-        self.reference, self.calibration = _checked_reference(reference), calibration
-        self.radar_view = RadarView(rate=radar_rate, region=radar_region, over=radar_over)
+        self.calibration = calibration
         self.root = Path(root)
         self.roots = (self.root, *map(Path, roots))
         self._files = Files(self.roots)
@@ -123,10 +128,19 @@ class KRadar(Dataset):
         self.frame_ids = tuple(entry.stem for entry in self.entries)
         self._shared: dict[str, tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]] = {}
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index`` has an annotation file."""
+        return self.entries[index].label is not None
+
     def labels(self, index: int) -> KRadarLabels | None:
         """Read the annotations of frame ``index``; None where there are none."""
         path = self.entries[index].label
         return None if path is None else read_labels(path)
+
+    def annotation(self, index: int) -> Annotation | None:
+        """What was annotated in frame ``index``."""
+        raw = self.labels(index)
+        return None if raw is None else annotation_of(raw, self.entries[index].version or "")
 
     def label_table(self, *, progress: Callable[[int], None] | None = None) -> LabelTable:
         """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
@@ -139,18 +153,6 @@ class KRadar(Dataset):
             FileFormatError: If a file is damaged.
         """
         return self._of_sequence(sequence)[0]
-
-    def viewed(self, options: Mapping[str, Any]) -> "KRadar":
-        """The same frames with the ``reference``, ``radar_rate``, ``radar_region`` and ``radar_over`` of these options.
-
-        Raises:
-            ConfigError: If one is none of those possible.
-        """
-        other = copy.copy(self)
-        other.reference = _checked_reference(options.get("reference", self.reference))
-        changes = {name.removeprefix("radar_"): options[name] for name in options if name in _VIEW}
-        other.radar_view = replace(self.radar_view, **changes)
-        return other
 
     def frame_difference(self, sequence: str) -> int:
         """Radar index minus LiDAR index of a sequence, as its calibration says; the published one without it."""
@@ -186,18 +188,15 @@ class KRadar(Dataset):
             world_T_frame=self._pose(index, record),
             conditions=shared.conditions,
             indices=indices,
-            radar=Lazy({name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths}),
+            radar=Lazy(_products(paths)),
             reference="os2-64",
             sensors=_sensors(paths, shared.cameras, times, os2_T_radar, record),
             metadata=Lazy(_files(entry, self._record_path(entry), paths) | _measured(shared, time_ns)),
         )
-        if self.reference == "radar":
-            frame = in_radar_frame(frame, os2_T_radar)
-        frame_T_radar = np.eye(4) if self.reference == "radar" else os2_T_radar
-        return with_radar_cloud(frame, self.radar_view, frame_T_radar, paths.get("tesseract"))
+        return _USUAL_VIEW(frame, none_before)
 
     def benchmark_split(self, name: str) -> Dataset:
-        """K-Radar's own ``train`` or ``test``: quarters of every sequence in turn.
+        """K-Radar's own ``train`` or ``test``, as ``split(name, by="benchmark")``: quarters of every sequence in turn.
 
         The list ``resources/split/<name>.txt`` decides where it is there. Neighbouring quarters are one drive, so
         scores come out too good; ``split()`` keeps sequences whole.
@@ -205,17 +204,32 @@ class KRadar(Dataset):
         Raises:
             ConfigError: If there is no such part.
         """
+        return self.split(name, by="benchmark")
+
+    def _benchmark(self, name: str) -> Set[Key]:
         if name not in ("train", "test"):
             raise ConfigError(f"benchmark_split: expected train or test, got {name!r}")
         path = self._files.find(SPLIT_FOLDER / f"{name}.txt")
         if path is not None:
-            keys = read_split_list(path)
-        else:
-            stems: dict[str, list[str]] = {}
-            for sequence, stem in self.keys:
-                stems.setdefault(sequence, []).append(stem)
-            keys = set(quarters(stems)[name])
-        return self.select([index for index, key in enumerate(self.keys) if key in keys])
+            return read_split_list(path)
+        stems: dict[str, list[str]] = {}
+        for sequence, stem in self.keys:
+            stems.setdefault(sequence, []).append(stem)
+        return set(quarters(stems)[name])
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(self._listed_time_ns(int(index)) for index in indices)
+
+    def _listed_time_ns(self, index: int) -> int | None:
+        """Time of the os2-64's sweep, from the frame's record or the sequence's list."""
+        entry = self.entries[index]
+        record = self._record(entry)
+        listed = self.of_sequence(entry.sequence).times_ns
+        return listed.get(product_path("os2-64", "", entry.lidar).name) if record is None else record.time_ns
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        found = (int(index) for index in indices)
+        return all_poses(self._pose(index, self._record(self.entries[index])) for index in found)
 
     def _split_from_file(self) -> dict[str, list[str]]:
         return super()._split_from_file() or split_of_sequences(self.sequences)
@@ -262,12 +276,6 @@ class KRadar(Dataset):
         return os2_T_radar() if x_m is None or y_m is None else os2_T_radar(x_m, y_m)
 
 
-def _checked_reference(reference: str) -> str:
-    if reference not in ("os2-64", "radar"):
-        raise ConfigError(f"KRadar: expected reference os2-64 or radar, got {reference!r}")
-    return reference
-
-
 def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
     present = [name for name in CAMERAS if name in paths]
     eyes = [(name + suffix, paths[name], bool(suffix)) for name in present for suffix in ("", RIGHT_EYE)]
@@ -278,6 +286,14 @@ def _clouds(paths: dict[str, Path], record: FrameRecord | None) -> dict[str, Cal
     first_ns = record.first_shot_ns if record is not None else {}
     names = [name for name in LIDARS if name in paths]
     return {name: partial(read_lidar, paths[name], name, first_ns=first_ns.get(name, 0)) for name in names}
+
+
+def _products(paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
+    """Loaders of the radar's products, and of a tesseract's moments, for which it is reduced while it is read."""
+    loaders: dict[str, Callable[[], Any]] = {
+        name: partial(read_radar, paths[name], name) for name in RADAR_PRODUCTS if name in paths
+    }
+    return loaders | ({MOMENTS: partial(read_moments, paths["tesseract"])} if "tesseract" in paths else {})
 
 
 def _sensors(
@@ -295,7 +311,7 @@ def _sensors(
     products = [name for name in RADAR_PRODUCTS if name in paths]
     taken_ns = next((times[name] for name in (RADAR_CLOUD, *products) if name in times), None)
     known[RADAR_CLOUD] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, time_ns=taken_ns)
-    for name in products:
+    for name in (*products, *([MOMENTS] if "tesseract" in products else [])):
         known[name] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, in_frame=False, time_ns=times.get(name))
     for name in sorted({*_eyes(paths), *cameras}):
         known[name] = camera_sensor(cameras.get(name), times.get(name.removesuffix(RIGHT_EYE)))

@@ -8,7 +8,6 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from farfield.datasets.base import deal_out
 from farfield.datasets.kradar.layout import (
     CAMERAS,
     EYES,
@@ -28,6 +27,7 @@ from farfield.datasets.kradar.texts import (
     format_radar_calibration,
     format_times,
 )
+from farfield.datasets.splits import deal_out
 from farfield.files.atomic import write_text
 from farfield.vocabulary.kradar import DESCRIPTION_ORDER, format_description
 

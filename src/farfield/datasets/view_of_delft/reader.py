@@ -4,7 +4,6 @@ Palffy et al.: "Multi-class Road User Detection with 3+1D Radar in the View-of-D
 has a tree in KITTI's layout.
 """
 
-import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,10 +13,13 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import SPLIT_SHARES, Dataset
+from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.drives import Indices, all_known
 from farfield.datasets.kitti.boxes import camera_from_calib
 from farfield.datasets.kitti.object import annotation_of, sized_camera
+from farfield.datasets.maps import Coordinates, FrameMap, Placed
+from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects, kitti_names
 from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
 from farfield.errors import ConfigError, DatasetError
@@ -91,6 +93,8 @@ class ViewOfDelft(Dataset):
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
         reference: Whose coordinates everything is in: ``"lidar"``, ``"radar"``, or None for the lidar where there is
             one.
+        nominal_times: Give frames the times that their numbers have at the radar's nominal :data:`RADAR_RATE_HZ`, since
+            the files give none: good enough to stack sweeps, which need times.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -98,6 +102,7 @@ class ViewOfDelft(Dataset):
     """
 
     name = "view_of_delft"
+    references = ("lidar", "radar")
 
     def __init__(
         self,
@@ -106,6 +111,7 @@ class ViewOfDelft(Dataset):
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
         reference: Reference | None = None,
+        nominal_times: bool = False,
     ) -> None:
         for option, value, known in (
             ("part", part, PARTS),
@@ -114,7 +120,7 @@ class ViewOfDelft(Dataset):
         ):
             if value not in known:
                 raise ConfigError(f"view_of_delft: expected {option} to be one of {known}, got {value!r}")
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes, self.nominal_times = Path(root), classes, nominal_times
         self.trees = find_trees(self.root, part)
         if not self.trees:
             raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
@@ -123,14 +129,20 @@ class ViewOfDelft(Dataset):
         self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
         self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
 
-    def viewed(self, options: Mapping[str, Any]) -> "ViewOfDelft":
-        """The same frames in the coordinates that the option ``reference`` names; others are passed over."""
-        reference = options.get("reference")
-        if reference not in ("lidar", "radar") or reference == self.reference:
-            return self
-        other = copy.copy(self)
-        other.reference = reference
-        return other
+    @property
+    def maps(self) -> tuple[FrameMap, ...]:
+        """The map that stands for ``reference``, where that is not the usual one."""
+        usual = next(name for name in self.references if any(_sensor(tree) == name for tree in self.trees))
+        return () if self.reference == usual else (Coordinates(self.reference),)
+
+    def _time_ns(self, index: int) -> int | None:
+        """Time since the data set's frame 0 at the nominal rate, if that was asked for."""
+        stem = self.frame_ids[index]
+        known = self.nominal_times and stem.isascii() and stem.isdigit()
+        return round(int(stem) * 1e9 / RADAR_RATE_HZ) if known else None
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        return all_known(self._time_ns(int(index)) for index in indices)
 
     def split_units(self) -> tuple[str, ...]:
         """Name what the official lists name, single frames; the lists keep clips whole."""
@@ -183,6 +195,7 @@ class ViewOfDelft(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
+            time_ns=self._time_ns(index),
             clouds=Lazy(clouds),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
@@ -215,14 +228,14 @@ class ViewOfDelft(Dataset):
             path, sensor = paths.get(self.frame_ids[index]), _sensor(name)
             if path is None:
                 continue
-            read = (
+            read: Callable[[], Cloud] = (
                 partial(read_radar, path)
                 if sensor == "radar"
                 else partial(read_cloud, path, intensity_scale=REFLECTANCE_FULL)
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")
-                read = partial(_moved, read, rig.reference_T(sensor))
+                read = Placed(read, rig.reference_T(sensor))
             loaders[name] = read
         return loaders
 
@@ -251,10 +264,6 @@ class ViewOfDelft(Dataset):
 
 def _sensor(cloud: str) -> Reference:
     return "lidar" if cloud == "lidar" else "radar"
-
-
-def _moved(read: Callable[[], Cloud], target_T_source: Float[np.ndarray, "4 4"]) -> Cloud:
-    return read().transform(target_T_source)
 
 
 def _sensors(rig: _Rig, clouds: Collection[str], cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:

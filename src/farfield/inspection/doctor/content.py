@@ -62,10 +62,11 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _scale_text(found: Survey, name: str) -> str:
-    if not isinstance(found.dataset, Cirrus) or name not in found.dataset.intensity_scale:
+    reader = found.dataset.unwrapped
+    if not isinstance(reader, Cirrus) or name not in reader.intensity_scale:
         return ""
-    decided = "decided from the data" if found.dataset.mapping.xyz.intensity_scale == "auto" else "given"
-    return f" of full scale {found.dataset.intensity_scale[name]:g} ({decided})"
+    decided = "decided from the data" if reader.mapping.xyz.intensity_scale == "auto" else "given"
+    return f" of full scale {reader.intensity_scale[name]:g} ({decided})"
 
 
 def _units_of_points(name: str, reach_m: float) -> Iterator[Finding]:
@@ -89,9 +90,10 @@ def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     for label, row in table.items():
         shown = ", ".join(f"{count} at {name}" for name, count in row.items() if count)
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
-    if not isinstance(found.dataset, Cirrus):
+    reader = found.dataset.unwrapped
+    if not isinstance(reader, Cirrus):
         return
-    aliases = found.dataset.mapping.labels.aliases
+    aliases = reader.mapping.labels.aliases
     strange = {
         name: count
         for name, count in found.raw_labels.items()

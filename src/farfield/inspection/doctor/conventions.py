@@ -1,14 +1,15 @@
 """Conventions decided from the data: quaternion order, size order, heading, centre or bottom, axes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels
+from farfield.datasets.maps import none_before
 from farfield.errors import FarfieldError
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes
 from farfield.inspection.doctor.evidence import (
     HEADINGS,
     READINGS,
@@ -28,15 +29,16 @@ _SPELLED = {"xyzw": "x y z w", "wxyz": "w x y z"}
 
 def quaternions(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Decide the order of the quaternions: in the right one objects stand upright."""
-    if not isinstance(found.dataset, Cirrus):
+    reader = found.dataset.unwrapped
+    if not isinstance(reader, Cirrus):
         return
-    raws = list(_raw_labels(found.dataset))
+    raws = list(_raw_labels(reader, found.dataset.origins))
     rows = np.concatenate([raw.quaternion for raw in raws]) if raws else np.zeros((0, 4))
     norm = np.linalg.norm(rows, axis=1)
     rows = rows[norm > 0] / norm[norm > 0, None]
     if not len(rows):
         return
-    read = found.dataset.mapping.labels.quat_order
+    read = reader.mapping.labels.quat_order
     upright = {order: _upright_share(rows, order) for order in ("xyzw", "wxyz")}
     other = "wxyz" if read == "xyzw" else "xyzw"
     decided = other if upright[other] > 0.9 and upright[read] < 0.9 else read
@@ -65,10 +67,10 @@ def _upright_share(rows: np.ndarray, order: str) -> float:
     return float((1 - 2 * (x * x + y * y) > _UPRIGHT).mean())
 
 
-def _raw_labels(dataset: Cirrus) -> Iterator[RawLabels]:
-    for index in range(len(dataset)):
+def _raw_labels(reader: Cirrus, indices: Iterable[int]) -> Iterator[RawLabels]:
+    for index in indices:
         try:
-            raw = dataset.raw_labels(index)
+            raw = reader.raw_labels(index)
         except (FarfieldError, OSError):
             continue  # the survey has reported it
         if raw is not None and len(raw):
@@ -128,12 +130,17 @@ _YAW = {
 
 def _in_decided_order(found: Survey, key: tuple[str, str], boxes: Boxes, facts: dict[str, Any]) -> Boxes:
     """Boxes read with the quaternion order that the data show, so that the other checks do not trip over it."""
-    order = facts.get("quaternion_order")
-    if not isinstance(found.dataset, Cirrus) or order in (None, found.dataset.mapping.labels.quat_order):
+    order, reader = facts.get("quaternion_order"), found.dataset.unwrapped
+    if not isinstance(reader, Cirrus) or order in (None, reader.mapping.labels.quat_order):
         return boxes
-    raw = found.dataset.raw_labels(found.dataset.keys.index(key))
+    index = reader.keys.index(key)
+    raw = reader.raw_labels(index)
     assert raw is not None
-    return boxes_from_labels(raw, found.dataset.mapping.labels.model_copy(update={"quat_order": order}))
+    read = boxes_from_labels(raw, reader.mapping.labels.model_copy(update={"quat_order": order}))
+    seen = reader.frame(index).annotated(Annotation(boxes=read))
+    for function in found.dataset.maps:
+        seen = function(seen, none_before)
+    return boxes if seen.boxes is None else seen.boxes
 
 
 def _votes(ballot: Ballot) -> str:
@@ -143,7 +150,8 @@ def _votes(ballot: Ballot) -> str:
 def _size_order(
     found: Survey, by_name: dict[str, Ballot], changes: list[Ballot], boxes: Boxes, facts: dict[str, Any]
 ) -> Iterator[Finding]:
-    read = found.dataset.mapping.labels.size_order if isinstance(found.dataset, Cirrus) else "lwh"
+    reader = found.dataset.unwrapped
+    read = reader.mapping.labels.size_order if isinstance(reader, Cirrus) else "lwh"
     change = next((ballot for ballot in changes if ballot.name in SIZE_READINGS), None)
     if change is not None and not _quarter_turn(change, boxes):
         letters = [""] * 3

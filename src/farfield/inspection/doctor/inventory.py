@@ -17,8 +17,8 @@ def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     count = len(found.dataset)
     facts |= {"frames": count, "sweeps": dict(found.sensors), "images": dict(found.images)}
     facts |= {"labelled_frames": len(found.boxes), "calibrated_cameras": sorted(found.cameras)}
-    if isinstance(found.dataset, Cirrus):
-        yield from _cirrus_folders(found, found.dataset)
+    if isinstance(found.dataset.unwrapped, Cirrus):
+        yield from _cirrus_folders(found, found.dataset.unwrapped)
     else:
         kinds = ", ".join(f"{number} with cloud {name}" for name, number in found.sensors.items()) or "no clouds"
         yield Finding(
@@ -45,14 +45,18 @@ def _calibration(found: Survey) -> Finding:
         what = f"cameras {', '.join(sorted(found.cameras))}" if found.cameras else "no calibration"
         return Finding(severity="ok", topic="calibration", what=what)
     mend = "Boxes cannot be drawn into the images."
-    if isinstance(found.dataset, Cirrus | Folder):
+    if isinstance(found.dataset.unwrapped, Cirrus | Folder):
         mend += " Put calibration.yaml (matrix, distortion, camera_T_lidar, width, height) into the root."
     return Finding(severity="warn", topic="calibration", what="no calibration", mend=mend)
 
 
-def _cirrus_folders(found: Survey, dataset: Cirrus) -> Iterator[Finding]:
+def _cirrus_folders(found: Survey, reader: Cirrus) -> Iterator[Finding]:
+    """Tell the files of each pattern; of a selection of frames those that belong to them."""
+    whole = set(found.dataset.origins) == set(range(len(reader)))
+    chosen = [reader.entries[index] for index in dict.fromkeys(found.dataset.origins)]
     for pattern, word in (("gaussian", "Gaussian"), ("uniform", "uniform")):
-        files = sum(len(part.files[pattern]) for part in dataset.parts)
+        files = sum(len(part.files[pattern]) for part in reader.parts)
+        files = files if whole else sum(getattr(entry, pattern) is not None for entry in chosen)
         used = found.sensors.get(pattern, 0)
         if files == 0:
             yield Finding(
@@ -65,8 +69,9 @@ def _cirrus_folders(found: Survey, dataset: Cirrus) -> Iterator[Finding]:
         facts = counted(files, f"{word} frame")
         alone = "" if used == files or pattern == "gaussian" else f", {used} frames have one"
         yield Finding(severity="ok", topic=f"{word} sweeps", what=facts + alone)
-    stems = {path.stem for part in dataset.parts for path in part.files["gaussian"]}
-    orphans = [path for part in dataset.parts for path in part.files["labels"] if path.stem not in stems]
+    parts = reader.parts if whole else {(one.part.root, one.part.number): one.part for one in chosen}.values()
+    stems = {path.stem for part in reader.parts for path in part.files["gaussian"]}
+    orphans = [path for part in parts for path in part.files["labels"] if path.stem not in stems]
     if orphans:
         yield Finding(
             severity="fail" if not found.boxes else "warn",

@@ -1,14 +1,14 @@
 """What a K-Radar tree holds by modality and sequence, and what its annotations show of their version, units and yaw."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.index import find_labels, numbered_files, spellings
-from farfield.datasets.kradar.label_table import DEFECTS, LabelTable
+from farfield.datasets.kradar.index import Entry, find_labels, numbered_files, spellings
+from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
 from farfield.datasets.kradar.layout import (
     CAMERAS,
     LABEL_TREES,
@@ -35,24 +35,26 @@ _ALONG_DEG = 30.0
 
 def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell what is there of each modality, which annotations there are, and what is wrong with them."""
-    dataset = found.dataset
-    if not isinstance(dataset, KRadar):
+    reader = found.dataset.unwrapped
+    if not isinstance(reader, KRadar):
         return
-    names = list(dict.fromkeys(dataset.sequences))
+    names = list(dict.fromkeys(found.dataset.sequences))
     known = facts.setdefault("kradar", {"sequences": len(names)})
-    yield from _modalities(dataset, names, known)
-    yield from _sequence_files(dataset, names, known)
-    yield from _versions(dataset, names, known)
-    table = dataset.label_table()
+    entries = [reader.entries[index] for index in dict.fromkeys(found.dataset.origins)]
+    yield from _modalities(reader, Counter(found.dataset.sequences), names, known)
+    yield from _sequence_files(reader, names, known)
+    yield from _versions(reader, entries, names, known)
+    table = read_label_table(entries)
     if not len(table.stem):
         return
     yield from _defects(table, known)
-    yield from _published(dataset, table, known)
+    yield from _published(reader, table, known)
     yield from _units(table, known)
 
 
-def _modalities(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
-    frames = Counter(dataset.sequences)
+def _modalities(
+    dataset: KRadar, frames: Mapping[str, int], names: Sequence[str], known: dict[str, Any]
+) -> Iterator[Finding]:
     known["files"] = {}
     for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS):
         per = {name: count for name in names if (count := _count(dataset, product, name))}
@@ -118,8 +120,10 @@ def _standing_in(topic: str, having: Sequence[str], lacks: Sequence[str]) -> str
     return " (the supplement's Table 5)" if topic == "published conditions" and having else ""
 
 
-def _versions(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
-    read = Counter(entry.version for entry in dataset.entries if entry.label is not None)
+def _versions(
+    dataset: KRadar, entries: Iterable[Entry], names: Sequence[str], known: dict[str, Any]
+) -> Iterator[Finding]:
+    read = Counter(entry.version for entry in entries if entry.label is not None)
     there = {version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES}
     known["label_versions"] = {version: len(having) for version, having in there.items()}
     shown = ", ".join(f"{version} in {_of(having, names)}" for version, having in there.items() if having)

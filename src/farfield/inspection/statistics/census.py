@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, Shaped
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.label_table import LabelTable
+from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN
@@ -166,15 +166,18 @@ def take_census(dataset: Dataset, *, progress: Progress | None = None) -> Census
         dataset: What :func:`farfield.datasets.open_dataset` gave.
         progress: Called with the number of frames done and the number of all.
     """
-    if type(dataset) is KRadar and dataset.reference == "os2-64":
-        return _census_of_kradar(dataset, progress)
+    reader = dataset.unwrapped
+    as_written = all(getattr(function, "keeps_annotation", False) for function in dataset.maps)
+    if isinstance(reader, KRadar) and as_written and len(set(dataset.keys)) == len(dataset):
+        return _census_of_kradar(dataset, reader, progress)
     return _census_of_frames(dataset, progress)
 
 
-def _census_of_kradar(dataset: KRadar, progress: Progress | None) -> Census:
+def _census_of_kradar(dataset: Dataset, reader: KRadar, progress: Progress | None) -> Census:
     """The same counts as over its frames, from the table of all annotations."""
     count = len(dataset)
-    table = dataset.label_table(progress=None if progress is None else lambda done: progress(done, count))
+    entries = [reader.entries[index] for index in dataset.origins]
+    table = read_label_table(entries, progress=None if progress is None else lambda done: progress(done, count))
     keys = list(zip(table.sequence.tolist(), table.stem.tolist(), strict=True))
     row_of = {key: row for row, key in enumerate(dataset.keys)}
     rows = np.array([row_of[key] for key in keys], dtype=np.int64)
@@ -184,7 +187,7 @@ def _census_of_kradar(dataset: KRadar, progress: Progress | None) -> Census:
     label = np.asarray(boxes.label).tolist()
     return Census(
         sequence=np.array(dataset.sequences, dtype=np.str_),
-        conditions=_conditions([_conditions_of(dataset, sequence) for sequence in dataset.sequences]),
+        conditions=_conditions([_conditions_of(reader, sequence) for sequence in dataset.sequences]),
         objects=objects,
         frame=rows[table.frame],
         name=table.name,
@@ -201,9 +204,9 @@ def _sight(table: LabelTable) -> Shaped[np.ndarray, " n"]:
     return np.array([_KRADAR_SIGHT[flag] for flag in table.availability.tolist()], dtype=np.str_)
 
 
-def _conditions_of(dataset: KRadar, sequence: str) -> Mapping[str, str]:
+def _conditions_of(reader: KRadar, sequence: str) -> Mapping[str, str]:
     try:
-        return dataset.of_sequence(sequence).conditions
+        return reader.of_sequence(sequence).conditions
     except FarfieldError:
         return {}
 

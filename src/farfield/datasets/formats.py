@@ -1,0 +1,233 @@
+"""The formats of data sets: how each is recognised, and what reads it. A registry with a door for other packages."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from farfield.errors import ConfigError
+from farfield.registry import PluginError, Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """One format.
+
+    Args:
+        name: Its name.
+        looked_for: What it is recognised by, for people: ``"training/velodyne/*.bin"``.
+        recognises: Whether a folder is of this format; quick, and true of no other format.
+        reader: The :class:`~farfield.datasets.base.Dataset` subclass that reads it, or ``"module:Class"`` of it.
+    """
+
+    name: str
+    looked_for: str
+    recognises: Callable[[Path], bool]
+    reader: Any
+
+    def load(self) -> Any:
+        """The reader, imported if need be."""
+        if isinstance(self.reader, str):
+            module, _, name = self.reader.partition(":")
+            return getattr(import_module(module), name)
+        return self.reader
+
+
+def is_cirrus(root: Path) -> bool:
+    """Whether a folder holds Cirrus, as published or as its authors keep it."""
+    from farfield.datasets.cirrus.layout import find_parts
+    from farfield.datasets.cirrus.mapping import Mapping
+
+    return bool(find_parts(root, Mapping()))
+
+
+def is_view_of_delft(root: Path) -> bool:
+    """Whether a folder holds View-of-Delft."""
+    from farfield.datasets.view_of_delft.layout import is_view_of_delft as looks_like_it
+
+    return looks_like_it(root)
+
+
+def is_kitti(root: Path) -> bool:
+    """Whether a folder holds KITTI's object benchmark."""
+    return any(_has(base, "velodyne/*.bin") for base in _parts(root))
+
+
+def is_kitti_tracking(root: Path) -> bool:
+    """Whether a folder holds KITTI's tracking benchmark, or its labels alone."""
+    patterns = ("velodyne/*/*.bin", "label_02/*.txt", "label/*.txt")
+    return any(_has(base, pattern) for base in _parts(root) for pattern in patterns)
+
+
+def is_argoverse2(root: Path) -> bool:
+    """Whether a folder holds logs of Argoverse 2."""
+    return any(_has(root, prefix + "sensors/lidar/*.feather") for prefix in ("", "*/", "*/*/"))
+
+
+def is_kradar(root: Path) -> bool:
+    """Whether a folder holds K-Radar or a part of it."""
+    from farfield.datasets.kradar.index import find_sequences
+
+    return bool(find_sequences([root]))
+
+
+def is_radiate(root: Path) -> bool:
+    """Whether a folder holds RADIATE."""
+    kinds = ("Polar", "Cartesian")
+    return any(_has(root, f"{prefix}Navtech_{kind}/*.png") for prefix in ("", "*/") for kind in kinds)
+
+
+def is_folder(root: Path) -> bool:
+    """Whether clouds lie directly in a folder."""
+    from farfield.datasets.cloud_files import CLOUD_SUFFIXES
+
+    return any(_has(root, f"*{suffix}") for suffix in CLOUD_SUFFIXES)
+
+
+def _parts(root: Path) -> tuple[Path, ...]:
+    return root, root / "training", root / "testing"
+
+
+def _has(root: Path, pattern: str) -> bool:
+    return next(iter(root.glob(pattern)), None) is not None
+
+
+CIRRUS = Format(
+    name="cirrus",
+    looked_for="dataset<N>_gaussian/*.xyz or dataset<N>_uniform/*.xyz, or the authors' dataset/raw_data/lidar/*.xyz",
+    recognises=is_cirrus,
+    reader="farfield.datasets.cirrus.reader:Cirrus",
+)
+VIEW_OF_DELFT = Format(
+    name="view_of_delft",
+    looked_for="[lidar|radar|radar_3frames|radar_5frames]/training/velodyne/*.bin, with training/pose/*.json",
+    recognises=is_view_of_delft,
+    reader="farfield.datasets.view_of_delft.reader:ViewOfDelft",
+)
+KITTI = Format(
+    name="kitti",
+    looked_for="training/velodyne/*.bin",
+    recognises=is_kitti,
+    reader="farfield.datasets.kitti.object:Kitti",
+)
+KITTI_TRACKING = Format(
+    name="kitti_tracking",
+    looked_for="training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
+    recognises=is_kitti_tracking,
+    reader="farfield.datasets.kitti.tracking:KittiTracking",
+)
+ARGOVERSE2 = Format(
+    name="argoverse2",
+    looked_for="<log>/sensors/lidar/*.feather",
+    recognises=is_argoverse2,
+    reader="farfield.datasets.argoverse2:Argoverse2",
+)
+KRADAR = Format(
+    name="kradar",
+    looked_for="<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, labels <radar>_<os2-64>.txt or another part",
+    recognises=is_kradar,
+    reader="farfield.datasets.kradar.reader:KRadar",
+)
+RADIATE = Format(
+    name="radiate",
+    looked_for="[<sequence>/]Navtech_Polar/*.png or [<sequence>/]Navtech_Cartesian/*.png",
+    recognises=is_radiate,
+    reader="farfield.datasets.radiate:Radiate",
+)
+FOLDER = Format(
+    name="folder",
+    looked_for="*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
+    recognises=is_folder,
+    reader="farfield.datasets.folder:Folder",
+)
+
+DATASETS: Registry[Format] = Registry(
+    "farfield.datasets",
+    "data set format",
+    {
+        name: f"farfield.datasets.formats:{name.upper()}"
+        for name in ("cirrus", "view_of_delft", "kitti", "kitti_tracking", "argoverse2", "kradar", "radiate", "folder")
+    },
+)
+"""Formats by name, in the order in which folders are tried; those of other packages come before ``folder``."""
+
+
+def dataset(name: str) -> Callable[[Any], Any]:
+    """Register a :class:`~farfield.datasets.base.Dataset` subclass as a format of this process, as a decorator.
+
+    The class says what it is recognised by: ``looked_for``, a text, and ``recognises(root)``, a static method.
+
+    Args:
+        name: The format's name.
+
+    Raises:
+        ConfigError: If the name is built in, or the class lacks one of the two.
+    """
+    return _Register(name)
+
+
+class _Register:
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, reader: Any) -> Any:
+        DATASETS.register(self.name)(format_of(self.name, reader))
+        return reader
+
+
+def format_of(name: str, thing: Any) -> Format:
+    """What a package registered as a format: a :class:`Format`, or a reader class that describes itself.
+
+    Raises:
+        ConfigError: If it is neither.
+    """
+    if isinstance(thing, Format):
+        return thing
+    looked_for, recognises = getattr(thing, "looked_for", None), getattr(thing, "recognises", None)
+    if not (isinstance(looked_for, str) and callable(recognises)):
+        raise ConfigError(
+            f"data set format {name!r}: expected a Format, or a Dataset class with looked_for and "
+            f"recognises(root); got {thing!r}"
+        )
+    return Format(name=name, looked_for=looked_for, recognises=recognises, reader=thing)
+
+
+def find_format(name: str) -> Format:
+    """The format of a name.
+
+    Raises:
+        ConfigError: If there is none.
+        PluginError: If another package's cannot be used.
+    """
+    return format_of(name, DATASETS[name])
+
+
+def recognise(root: Path) -> str | None:
+    """Name the format of a folder, or None: built-in formats first, then those of other packages, then loose clouds."""
+    for name in DATASETS.builtin:
+        if name != "folder" and find_format(name).recognises(root):
+            return name
+    for name in DATASETS.names():
+        if name not in DATASETS.builtin and _foreign(name, root):
+            return name
+    return "folder" if FOLDER.recognises(root) else None
+
+
+def _foreign(name: str, root: Path) -> bool:
+    """Whether another package's format recognises a folder; one that cannot be used, or that fails, does not."""
+    try:
+        return bool(find_format(name).recognises(root))
+    except Exception:  # noqa: BLE001 - a fault of one package must not keep others' data from opening
+        return False
+
+
+def looked_for() -> dict[str, str]:
+    """What each format is recognised by; of one that cannot be used, why."""
+    found = {}
+    for name in DATASETS.names():
+        try:
+            found[name] = find_format(name).looked_for
+        except (PluginError, ConfigError) as error:
+            found[name] = f"cannot be used: {error}"
+    return found

@@ -1,0 +1,62 @@
+"""Maps on frames by name: ``data.mapped(maps.make("sweeps", {"count": 4}))``. One map, one file."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_before
+from farfield.datasets.maps.coordinates import Coordinates
+from farfield.datasets.maps.move import Move
+from farfield.datasets.maps.placed import Placed
+from farfield.datasets.maps.sweeps import Sweeps
+from farfield.errors import ConfigError
+from farfield.registry import Registry
+
+__all__ = [
+    "MAPS",
+    "Coordinates",
+    "Earlier",
+    "FrameMap",
+    "Move",
+    "Placed",
+    "Sweeps",
+    "described",
+    "make",
+    "none_before",
+]
+
+MAPS: Registry[Any] = Registry(
+    "farfield.maps",
+    "map of frames",
+    {
+        "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
+        "move": "farfield.datasets.maps.move:Move",
+        "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
+        "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
+    },
+)
+
+
+def make(name: str, settings: Mapping[str, Any]) -> FrameMap:
+    """Make a map from its name and settings, such as a recipe has them.
+
+    Args:
+        name: One of :data:`MAPS`.
+        settings: Its settings; those left out have their defaults.
+
+    Raises:
+        ConfigError: If there is no such map, or a setting is unknown or impossible.
+
+    >>> make("sweeps", {"count": 4})
+    Sweeps(count=4)
+    """
+    kind = MAPS[name]
+    try:
+        given = kind.Settings.model_validate(dict(settings))
+    except ValidationError as error:
+        lines = [f"{'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg']}" for item in error.errors()]
+        known = ", ".join(kind.Settings.model_fields)
+        raise ConfigError(f"map {name!r}: {'; '.join(lines)}. It has the settings {known}.") from error
+    made: FrameMap = kind(**given.model_dump())
+    return made

@@ -1,0 +1,46 @@
+"""What a map on frames is: a function of a frame and the frames before it, with a name and settings that JSON takes."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+from farfield.frame import Frame
+
+Earlier = Callable[[int], Frame | None]
+"""``earlier(k)`` is the k-th frame before the present one in its drive, k >= 1; None where there is none."""
+
+
+@runtime_checkable
+class FrameMap(Protocol):
+    """A way to see frames: moved, with several sweeps, with another radar cloud.
+
+    It is built from its settings as keywords, has them as a pydantic model in ``Settings``, and pickles. Optional
+    attributes say more of it; without them nothing is assumed:
+
+    - ``frames_before``: how many frames before the present one it reads, 0 if left out.
+    - ``keeps_annotation``: whether the annotation stays as it is, so that it can be read without building the frame.
+    - ``moved_poses(poses)``: what becomes of the drives' ``world_T_frame``, shape (n, 4, 4); None where not known.
+    - ``fits(dataset)``: whether a data set's frames can be seen so; True if left out.
+    - ``overrules``: whether it takes the place of an earlier one of its name, as the view of a detector's training does
+      of the user's; False if left out.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name by which :func:`farfield.datasets.maps.make` knows it; a plain attribute of its class will do."""
+
+    def settings(self) -> Mapping[str, Any]:
+        """Its settings, as JSON takes them."""
+
+    def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
+        """The frame seen so; what is costly is left to the moment at which it is read."""
+
+
+def none_before(k: int) -> Frame | None:
+    """The frames before a frame that stands alone: none."""
+    del k
+    return None
+
+
+def described(function: FrameMap) -> dict[str, Any]:
+    """A map as JSON: ``{"name": ..., "settings": {...}}``."""
+    return {"name": function.name, "settings": dict(function.settings())}

@@ -1,0 +1,131 @@
+"""Several sweeps a frame: the points of the frames before it, moved into its coordinates, with their age."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict
+
+from farfield.datasets.maps.contract import Earlier
+from farfield.errors import ConfigError, DatasetError
+from farfield.frame import Cloud, Frame, Lazy, Pose
+from farfield.geometry.poses import invert
+
+LAG_COLUMN = "lag_s"
+
+
+class SweepsSettings(BaseModel):
+    """Settings of :class:`Sweeps`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """Each cloud followed by those of the ``count - 1`` frames before it in its drive.
+
+    Earlier points are moved by the frames' poses, so that what stands still stays in place; what moves leaves a trail.
+    Each point tells its sweep's age in the column ``lag_s``, 0 for the present one. The first frames of a drive have
+    fewer sweeps. Boxes and images are those of the present frame. Of a selection of frames, the frames before are those
+    before in the whole data set.
+
+    Args:
+        count: Sweeps a frame; 1 changes nothing.
+
+    Raises:
+        ConfigError: If ``count`` is below 1.
+        DatasetError: If a frame has no pose or no time, when it is built.
+    """
+
+    name: ClassVar[str] = "sweeps"
+    Settings: ClassVar[type[BaseModel]] = SweepsSettings
+    keeps_annotation: ClassVar[bool] = True
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise ConfigError(f"sweeps: expected at least 1 sweep a frame, got {self.count}")
+
+    @property
+    def frames_before(self) -> int:
+        """How many frames before the present one are read."""
+        return self.count - 1
+
+    def settings(self) -> Mapping[str, Any]:
+        """The number of sweeps."""
+        return {"count": self.count}
+
+    def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+        """The poses as they are."""
+        return world_T_frame
+
+    def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
+        """The frame with the sweeps before it."""
+        if self.count == 1:
+            return frame
+        present = _checked(frame)
+        found = (earlier(k) for k in range(1, self.count))
+        before = tuple(_checked(other) for other in found if other is not None)
+        return replace(present, clouds=Lazy({name: Stacked(present, before, name) for name in present.clouds}))
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Loads the present cloud, then the earlier ones that have this sensor, the youngest first."""
+
+    present: Frame
+    before: Sequence[Frame]
+    cloud: str
+
+    def __call__(self) -> Cloud:
+        """The clouds, one after another."""
+        present, name = self.present, self.cloud
+        present_T_world = invert(_world_T_cloud(present, name))
+        parts = [_aged(present.clouds[name], 0.0)]
+        for frame in self.before:
+            if name in frame.clouds:
+                lag_s = (_time_ns(present, name) - _time_ns(frame, name)) / 1e9
+                motion = present_T_world @ _world_T_cloud(frame, name)
+                parts.append(_aged(frame.clouds[name].transform(motion), lag_s))
+        return Cloud.concatenate(parts)
+
+
+def _world_T_cloud(frame: Frame, name: str) -> Pose:
+    """Pose of the coordinates in which a cloud stands: the frame's, or its sensor's own."""
+    assert frame.world_T_frame is not None
+    sensor = frame.sensors.get(name)
+    if sensor is None or sensor.in_frame:
+        return frame.world_T_frame
+    if sensor.frame_T_sensor is None:
+        raise DatasetError(
+            f"Several sweeps need to know where {name} stands, since it keeps its own axes; frame {frame.key} does not "
+            "say. Take one sweep (data.sweeps=1), or another cloud."
+        )
+    return frame.world_T_frame @ sensor.frame_T_sensor
+
+
+def _checked(frame: Frame) -> Frame:
+    missing = [name for name, value in (("pose", frame.world_T_frame), ("time", frame.time_ns)) if value is None]
+    if missing:
+        raise DatasetError(
+            f"Several sweeps a frame need each frame's pose and time; frame {frame.key} has no "
+            f"{' and no '.join(missing)}. Take one sweep (data.sweeps=1)."
+        )
+    return frame
+
+
+def _aged(cloud: Cloud, lag_s: float) -> Cloud:
+    column = np.full(len(cloud), lag_s, dtype=np.float32)
+    if LAG_COLUMN in cloud.extra:  # of scans that the cloud holds already
+        column += cloud.extra[LAG_COLUMN].astype(np.float32)
+    return Cloud(cloud.points_m, cloud.intensity, {**cloud.extra, LAG_COLUMN: column})
+
+
+def _time_ns(frame: Frame, name: str) -> int:
+    time_ns = frame.time_ns_of(name)
+    assert time_ns is not None
+    return time_ns

@@ -1,0 +1,111 @@
+"""How frames came about, and seeing other frames likewise: as a detector was trained to see them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.maps import Coordinates, FrameMap, Move, described, make
+from farfield.errors import ConfigError
+
+RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
+"""Options of ``open_dataset`` that become the map ``radar_view``."""
+
+
+def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
+    """The maps that options of ``open_dataset`` stand for: ``reference``, ``radar_rate`` and so on, ``rotate_deg``.
+
+    Args:
+        options: Any options; those that stand for no map are passed over.
+
+    Raises:
+        ConfigError: If a value is not one of those possible.
+    """
+    found: list[FrameMap] = []
+    if options.get("reference") is not None:
+        found.append(Coordinates(str(options["reference"])))
+    radar = {name.removeprefix("radar_"): options[name] for name in RADAR_OPTIONS if name in options}
+    if radar:
+        found.append(make("radar_view", radar))
+    if options.get("rotate_deg"):
+        found.append(Move.turned(options["rotate_deg"]))
+    return found
+
+
+def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The recipe of an experiment's ``data``: its reader's options and its sweeps.
+
+    Args:
+        data: The settings as the provenance of weights holds them: ``options``, ``sweeps``.
+    """
+    options, count = dict(data.get("options") or {}), int(data.get("sweeps", 1))
+    maps = [described(function) for function in maps_of_options(options)]
+    maps += [{"name": "sweeps", "settings": {"count": count}}] if count > 1 else []
+    views = ("reference", "rotate_deg", *RADAR_OPTIONS)
+    kept = {name: value for name, value in options.items() if name not in views}
+    return {"format": None, "options": kept, "maps": maps}
+
+
+def replay(data: Dataset, recipe: Mapping[str, Any]) -> Dataset:
+    """Return the data as those of another recipe were seen.
+
+    Its maps are applied to the reader's frames, beneath those that the data have of their own. Of two of one name the
+    recipe's coordinates and radar view take the place of the data's; sweeps that are stacked already, and frames that
+    are moved already, stay as they are. What a format does not offer is passed over, such as a radar's view of Cirrus.
+
+    Args:
+        data: Any data set; itself is returned if nothing changes.
+        recipe: ``Dataset.recipe`` of other data; only its maps matter, since its options belong to its files.
+
+    Raises:
+        ConfigError: If the recipe names an unknown map or setting.
+    """
+    reader = data.unwrapped
+    native = [described(function) for function in reader.maps]
+    own = list(data.maps[len(native) :])
+    wanted = [make(one["name"], one["settings"]) for one in recipe.get("maps", ())]
+    fitting = [one for one in wanted if described(one) not in native and _fits(one, reader)]
+    merged = _merged(own, fitting)
+    if [described(one) for one in merged] == [described(one) for one in own]:
+        return data
+    seen, origins = reader, data.origins
+    for function in merged:
+        seen = seen.mapped(function)
+    return seen if origins == tuple(range(len(reader))) else seen.select(origins)
+
+
+def _fits(function: FrameMap, reader: Dataset) -> bool:
+    fits = getattr(function, "fits", None)
+    return fits is None or bool(fits(reader))
+
+
+def _merged(own: Sequence[FrameMap], wanted: Sequence[FrameMap]) -> list[FrameMap]:
+    """The wanted maps, the data's own in the place of those that do not overrule them, and what else the data have."""
+    merged: list[FrameMap] = []
+    for one in wanted:
+        present = [other for other in own if other.name == one.name]
+        overrules = bool(getattr(one, "overrules", False))
+        merged += present if present and not overrules else [one]
+    names = {one.name for one in wanted}
+    return merged + [one for one in own if one.name not in names]
+
+
+def plain(value: Any) -> Any:
+    """An option as JSON takes it: paths as text, settings as mappings.
+
+    Raises:
+        ConfigError: If there is no such form.
+    """
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    raise ConfigError(f"Expected an option that JSON can hold, got {type(value).__name__}: {value!r}")

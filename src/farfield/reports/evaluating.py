@@ -1,0 +1,122 @@
+"""A detector over a data set, cloud by cloud: scores, found objects and a few frames to look at, ready for a report."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.detection import as_trained, detect, median_ms, suitable_clouds
+from farfield.frame import Boxes, Key
+from farfield.frame.provenance import environment
+from farfield.reports.evaluation import Evaluation, FrameView
+from farfield.reports.objects import annotated_objects
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+
+class Progress(Protocol):
+    """Wraps frame numbers, to show how far a cloud's frames are."""
+
+    def __call__(self, items: Iterable[int], what: str) -> Iterable[int]:
+        """The same numbers; ``what`` names the cloud."""
+
+
+def no_progress(items: Iterable[int], what: str) -> Iterable[int]:
+    """Show nothing."""
+    del what
+    return items
+
+
+def evaluate_clouds(
+    detector: "Detector",
+    data: Dataset,
+    *,
+    clouds: Sequence[str] | None = None,
+    shown_frames: int = 4,
+    protocol: str = "dds",
+    title: str = "Farfield evaluation",
+    provenance: Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Evaluation:
+    """Score a detector on each cloud of a data set; a cloud's result is that of :func:`farfield.evaluate`.
+
+    Args:
+        detector: The detector.
+        data: Annotated frames.
+        clouds: Which clouds; by default those of the first frame that suit the detector.
+        shown_frames: Frames that the report shows, spread evenly over the data.
+        protocol: The metric.
+        title: Title of the report.
+        provenance: What is known of the data beyond their fingerprint.
+        progress: Wraps frame numbers and the cloud's name, to show progress.
+        **options: Settings of the protocol.
+
+    Returns:
+        Results, pictures' frames, settings and provenance by cloud.
+
+    Raises:
+        DatasetError: If no frame is annotated.
+        ConfigError: If a cloud is missing or does not suit.
+    """
+    seen: Dataset = as_trained(data, detector)
+    results, objects, predicted, speed_ms = {}, {}, {}, {}
+    for name in clouds or suitable_clouds(detector, seen[0]):
+        found = detect(detector, data, cloud=name, annotated_only=True, progress=partial(progress, what=name))
+        results[name] = found.score(protocol, **options).to_json()
+        annotated = {key: annotation.boxes for key, annotation in found.annotations.items()}
+        objects[name] = annotated_objects(found.boxes, annotated)
+        predicted[name], speed_ms[name] = found.boxes, round(median_ms(found), 1)
+    return Evaluation(
+        title=title,
+        results=results,
+        objects=objects,
+        frames=[_view(seen, index, predicted) for index in _spread(len(seen), shown_frames)],
+        settings={
+            "detector": type(detector.network).__name__,
+            "classes": ", ".join(detector.class_names),
+            "range_m": detector.config.reach_m,
+            "precision": detector.precision,
+            "score_threshold": detector.config.score_threshold,
+            "nms_iou": detector.config.nms_iou,
+            "median_frame_ms": speed_ms,
+        },
+        provenance={
+            **environment(),
+            "data": seen.name,
+            "data_fingerprint": seen.fingerprint(),
+            "frames": len(seen),
+            "trained_on": trained_on(detector.provenance),
+            **(provenance or {}),
+        },
+    )
+
+
+def _spread(count: int, wanted: int) -> list[int]:
+    return sorted(set(np.linspace(0, count - 1, max(0, min(wanted, count))).round().astype(int).tolist()))
+
+
+def _view(data: Dataset, index: int, predicted: Mapping[str, Mapping[Key, Boxes]]) -> FrameView:
+    frame = data[index]
+    boxes = {name: found[frame.key] for name, found in predicted.items() if frame.key in found}
+    return FrameView(frame=frame, predictions=boxes, title=f"{frame.sequence}, frame {frame.frame_id}")
+
+
+def trained_on(provenance: Mapping[str, Any]) -> str:
+    """One phrase on what a detector learnt from; empty where nothing is known."""
+    experiment = provenance.get("experiment")
+    if not experiment:
+        return ""
+    data = experiment["data"] if "path" in experiment["data"] else next(iter(experiment["data"].values()))
+    made, clouds = data.get("simulate"), data["clouds"]
+    names = [n for each in clouds.values() for n in each] if isinstance(clouds, Mapping) else clouds
+    source = f"simulated frames (preset {made['preset']}, seed {made['seed']})" if made else f"frames of {data['path']}"
+    commit = provenance.get("environment", {}).get("commit") or "unknown"
+    return (
+        f"{provenance.get('frames')} {source}, clouds {' and '.join(names)}, "
+        f"{experiment['training']['steps']} steps of {experiment['training']['batch_size']}, "
+        f"training seed {experiment['training']['seed']}, commit {commit}"
+    )
