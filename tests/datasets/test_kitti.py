@@ -8,7 +8,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.kitti.boxes import camera_from_calib
 from farfield.datasets.kitti.object import Kitti, boxes_from_objects, image_boxes, objects_from_boxes
 from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
@@ -160,3 +160,20 @@ class TestReal:
         assert len(set(data.sequences)) == 10
         assert data[0].boxes.track_id is not None
         assert data[0].metadata["calibrated"] is False
+
+
+def test_a_cloud_without_intensity_is_refused_and_says_which_has_one(tmp_path):
+    points = np.ones((2, 3), np.float32)
+    clouds = {"radar": Cloud(points, None, {"power": points[:, 0]}), "lidar": Cloud(points, points[:, 0])}
+    frame = Frame(sequence="s", frame_id="1", clouds=clouds)
+    with pytest.raises(DatasetError, match="LiDAR clouds with intensity, got a cloud of x_m, y_m, z_m, power"):
+        KittiWriter(tmp_path).write(0, frame)
+    KittiWriter(tmp_path).write(0, frame, cloud="lidar")
+
+
+def test_reflectance_beyond_kittis_scale_is_refused(root):
+    rows = np.array([[20.3, -2.0, -0.9, 255.0]], dtype="<f4")
+    (root / "training/velodyne/000007.bin").write_bytes(rows.tobytes())
+    with pytest.raises(FileFormatError, match="values from 0 to 1") as failed:
+        open_dataset(root)[0].cloud()
+    assert "intensity_scale=255" in str(failed.value)

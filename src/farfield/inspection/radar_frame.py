@@ -134,10 +134,10 @@ def _velocity(
 
 def _between(frame: Frame, other: Frame) -> Float64[np.ndarray, "3"] | None:
     """Mean velocity between two frames in the axes of the first; None where poses or times are missing."""
-    if frame.world_T_lidar is None or other.world_T_lidar is None or frame.time_ns is None or other.time_ns is None:
+    if frame.world_T_frame is None or other.world_T_frame is None or frame.time_ns is None or other.time_ns is None:
         return None
     apart_s = (other.time_ns - frame.time_ns) / 1e9
     if not 0 < abs(apart_s) <= _LONGEST_S:
         return None
-    moved_m = (invert(frame.world_T_lidar) @ other.world_T_lidar)[:3, 3]
+    moved_m = (invert(frame.world_T_frame) @ other.world_T_frame)[:3, 3]
     return np.asarray(moved_m / apart_s, dtype=np.float64)

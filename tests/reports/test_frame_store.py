@@ -1,0 +1,33 @@
+"""Frames that reports keep on disk."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield.errors import ConfigError
+from farfield.frame import Cloud, Frame, Sensor, joined
+from farfield.reports.frame_store import load_frame, save_frame
+
+
+def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path: Path) -> None:
+    points = np.ones((3, 3), dtype=np.float32)
+    mounted = np.eye(4)
+    mounted[0, 3] = 2.5
+    frame = Frame(
+        sequence="s",
+        frame_id="1",
+        clouds={"lidar": Cloud(points, np.ones(3, np.float32)), "radar": Cloud(points, None, {"power": points[:, 0]})},
+        sensors={
+            "lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=5),
+            "radar": Sensor(kind="radar", frame_T_sensor=mounted),
+        },
+    )
+    save_frame(tmp_path, "0000", frame, None)
+    back, _, _ = load_frame(tmp_path, "0000")
+    assert back.clouds["radar"].intensity is None
+    assert back.sensors["lidar"].time_ns == 5
+    np.testing.assert_array_equal(back.sensors["radar"].frame_T_sensor, mounted)
+    assert not back.has_annotation
+    with pytest.raises(ConfigError, match="one kind of sensor"):
+        joined(back, ["lidar", "radar"])
