@@ -5,7 +5,6 @@ import pytest
 
 from farfield.radar.axes import KRADAR_AXES, RadarAxes
 from farfield.radar.doppler import (
-    peak_velocity_of_columns,
     radar_velocity,
     unwrap,
     wrapped_mean_velocity,
@@ -25,8 +24,6 @@ def test_peak_is_numpys_argmax_and_mean_is_the_polar_maps(rng):
     tensor = rng.exponential(1e11, SMALL.shape).astype(np.float32)
     expected = SMALL.doppler_m_s[tensor.argmax(axis=0)]
     np.testing.assert_allclose(wrapped_peak_velocity(tensor, SMALL), expected, rtol=1e-7)
-    rows = tensor.reshape(8, -1).T
-    np.testing.assert_allclose(peak_velocity_of_columns(rows, SMALL), expected.ravel(), rtol=1e-7)
     mean = wrapped_mean_velocity(moments(tensor, SMALL))
     np.testing.assert_array_equal(mean, polar3d(tensor, SMALL)[1].transpose(0, 2, 1))
 

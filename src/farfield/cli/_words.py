@@ -5,18 +5,6 @@ import sys
 from farfield.errors import ConfigError
 
 
-def numbers(flag: str, text: str) -> tuple[float, ...]:
-    """Comma-separated numbers.
-
-    Raises:
-        ConfigError: If a word is none.
-    """
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError:
-        raise ConfigError(f"{flag}: expected comma-separated numbers, got {text!r}") from None
-
-
 def names(text: str) -> list[str]:
     """Comma-separated names; none for an empty text."""
     return [word.strip() for word in text.split(",") if word.strip()]

@@ -1,14 +1,17 @@
 """``farfield evaluate``."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
 from farfield.cli._progress import bar
-from farfield.cli._words import deprecated, names, numbers
+from farfield.cli._words import deprecated, names
+
+if TYPE_CHECKING:
+    from farfield.metrics import Protocol
 
 
 def run(
@@ -66,6 +69,7 @@ def run(
     from farfield.api import load_detector, open_dataset
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
+    from farfield.metrics.options import numbers
     from farfield.reports.evaluating import evaluate_clouds
     from farfield.reports.page import write_report
 
@@ -76,8 +80,8 @@ def run(
     loaded = load_detector(detector, precision=precision, device=device)
     given: dict[str, Any] = {
         "label": label,
-        "range_bins_m": numbers("--range-bins-m", range_bins_m) if range_bins_m else None,
-        "epsilons": numbers("--epsilons", epsilons) if epsilons else None,
+        "range_bins_m": numbers(range_bins_m, "--range-bins-m") if range_bins_m else None,
+        "epsilons": numbers(epsilons, "--epsilons") if epsilons else None,
         "region": region or None,
         "bootstrap": None if replicates is None else Bootstrap(replicates=replicates),
     }
@@ -95,10 +99,9 @@ def run(
     )
     folder = out or Path("runs") / f"evaluation-{opened.root.name}"
     evaluation.save(folder)
-    headline = PROTOCOLS[protocol].headline
     for name, result in evaluation.results.items():
         print("".join(f"note: {note}\n" for note in result.get("notes", ())), end="")
-        print(f"{name}: {json.dumps(_summary(result, headline))}")
+        print(f"{name}: {json.dumps(_summary(result, PROTOCOLS[protocol]))}")
     page = write_report(
         folder / "report.html",
         title=evaluation.title,
@@ -112,12 +115,13 @@ def run(
     return 0
 
 
-def _summary(result: Mapping[str, Any], headline: Callable[[Mapping[str, Any]], Mapping[str, float | None]]) -> Any:
-    """The protocol's headline overall and by range: its first figure, or all where it names several as equals."""
+def _summary(result: Mapping[str, Any], protocol: "Protocol") -> dict[str, Any]:
+    """The protocol's headline overall and by range: its main figure, or all of it where several stand side by side."""
     parts = {"overall": result, **result.get("ranges", {})}
-    return {name: None if part is None else _brief(headline(part)) for name, part in parts.items()}
+    return {name: None if part is None else _brief(part, protocol) for name, part in parts.items()}
 
 
-def _brief(figures: Mapping[str, float | None]) -> Any:
-    rounded = {name: None if value is None else round(value, 4) for name, value in figures.items()}
-    return next(iter(rounded.values())) if len(rounded) == 1 else rounded
+def _brief(part: Mapping[str, Any], protocol: "Protocol") -> Any:
+    headline = protocol.headline(part)
+    rounded = {name: None if value is None else round(value, 4) for name, value in headline.items()}
+    return rounded if protocol.several_classes or protocol.per_cent else next(iter(rounded.values()), None)

@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
@@ -58,7 +58,7 @@ def run(
         raise ConfigError(f"--false-alarm: expected a probability between 0 and 1, got {false_alarm:g}")
     if not frames:
         raise ConfigError("--frames: expected one number or more, got none")
-    given = {"labels": labels, "roots": roots}
+    given: dict[str, Any] = {"labels": labels, "roots": roots}
     chosen = {name: value for name, value in given.items() if value}
     data = open_dataset(path, format="kradar", reference="radar", **chosen)
     look = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)

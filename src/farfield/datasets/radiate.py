@@ -175,11 +175,13 @@ def _sensors(paths: Mapping[str, tuple[Path, int | None]], time_ns: int | None) 
 
 def find_sequences(root: Path) -> list[Path]:
     """Folders with radar pictures: the root itself, or those in it, by name."""
+    if _holds_pictures(root):
+        return [root]
+    return sorted(path for path in root.glob("*") if path.is_dir() and _holds_pictures(path))
 
-    def holds(folder: Path) -> bool:
-        return any(next(iter((folder / place).glob("*.png")), None) is not None for place in _PICTURES.values())
 
-    return [root] if holds(root) else sorted(path for path in root.glob("*") if path.is_dir() and holds(path))
+def _holds_pictures(folder: Path) -> bool:
+    return any(next(iter((folder / place).glob("*.png")), None) is not None for place in _PICTURES.values())
 
 
 def radar_frames(folder: Path) -> list[int]:

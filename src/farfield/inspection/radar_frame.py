@@ -106,14 +106,18 @@ def look_at(
 
 
 def _picture(frame: Frame, name: str) -> tuple[UInt8[np.ndarray, "height width 3"] | None, Camera | None]:
-    """The image, straightened where its camera is known; (None, None) where there is no such image."""
+    """The image, straightened where its camera is known and of its size; (None, None) where there is no such image."""
     if name not in frame.images:
         return None, None
     image, camera = frame.images[name], frame.cameras.get(name)
-    if camera is None:
+    height, width = image.shape[:2]
+    if camera is None or (camera.width_px and (camera.width_px, camera.height_px) != (width, height)):
         return image, None
-    sized = replace(camera, width_px=image.shape[1], height_px=image.shape[0])
-    return straighten(image, sized), straightened_camera(sized)
+    sized = replace(camera, width_px=width, height_px=height)
+    try:
+        return straighten(image, sized), straightened_camera(sized)
+    except ValueError:  # a distortion that cannot be undone can still be projected with
+        return image, sized
 
 
 def _velocity(

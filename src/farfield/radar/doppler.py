@@ -1,6 +1,6 @@
-"""Radial velocity as the radar tells it: wrapped, and with the multiple of its span that a known ego-motion suggests.
+"""Radial velocity as a radar measures it: wrapped, and with the multiple of its span that a known ego-motion suggests.
 
-Velocities are positive when receding. K-Radar's tensors tell them modulo 3.865 m/s (13.9 km/h), so nearly every value
+Velocities are positive when receding. K-Radar's tensors hold them modulo 3.865 m/s (13.9 km/h), so nearly every value
 is wrapped at road speeds; names say ``wrapped`` until :func:`unwrap` has chosen a multiple.
 """
 
@@ -47,11 +47,6 @@ def wrapped_peak_velocity(
         higher = tensor[number] > best
         best[higher], peak[higher] = tensor[number][higher], number
     return axes.doppler_m_s.astype(np.float32)[peak]
-
-
-def peak_velocity_of_columns(block: Num[np.ndarray, "n d"], axes: RadarAxes = KRADAR_AXES) -> Float32[np.ndarray, " n"]:
-    """The same for cells that come one after another, each row one cell's spectrum."""
-    return axes.doppler_m_s.astype(np.float32)[block.argmax(axis=1)]
 
 
 def radar_velocity(

@@ -18,7 +18,7 @@ from farfield.radar.doppler import Unwrapped, unwrap, wrapped_mean_velocity, wra
 from farfield.radar.grid import CUBE_SHAPE, CUBE_X_M, CUBE_Z_M, OUTSIDE
 from farfield.radar.products import moments, polar_points, zyx_cube
 from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
-from farfield.radar.side_lobes import side_lobes
+from farfield.radar.side_lobes import marks_of_points, side_lobes
 from farfield.vocabulary.kradar import REGIONS_M
 
 Doppler = Literal["mean", "peak"]
@@ -116,17 +116,18 @@ def radar_views(
     ahead = cube.copy()
     ahead[:, :, CUBE_X_M < NEAREST_M] = OUTSIDE
     views = bfs_2d(ahead, "max")
-    found = {"bird_db": bev_2d(bodies, "mean"), "front_db": views.front, "side_db": views.side}
-    levels = {name: decibel(power) for name, power in found.items()}
+    bird, front, side = map(decibel, (bev_2d(bodies, "mean"), views.front, views.side))
     if polar is None:
-        return RadarViews(products=used, **levels)
+        return RadarViews(products=used, bird_db=bird, front_db=front, side_db=side)
     strongest = polar[0].argmax(axis=2)[..., None]
     return RadarViews(
         products=used,
+        bird_db=bird,
+        front_db=front,
+        side_db=side,
         polar_db=decibel(polar_views(polar[0], "mean").bird, unit=1.0),
         wrapped_m_s=np.take_along_axis(polar[1], strongest, axis=2)[..., 0],
         echoes=echoes_of(polar, kind=kind, false_alarm=false_alarm),
-        **levels,
     )
 
 
@@ -148,7 +149,7 @@ def echoes_of(
         points_m=columns[:, :3].astype(np.float32),
         power_db=decibel(columns[:, 3].astype(np.float32), unit=1.0),
         wrapped_m_s=columns[:, 4].astype(np.float32),
-        side_lobe=marked.ravel()[cells],
+        side_lobe=marks_of_points(columns[:, :3], marked),
         peak=_peaks(polar[0].max(axis=2)).ravel()[cells // polar.shape[3]],
     )
 

@@ -149,20 +149,20 @@ def _to_kitti(
     dataset: Dataset, target: Path, boxes: BoxSource, cloud: str | None, overwrite: bool, step: Progress
 ) -> Outcome:
     writer, journal = KittiWriter(target), Journal(target, overwrite=overwrite)
-
-    def write(index: int) -> Callable[[], Sequence[Path]]:
-        def run() -> Sequence[Path]:
-            frame = dataset[index]
-            return list(writer.write(index, frame, cloud=cloud, boxes=_boxes_of(frame, boxes)).values())
-
-        return run
-
-    units = (("/".join(key), dataset.files(index), write(index)) for index, key in enumerate(dataset.keys))
+    write = partial(_write_kitti, writer, dataset, boxes, cloud)
+    units = (("/".join(key), dataset.files(index), partial(write, index)) for index, key in enumerate(dataset.keys))
     outcome = _each(units, len(dataset), journal, f"kitti {boxes} {cloud} {dataset.name}", step)
     lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
     write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
     _write_image_sets(dataset, target)
     return outcome
+
+
+def _write_kitti(
+    writer: KittiWriter, dataset: Dataset, boxes: BoxSource, cloud: str | None, index: int
+) -> Sequence[Path]:
+    frame = dataset[index]
+    return list(writer.write(index, frame, cloud=cloud, boxes=_boxes_of(frame, boxes)).values())
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
@@ -180,17 +180,16 @@ def _to_cirrus(
     dataset: Dataset, target: Path, boxes: BoxSource, cloud: str | None, overwrite: bool, step: Progress
 ) -> Outcome:
     writer, journal = CirrusWriter(target), Journal(target, overwrite=overwrite)
-    times = _times(dataset)
-
-    def write(index: int) -> Callable[[], Sequence[Path]]:
-        def run() -> Sequence[Path]:
-            frame = _as_cirrus(dataset[index], times[index], cloud)
-            return list(writer.write(frame, box_label_source=boxes).values())
-
-        return run
-
-    units = (("/".join(key), dataset.files(index), write(index)) for index, key in enumerate(dataset.keys))
+    write = partial(_write_cirrus, writer, dataset, _times(dataset), boxes, cloud)
+    units = (("/".join(key), dataset.files(index), partial(write, index)) for index, key in enumerate(dataset.keys))
     return _each(units, len(dataset), journal, f"cirrus {boxes} {cloud} {dataset.name}", step)
+
+
+def _write_cirrus(
+    writer: CirrusWriter, dataset: Dataset, times: Sequence[int], boxes: BoxSource, cloud: str | None, index: int
+) -> Sequence[Path]:
+    frame = _as_cirrus(dataset[index], times[index], cloud)
+    return list(writer.write(frame, box_label_source=boxes).values())
 
 
 def _times(dataset: Dataset) -> list[int]:
@@ -221,11 +220,7 @@ def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
 
 
 def _to_csv(dataset: Dataset, target: Path, boxes: BoxSource, overwrite: bool, step: Progress) -> Outcome:
-    def write(path: Path, indices: Sequence[int]) -> Sequence[Path]:
-        frames = (dataset.frame(index) for index in indices)
-        write_boxes_csv(path, box_rows((frame, _boxes_of(frame, boxes)) for frame in frames))
-        return [path]
-
+    write = partial(_write_csv, dataset, boxes)
     if target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         target.parent.mkdir(parents=True, exist_ok=True)
         write(target, range(len(dataset)))
@@ -245,6 +240,12 @@ def _to_csv(dataset: Dataset, target: Path, boxes: BoxSource, overwrite: bool, s
     return _each(units, len(units), Journal(target, overwrite=overwrite), f"boxes-csv {boxes} {dataset.name}", step)
 
 
+def _write_csv(dataset: Dataset, boxes: BoxSource, path: Path, indices: Sequence[int]) -> Sequence[Path]:
+    frames = (dataset.frame(index) for index in indices)
+    write_boxes_csv(path, box_rows((frame, _boxes_of(frame, boxes)) for frame in frames))
+    return [path]
+
+
 def _file_name(sequence: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in sequence).lstrip(".") or "_"
 
@@ -254,13 +255,10 @@ def box_rows(frames: Iterable[tuple[Frame, Boxes | None]]) -> BoxRows:
     filled = [(frame, boxes) for frame, boxes in frames if boxes is not None and len(boxes)]
     together = Boxes.concatenate([boxes for _, boxes in filled]) if filled else Boxes.empty()
     counts = [len(boxes) for _, boxes in filled]
-
-    def column(values: list[str]) -> np.ndarray:
-        return np.repeat(np.array(values, dtype=np.str_) if values else np.empty(0, "<U1"), counts)
-
+    sequences, frame_ids = ([frame.key[place] for frame, _ in filled] for place in (0, 1))
     return BoxRows(
-        sequence=column([frame.sequence for frame, _ in filled]),
-        frame=column([frame.frame_id for frame, _ in filled]),
+        sequence=np.repeat(np.array(sequences, dtype=np.str_), counts),
+        frame=np.repeat(np.array(frame_ids, dtype=np.str_), counts),
         label=np.asarray(together.label),
         centre_m=together.centre_m,
         size_m=together.size_m,

@@ -10,6 +10,8 @@ from farfield.errors import DatasetError
 from farfield.recording.rigs import writer_for
 from farfield.recording.settings import Recording
 from farfield.recording.writing import write_whole
+from farfield.vocabulary.kradar import OUSTER_LINES
+from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
     from farfield.frame import Frame
@@ -71,7 +73,7 @@ def _complete(recording: Recording, sequence: int, index: int) -> bool:
 def bytes_needed(recording: Recording, count: int) -> float:
     """How many bytes so many frames take at most."""
     preset = recording.preset
-    lines = {"gaussian": preset.lines, "uniform": preset.lines, "os2-64": 64, "os1-128": 128}
+    lines = dict.fromkeys(PATTERNS, preset.lines) | OUSTER_LINES
     shots = {name: count * preset.columns for name, count in lines.items()}
     sizes = [_BYTES[name] if name in _BYTES else shots[name] * _BYTES_PER_SHOT[name] for name in recording.sensors]
     return count * (sum(sizes) + 20_000) * (_CACHED if recording.cache else 1.0)

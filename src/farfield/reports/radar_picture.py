@@ -22,7 +22,6 @@ _ASIDE_M, _LOW_M, _HIGH_M = 50.0, -6.0, 14.0
 _POWER, _VELOCITY = "magma", "coolwarm"
 _BOX = "#3ddbd9"
 _SPAN_M_S = KRADAR_AXES.velocity_span_m_s / 2
-_DOTS: dict[str, Any] = {"cmap": _VELOCITY, "vmin": -_SPAN_M_S, "vmax": _SPAN_M_S}
 STANDING_M_S = 0.4
 _DIM_DB, _BRIGHT_DB = 0.4, 1.4  # above the floor: where a velocity begins to show, and where it shows fully
 _GROUND = "#f4f6f8"
@@ -60,13 +59,11 @@ def _velocity_words(look: RadarLook) -> str:
     return "radial velocity " + ("as measured, wrapped" if look.velocity_m_s is None else "over ground") + ", m/s"
 
 
-def _levels(values: Float[np.ndarray, "_ _"], *, low: float = 20.0, high: float = 99.8) -> dict[str, float]:
+def _levels(values: Float[np.ndarray, "_ _"]) -> tuple[float, float]:
     """Where a map's colours begin and end: near its floor and near its strongest echoes."""
     inside = values[np.isfinite(values)]
-    if not inside.size:
-        return {"vmin": 0.0, "vmax": 1.0}
-    least, most = np.percentile(inside, [low, high])
-    return {"vmin": float(least), "vmax": float(max(most, least + 6.0))}
+    least, most = np.percentile(inside, [20.0, 99.8]) if inside.size else (0.0, 1.0)
+    return float(least), float(max(most, least + 6.0))
 
 
 def _extent(across: np.ndarray, along: np.ndarray) -> tuple[float, float, float, float]:
@@ -75,8 +72,23 @@ def _extent(across: np.ndarray, along: np.ndarray) -> tuple[float, float, float,
 
 def _show(axes: "Axes", values: np.ndarray, across: np.ndarray, along: np.ndarray) -> Any:
     axes.set_facecolor(RULE)
-    return axes.imshow(
-        values, origin="lower", extent=_extent(across, along), cmap=_POWER, aspect="auto", **_levels(values)
+    low, high = _levels(values)
+    extent = _extent(across, along)
+    return axes.imshow(values, origin="lower", extent=extent, cmap=_POWER, aspect="auto", vmin=low, vmax=high)
+
+
+def _dots(axes: "Axes", across: np.ndarray, along: np.ndarray, velocity: np.ndarray, size: Any) -> Any:
+    """Echoes coloured by velocity."""
+    return axes.scatter(
+        across,
+        along,
+        c=velocity,
+        s=size,
+        cmap=_VELOCITY,
+        vmin=-_SPAN_M_S,
+        vmax=_SPAN_M_S,
+        edgecolors=INK,
+        linewidths=0.4,
     )
 
 
@@ -99,9 +111,9 @@ def _draw_camera(axes: "Axes", look: RadarLook) -> None:
     axes.imshow(look.image, interpolation="antialiased")
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
     if look.camera is None:
-        axes.set_title("Camera, no calibration: nothing is projected")
+        axes.set_title("Camera without a calibration of its size: nothing is projected")
         return
-    axes.set_title("Camera, straightened, with boxes and the echoes' peaks")
+    axes.set_title("Camera with boxes and the echoes' peaks")
     if look.boxes is not None:
         axes.add_collection(LineCollection(box_lines(look.boxes, look.camera), colors=_BOX, linewidths=1.1))
     echoes = look.views.echoes
@@ -110,8 +122,10 @@ def _draw_camera(axes: "Axes", look: RadarLook) -> None:
         pixels, _, visible = look.camera.project(echoes.points_m.astype(np.float64))
         visible &= echoes.peak
         standing, shown = visible & ~moving & ~echoes.side_lobe, visible & moving
-        axes.scatter(*pixels[standing].T, s=9, color="white", edgecolors=INK, linewidths=0.4, alpha=0.85)
-        axes.scatter(*pixels[shown].T, c=velocity[shown], s=22, edgecolors=INK, linewidths=0.5, **_DOTS)
+        axes.scatter(
+            pixels[standing, 0], pixels[standing, 1], s=9, color="white", edgecolors=INK, linewidths=0.4, alpha=0.85
+        )
+        _dots(axes, pixels[shown, 0], pixels[shown, 1], velocity[shown], 22)
 
 
 def _outline(axes: "Axes", look: RadarLook, across: int, along: int, *, colour: str = _BOX) -> None:
@@ -165,7 +179,7 @@ def _draw_doppler(axes: "Axes", look: RadarLook) -> Any:
     axes.set_title("Echoes: CFAR detections and their Doppler")
     if echoes is None:
         axes.text(0.5, 0.5, "no polar map: no Doppler", ha="center", color=MUTED, transform=axes.transAxes)
-        return axes.scatter([], [], c=[], **_DOTS)
+        return _dots(axes, np.zeros(0), np.zeros(0), np.zeros(0), 1)
     velocity, moving = _coloured(look, echoes)
     x, y = echoes.points_m[:, 0], echoes.points_m[:, 1]
     marked, standing = echoes.side_lobe, ~echoes.side_lobe & ~moving
@@ -173,7 +187,7 @@ def _draw_doppler(axes: "Axes", look: RadarLook) -> Any:
     if look.velocity_m_s is not None:
         axes.scatter(y[standing], x[standing], s=5, color=MUTED, linewidths=0, label="standing")
     size = np.where(echoes.peak, 24, 6)[moving]
-    dots = axes.scatter(y[moving], x[moving], c=velocity[moving], s=size, edgecolors=INK, linewidths=0.3, **_DOTS)
+    dots = _dots(axes, y[moving], x[moving], velocity[moving], size)
     _outline(axes, look, 1, 0, colour=ANNOTATED)
     axes.legend(loc="lower left", markerscale=1.6, handletextpad=0.1, borderaxespad=0.2)
     return dots

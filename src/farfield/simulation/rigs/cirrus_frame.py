@@ -9,11 +9,10 @@ from jaxtyping import UInt8
 from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
 from farfield.simulation.camera.rig import cirrus_camera
 from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
     from farfield.simulation.rigs.cirrus import CirrusMoment
-
-_PATTERNS = ("gaussian", "uniform")
 
 
 class PlannedCirrus(Planned):
@@ -46,7 +45,7 @@ def cirrus_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
     planned = PlannedCirrus(drive, index)
     times = {"gaussian": time_ns, "uniform": time_ns + round(drive.mounted.uniform_offset_s * 1e9)}
     shots = drive.preset.lines * drive.preset.columns
-    clouds = [name for name in _PATTERNS if name in sensors]
+    clouds = [name for name in PATTERNS if name in sensors]
     cameras = {"camera": cirrus_camera()} if "camera" in sensors else {}
     return Frame(
         sequence=drive.segment.name,

@@ -10,11 +10,11 @@ from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
 from farfield.radar.cells import RadarCells
 from farfield.simulation.camera.rig import kradar_cameras
 from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.vocabulary.kradar import OUSTER_LINES
 
 if TYPE_CHECKING:
     from farfield.simulation.rigs.kradar import KRadarMoment
 
-_LINES = {"os2-64": 64, "os1-128": 128}
 _CAMERAS = ("cam-front", "cam-left", "cam-right", "cam-rear")
 _PRODUCTS = ("cells", "sparse", "polar3d", "cube", "tesseract")
 _CAMERA_HZ = 30
@@ -57,7 +57,7 @@ def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
         frame_id="_".join(f"{number:05d}" for number in list(_indices(drive, index).values())[:2]),
         time_ns=time_ns,
         sensors=known | {name: camera_sensor(cameras[name], time_ns) for name in eyes},
-        clouds=Lazy({name: partial(planned.cloud, name) for name in _LINES if name in sensors}),
+        clouds=Lazy({name: partial(planned.cloud, name) for name in OUSTER_LINES if name in sensors}),
         images=Lazy({name: partial(planned.image, name) for name in eyes}),
         cameras={name: cameras[name] for name in eyes},
         radar=Lazy({name: partial(planned.product, name) for name in products}),
@@ -82,8 +82,8 @@ def _mounted(drive: Drive, sensors: tuple[str, ...], time_ns: int) -> dict[str, 
     """The os2-64, in whose coordinates the frame is; the os1-128 and the radar's products, which keep their own."""
     from farfield.simulation.rigs.kradar import LIDAR_T_RADAR, OS2_T_OS1
 
-    shots = {name: lines * drive.preset.columns for name, lines in _LINES.items()}
-    taken = {name: time_ns if name in sensors else None for name in _LINES}
+    shots = {name: lines * drive.preset.columns for name, lines in OUSTER_LINES.items()}
+    taken = {name: time_ns if name in sensors else None for name in OUSTER_LINES}
     known = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=taken["os2-64"], shots=shots["os2-64"])}
     known["os1-128"] = Sensor(
         kind="lidar",
