@@ -9,10 +9,8 @@ from farfield.errors import DatasetError
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
     from farfield.detectors.runtime import Detector
-    from farfield.experiments.schema import Experiment
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
-    from farfield.training.loop import Training
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 Frames = TypeVar("Frames")
@@ -55,13 +53,11 @@ def as_trained(data: Frames, detector: Any) -> Frames:
         ConfigError: If the provenance names maps or settings that are not known.
     """
     from farfield.datasets.base import Dataset
-    from farfield.datasets.recipes import recipe_of_experiment, replay
+    from farfield.datasets.recipes import recipe_of_provenance, replay
 
     if not isinstance(data, Dataset):
         return data
-    known = getattr(detector, "provenance", None) or {}
-    recipe = known.get("recipe") or recipe_of_experiment(known.get("experiment", {}).get("data", {}))
-    return cast(Frames, replay(data, recipe))
+    return cast(Frames, replay(data, recipe_of_provenance(getattr(detector, "provenance", None) or {})))
 
 
 def predict(
@@ -123,57 +119,3 @@ def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
     from farfield.reports.figures import show_frame
 
     return show_frame(frame, predictions)
-
-
-def prepare_training(experiment: "Experiment", folder: Path, *, progress: Progress = iter) -> "Training":
-    """Open an experiment's data, build its detector, and set up the run in ``folder``.
-
-    Under torchrun, and where the experiment asks for several devices, this first joins or starts the other processes:
-    what only one of them should do, such as making the data, the first process does before.
-
-    Args:
-        experiment: What to train, and how.
-        folder: The run's folder.
-        progress: Wraps the numbers of the frames that are read before the first step.
-
-    Raises:
-        DatasetError: If the data are not there, or hold none of the clouds or classes asked for.
-    """
-    from farfield.datasets.maps import Sweeps
-    from farfield.detectors import build_detector
-    from farfield.frame.provenance import environment
-    from farfield.training.distributed import launch
-    from farfield.training.loop import Training
-    from farfield.training.samples import TrainingSamples
-
-    fabric = launch(experiment.training)
-    data = open_dataset(experiment.data.path, **experiment.data.options)
-    if experiment.data.sweeps > 1:
-        data = data.mapped(Sweeps(experiment.data.sweeps))
-    if experiment.data.split:
-        data = data.split(experiment.data.split)
-    missing = [name for name in experiment.data.clouds if name not in data[0].clouds]
-    if missing:
-        raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
-    network = build_detector(experiment.detector, seed=experiment.training.seed)
-    samples = TrainingSamples(
-        data,
-        clouds=experiment.data.clouds,
-        classes=experiment.detector.class_names,
-        assigner=network.assigner,
-        augmentation=experiment.augmentation,
-        columns=network.inputs["points"].columns,
-        min_points=experiment.training.min_points,
-        seed=experiment.training.seed,
-        aliases=experiment.data.aliases,
-        far_sampling=experiment.training.far_sampling,
-        far_from_m=experiment.training.far_from_m,
-    )
-    provenance = {
-        "experiment": experiment.model_dump(mode="json"),
-        "recipe": dict(data.recipe),
-        "data_fingerprint": data.fingerprint(),
-        "frames": len(data),
-        "environment": environment(),
-    }
-    return Training(network, samples, experiment.training, folder, provenance, progress=progress, fabric=fabric)

@@ -1,22 +1,17 @@
 """``farfield train``."""
 
-import os
 import time
-from collections.abc import Callable
+from collections.abc import Iterable
 from datetime import timedelta
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from farfield.cli._progress import bar
-from farfield.errors import ConfigError
+from farfield.training.report import Report
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from farfield.training.loop import Training
 
 
 def run(
@@ -24,13 +19,12 @@ def run(
     override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     out: Path = Path("runs"),
 ) -> int:
-    """Train a detector: a shipped experiment, or one YAML file; run the same command again to resume.
+    """Train a detector from one experiment; run the same command again to resume.
 
     examples:
       farfield train pointpillars-cirrus-sim
       farfield train pointpillars-cirrus-sim -o training.steps=500 -o name=short
-      farfield train pointpillars-cirrus -o data.path=/data/Cirrus_dataset1
-      farfield train mine.yaml
+      farfield train my-experiment.yaml -o data.path=/data/Cirrus_dataset1
       torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
@@ -38,98 +32,104 @@ def run(
     those of training.devices, share each batch and follow the course of one.
 
     Args:
-        experiment: Name of a shipped experiment (farfield experiments lists them), or a YAML file.
+        experiment: A shipped experiment's name, as `farfield experiments` lists them, or a YAML file.
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
     """
-    import json
-
     from rich.console import Console
-    from rich.progress import track
 
-    from farfield.api import prepare_training
     from farfield.experiments.catalogue import find
-    from farfield.experiments.schema import dump_experiment, load_experiment
-    from farfield.files.atomic import write_text
-    from farfield.recording import ensure
+    from farfield.experiments.plan import Plan
+    from farfield.experiments.schema import load_experiment
 
-    first = _is_first_process()
-    console = Console(stderr=True, quiet=not first)
     settings = load_experiment(find(experiment), override)
-    if first:
-        simulating = partial(bar, what="simulating", transient=True)
-        ensure(settings.data.simulate, settings.data.path, simulating, print)  # the others wait in prepare_training
-    if not settings.data.path.exists():
-        raise ConfigError(
-            f"{settings.data.path}: expected a data set's folder, found nothing. Name it: farfield train {experiment} "
-            "-o data.path=FOLDER"
-        )
-    folder = out / settings.name
-    training = prepare_training(
-        settings, folder, progress=lambda items: track(list(items), "reading frames", console=console)
-    )
-    if first:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "experiment.yaml", dump_experiment(settings))
-        write_text(folder / "provenance.json", json.dumps(training.provenance, indent=1))
-    weights = _train(training, console)
-    console.print(f"weights: {weights}\nnext: farfield evaluate {folder} DATA")
+    console = Console(stderr=True)
+    training = settings.training
+    kind = BarReport if console.is_terminal else LineReport
+    Plan(settings, out / settings.name).run(kind(console, out / settings.name, training.log_every_steps))
     return 0
 
 
-def _is_first_process() -> bool:
-    """Whether this is the process that prints and writes, by what torchrun or Lightning Fabric tell the others."""
-    return os.environ.get("RANK", os.environ.get("LOCAL_RANK", "0")) == "0"
+class LineReport(Report):
+    """Plain lines, the first step and those that are logged: a log file takes no moving bar.
 
+    Args:
+        console: Where to.
+        folder: The run's folder.
+        every: Steps between lines.
+    """
 
-def _train(training: "Training", console: "Console") -> Path:
-    """Train with a progress bar, or, where nobody watches a terminal, with plain lines now and then."""
-    if console.quiet:
-        return training.run()
-    if not console.is_terminal:
-        return training.run(_plain_lines(training, console))
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    def __init__(self, console: "Console", folder: Path, every: int) -> None:
+        self.console, self.folder, self.every = console, folder, every
+        self.steps, self.started = 0, time.monotonic()
+        self.first: tuple[int, float] | None = None
 
-    columns = (
-        TextColumn("training"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[status]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("training", total=training.config.steps, status="")
+    def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
+        """With a progress bar."""
+        from rich.progress import track
 
-        def report(step: int, losses: dict[str, float]) -> None:
-            progress.update(task, completed=step, status=" ".join(f"{k} {v:.3f}" for k, v in losses.items()))
+        return track(list(numbers), what, console=self.console)
 
-        return training.run(report)
+    def say(self, text: str) -> None:
+        """Print it."""
+        self.console.print(text, soft_wrap=True, highlight=False)
 
+    def begins(self, step: int, steps: int) -> None:
+        """Start the clock."""
+        del step
+        self.steps, self.started = steps, time.monotonic()
 
-def _plain_lines(training: "Training", console: "Console") -> Callable[[int, dict[str, float]], None]:
-    """Report the first step and those that are logged, a line each: a log file takes no moving bar."""
-    config, started = training.config, time.monotonic()
-    first: list[tuple[int, float]] = []
-
-    def report(step: int, losses: dict[str, float]) -> None:
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """A line now and then."""
         now = time.monotonic()
-        if not first:
-            first.append((step, now))
-        elif step % config.log_every_steps and step != config.steps:
+        if self.first is None:
+            self.first = step, now
+        elif step % self.every and step != self.steps:
             return
-        begun, since = first[0]
-        left_s = (now - since) / max(step - begun, 1) * (config.steps - step)
+        begun, since = self.first
+        left_s = (now - since) / max(step - begun, 1) * (self.steps - step)
         left = f", {timedelta(seconds=round(left_s))} left" if step > begun else ""
         parts = " ".join(f"{name} {value:.3f}" for name, value in losses.items())
-        elapsed = timedelta(seconds=round(now - started))
-        console.print(f"step {step}/{config.steps}: {parts}, {elapsed} elapsed{left}", soft_wrap=True, highlight=False)
+        self.say(f"step {step}/{self.steps}: {parts}, {timedelta(seconds=round(now - self.started))} elapsed{left}")
 
-    return report
+    def ends(self, weights: Path | None) -> None:
+        """Name the weights and what to do with them."""
+        if weights is not None:
+            self.say(f"weights: {weights}\nnext: farfield evaluate {self.folder} DATA")
+
+
+class BarReport(LineReport):
+    """A moving bar with the losses and the time left."""
+
+    def begins(self, step: int, steps: int) -> None:
+        """Show the bar."""
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[status]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(elapsed_when_finished=True),
+        )
+        self.progress: Any = Progress(*columns, console=self.console)
+        self.task = self.progress.add_task("training", total=steps, completed=step, status="")
+        self.progress.start()
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Move the bar."""
+        status = " ".join(f"{name} {value:.3f}" for name, value in losses.items())
+        self.progress.update(self.task, completed=step, status=status)
+
+    def ends(self, weights: Path | None) -> None:
+        """Leave the bar and name the weights."""
+        self.progress.stop()
+        super().ends(weights)

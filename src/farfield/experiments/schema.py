@@ -1,10 +1,20 @@
 """One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializeAsAny,
+    Tag,
+    ValidationError,
+    field_validator,
+)
 
 from farfield.detectors import DETECTORS
 from farfield.detectors.contract import DetectorConfig
@@ -20,7 +30,9 @@ class DataConfig(BaseModel):
 
     path: Path
     split: str | None = Field(None, description="train, val, test, or nothing for all frames")
-    clouds: tuple[str, ...] = Field(("gaussian", "uniform"), min_length=1)
+    clouds: Annotated[tuple[str, ...], Field(min_length=1)] | dict[str, tuple[str, ...]] = Field(
+        ("gaussian", "uniform"), description="clouds to learn from in turn, or such a list for each of several inputs"
+    )
     sweeps: int = Field(
         1, ge=1, le=100, description="clouds a frame: those of the frames before it, moved by the poses"
     )
@@ -29,13 +41,42 @@ class DataConfig(BaseModel):
     simulate: SimulationConfig | None = None
 
 
+class MethodConfig(BaseModel):
+    """How to train: a method's name and, beside it, its own settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str = "supervised"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The method's own settings."""
+        return dict(self.model_extra or {})
+
+
+def _one_or_several(data: Any) -> str:
+    """Whether ``data`` describes one data set or, by stream, several."""
+    several = isinstance(data, Mapping) and "path" not in data and all(isinstance(v, Mapping) for v in data.values())
+    return "several" if several or (isinstance(data, dict) and not data) else "one"
+
+
+Data = Annotated[
+    Annotated[DataConfig, Tag("one")] | Annotated[dict[str, DataConfig], Tag("several")], Discriminator(_one_or_several)
+]
+
+
 class Experiment(BaseModel):
-    """Everything that decides the outcome of a training."""
+    """Everything that decides the outcome of a training.
+
+    ``data`` is what a method with one stream of samples learns from; a method with several has one such group for each,
+    by their names.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    data: DataConfig
+    data: Data
+    method: MethodConfig = MethodConfig()
     detector: SerializeAsAny[DetectorConfig] = Field({"name": "pointpillars"}, validate_default=True)
     augmentation: AugmentationConfig = AugmentationConfig()
     training: TrainingConfig = TrainingConfig()
@@ -74,8 +115,14 @@ def load_experiment(path: Path, overrides: list[str] | None = None) -> Experimen
     try:
         return Experiment.model_validate(tree)
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        lines = [f"  {_place(item['loc'])}: {item['msg']}" for item in error.errors()]
         raise ConfigError(f"{path}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    """Keys of the file that lead to a fault, without the words of the choice between one data set and several."""
+    words = [word for place, word in enumerate(location) if not (place == 1 and word in ("one", "several"))]
+    return ".".join(map(str, words))
 
 
 def _override(tree: dict[str, Any], override: str) -> None:

@@ -1,11 +1,67 @@
 """Random changes to training frames: pasting objects, mirroring, turning, scaling. numpy only, one generator."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from jaxtyping import Float
 
 from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.training.bank import ObjectBank, Points
 from farfield.training.config import AugmentationConfig
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Change:
+    """One draw of a frame's random motion, to be applied alike to all that the frame holds.
+
+    Args:
+        mirror: Whether left and right change places.
+        turn_rad: Turn about z, counter-clockwise.
+        factor: Scale of the scene.
+        rise_m: Height that is added.
+    """
+
+    mirror: bool
+    turn_rad: float
+    factor: float
+    rise_m: float
+
+    @property
+    def linear(self) -> Float[np.ndarray, "3 3"]:
+        """The motion without its rise: what a place is multiplied with, shape (3, 3)."""
+        side = -1.0 if self.mirror else 1.0
+        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        return self.factor * np.array([[cos, -sin * side, 0], [sin, cos * side, 0], [0, 0, 1]])
+
+    def points(self, points: Points) -> Points:
+        """The points moved; x, y and z stand first, further columns stay."""
+        moved = points.copy()
+        rise = np.array([0.0, 0.0, self.rise_m]).astype(np.float32)
+        moved[:, :3] = points[:, :3] @ self.linear.T.astype(np.float32) + rise
+        return moved
+
+    def boxes(self, boxes: Boxes) -> Boxes:
+        """The boxes moved, with their sizes, headings and velocities."""
+        linear, side, velocity = self.linear, -1.0 if self.mirror else 1.0, boxes.velocity_m_s
+        if velocity is not None:
+            velocity = velocity @ linear[: velocity.shape[1], : velocity.shape[1]].T
+        return boxes.replace(
+            centre_m=boxes.centre_m @ linear.T + np.array([0.0, 0.0, self.rise_m]),
+            size_m=boxes.size_m * self.factor,
+            yaw_rad=boxes.yaw_rad * side + self.turn_rad,
+            velocity_m_s=velocity,
+        )
+
+
+def draw_change(config: AugmentationConfig, rng: np.random.Generator) -> Change:
+    """Draw the motion of one frame."""
+    return Change(
+        mirror=bool(rng.random() < config.flip_probability),
+        turn_rad=rng.uniform(-config.rotation_rad, config.rotation_rad),
+        factor=rng.uniform(1 - config.scale, 1 + config.scale),
+        rise_m=rng.uniform(-config.height_m, config.height_m),
+    )
 
 
 def augment(
@@ -14,7 +70,7 @@ def augment(
     """Apply all random changes to one frame.
 
     Args:
-        points: x, y, z (metres), intensity, lag (s) and further columns, shape (n, 5 + k).
+        points: x, y, z (metres), lag (s) and further columns, shape (n, 4 + k).
         boxes: Annotated boxes; they carry no scores, ids or counts afterwards.
         config: How much of each change.
         rng: The only source of randomness.
@@ -26,23 +82,13 @@ def augment(
     boxes = boxes.replace(score=None, track_id=None, point_count=None)
     if bank is not None and config.pasted:
         points, boxes = bank.paste(points, boxes, config.pasted, rng, bands_m=config.pasted_bands_m)
-    mirror = rng.random() < config.flip_probability
-    turn = rng.uniform(-config.rotation_rad, config.rotation_rad)
-    factor = rng.uniform(1 - config.scale, 1 + config.scale)
-    side = -1.0 if mirror else 1.0
-    cos, sin = np.cos(turn), np.sin(turn)
-    linear = factor * np.array([[cos, -sin * side, 0], [sin, cos * side, 0], [0, 0, 1]])
-    rise = np.array([0.0, 0.0, rng.uniform(-config.height_m, config.height_m)])
-    moved = points.copy()
-    moved[:, :3] = points[:, :3] @ linear.T.astype(np.float32) + rise.astype(np.float32)
-    boxes = boxes.replace(
-        centre_m=boxes.centre_m @ linear.T + rise, size_m=boxes.size_m * factor, yaw_rad=boxes.yaw_rad * side + turn
-    )
-    return _thinned(moved, boxes, config.thinning, rng) if config.thinning else (moved, boxes)
+    change = draw_change(config, rng)
+    points, boxes = change.points(points), change.boxes(boxes)
+    return _thinned(points, boxes, config.thinning, rng) if config.thinning else (points, boxes)
 
 
 def _thinned(points: Points, boxes: Boxes, most: float, rng: np.random.Generator) -> tuple[Points, Boxes]:
     """Drop a random share of the points, and the boxes that had points and have none any more."""
     kept = points[rng.random(len(points)) >= rng.uniform(0, most)]
-    before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=0.05) for part in (points, kept))
+    before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=BOX_MARGIN_M) for part in (points, kept))
     return kept, boxes[(after > 0) | (before == 0)]

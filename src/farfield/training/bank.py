@@ -13,25 +13,21 @@ from farfield.geometry.points import points_in_boxes
 Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
+LAG = 3
+"""Place of the age of a point's sweep among its columns, after x, y and z."""
+
 SAMPLES_PER_FRAME = 16
 """Samples after which one of the frames whose objects can be pasted makes way for another."""
 
 
-def cut_out(points: Points, boxes: Boxes, *, min_points: int, lag: int = 4) -> "list[tuple[Points, Boxes]]":
-    """Cut objects out of a frame: the points and the box of each that has ``min_points`` in the present sweep.
-
-    Args:
-        points: The frame's points.
-        boxes: Its boxes.
-        min_points: Points of lag 0 that an object has at least.
-        lag: The column of the lag.
-    """
+def cut_out(points: Points, boxes: Boxes, *, min_points: int) -> "list[tuple[Points, Boxes]]":
+    """Cut objects out of a frame: the points and the box of each that has ``min_points`` in the present sweep."""
     boxes = boxes.replace(score=None, track_id=None, point_count=None)
     inside = enumerate(points_in_boxes(points[:, :3], boxes))
     return [
         (points[rows].copy(), boxes[index])
         for index, rows in inside
-        if np.count_nonzero(points[rows, lag] == 0) >= min_points
+        if np.count_nonzero(points[rows, LAG] == 0) >= min_points
     ]
 
 
@@ -77,8 +73,15 @@ class ObjectBank:
                     continue
                 keep[points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]] = False
                 added.append(new_points)
-                boxes = Boxes.concatenate([boxes, new_box])
+                boxes = _together(boxes, new_box)
         return np.concatenate([points[keep], *added]), boxes
+
+
+def _together(boxes: Boxes, pasted: Boxes) -> Boxes:
+    """Both; velocities are kept where both have them."""
+    if (boxes.velocity_m_s is None) != (pasted.velocity_m_s is None):
+        boxes, pasted = boxes.plain(), pasted.plain()
+    return Boxes.concatenate([boxes, pasted])
 
 
 def draw(

@@ -1,12 +1,16 @@
 """Checkpoints of a running training: whole or absent, never torn, never pickled code."""
 
 import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 
-from farfield.errors import FileFormatError
+from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import write_bytes
 
 
@@ -34,3 +38,84 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             mend="Remove it to begin anew.",
         ) from error
     return state
+
+
+@dataclass(frozen=True)
+class Run:
+    """The state of a running training.
+
+    Args:
+        step: Steps done.
+        modules: State of the method's modules, keys such as ``detector.head.weight``.
+        optimizer: State of the optimizer.
+        average: Averages of the modules' state, by the same keys.
+        provenance: Experiment, fingerprints of the streams, versions.
+    """
+
+    step: int
+    modules: Mapping[str, Tensor]
+    optimizer: dict[str, Any]
+    average: Mapping[str, Tensor]
+    provenance: Mapping[str, Any]
+
+    def state(self) -> dict[str, Any]:
+        """As tensors and plain values: ``modules/<name>/...`` and ``streams/<name>/fingerprint`` among them."""
+        state = {f"modules/{name.replace('.', '/', 1)}": value for name, value in self.modules.items()}
+        for name, fingerprint in _fingerprints(self.provenance).items():
+            state[f"streams/{name}/fingerprint"] = fingerprint
+        return {
+            "step": self.step,
+            **state,
+            "optimizer": self.optimizer,
+            "average": dict(self.average),
+            "provenance": json.dumps(self.provenance),
+        }
+
+
+def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) -> Run | None:
+    """Read the state of a training that is to go on; None where there is no checkpoint.
+
+    Checkpoints of the first form, with the key ``network``, are read as those of the module ``detector``.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+        ConfigError: If it belongs to another experiment, to other data or to other modules.
+    """
+    if not path.is_file():
+        return None
+    state = load_checkpoint(path)
+    try:
+        theirs, step = json.loads(state["provenance"]), int(state["step"])
+        kept, average, optimizer = _module_states(state), state["average"], state["optimizer"]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FileFormatError(
+            path, where="keys", expected="those of farfield train", found=str(error), mend="Remove it to begin anew."
+        ) from error
+    changed = [] if theirs.get("experiment") == provenance.get("experiment") else ["experiment"]
+    changed += [] if _fingerprints(theirs) == _fingerprints(provenance) else ["data_fingerprint"]
+    if changed:
+        raise ConfigError(
+            f"{path} was made by another {' and another '.join(changed)}. Choose another run folder, or remove this one."
+        )
+    if "network" in state:
+        average = {f"detector.{name}": value for name, value in average.items()}
+    if set(kept) != set(modules.state_dict()):
+        raise ConfigError(
+            f"{path} holds other modules than the method's {', '.join(modules)}. Remove it to begin anew."
+        )
+    return Run(step, kept, optimizer, average, theirs)
+
+
+def _module_states(state: Mapping[str, Any]) -> dict[str, Tensor]:
+    if "network" in state:
+        return {f"detector.{name}": value for name, value in state["network"].items()}
+    found = {name.removeprefix("modules/"): value for name, value in state.items() if name.startswith("modules/")}
+    return {name.replace("/", ".", 1): value for name, value in found.items()}
+
+
+def _fingerprints(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Fingerprint of each stream's data; a provenance with one ``data_fingerprint`` has one stream."""
+    streams = provenance.get("streams")
+    if streams is None:
+        return {"labelled": provenance.get("data_fingerprint")}
+    return {name: stream.get("data_fingerprint") for name, stream in streams.items()}

@@ -54,7 +54,10 @@ class TrainingConfig(_Settings):
     workers: int = Field(1, ge=0, description="processes that prepare frames")
     checkpoint_every_s: float = Field(60.0, gt=0)
     log_every_steps: int = Field(20, ge=1)
-    min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are not asked for")
+    min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are left out")
+    unannotated: Literal["refuse", "skip"] = Field(
+        "refuse", description="what to do with frames without annotation in a labelled stream: they are not empty ones"
+    )
     far_sampling: float = Field(
         0.0, ge=0, description="weight that a frame with an average number of far boxes gains; 0 draws all alike"
     )

@@ -18,7 +18,6 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from farfield.detectors.processes import process_count, sum_over_processes
 from farfield.detectors.weights import default_precision
-from farfield.errors import ConfigError
 from farfield.training.config import TrainingConfig
 
 _PATIENCE = timedelta(days=1)  # the first process may simulate the data while the others wait
@@ -28,9 +27,6 @@ def launch(config: TrainingConfig) -> Fabric:
     """Start, or join, the processes of a training.
 
     Under torchrun the number of processes is torchrun's; otherwise it is ``config.devices``.
-
-    Raises:
-        ConfigError: If the processes do not divide the batch.
     """
     accelerator, precision = _accelerator(config), precision_of(config)
     devices, nodes = config.devices, 1
@@ -46,8 +42,6 @@ def launch(config: TrainingConfig) -> Fabric:
         precision="bf16-mixed" if precision == "bf16" else "32-true",
     )
     fabric.launch()
-    if config.batch_size % fabric.world_size:
-        raise ConfigError(f"Expected a batch_size that {fabric.world_size} processes divide; got {config.batch_size}.")
     return fabric
 
 

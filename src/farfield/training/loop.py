@@ -3,9 +3,9 @@
 import json
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,11 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
+from farfield.detectors.inputs import Inputs
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
-from farfield.training.bank import Progress
-from farfield.training.checkpoints import load_checkpoint, save_checkpoint
+from farfield.training.checkpoints import Run, load_run, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import (
     average_gradients,
@@ -28,9 +28,10 @@ from farfield.training.distributed import (
     spread_state,
     synchronise_norms,
 )
-from farfield.training.samples import TrainingSamples, batches
-
-Report = Callable[[int, dict[str, float]], None]
+from farfield.training.method import Batch, Method
+from farfield.training.report import Report
+from farfield.training.samples import Sample, TrainingSamples
+from farfield.training.streams import batch_shares, batches
 
 
 def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
@@ -53,65 +54,76 @@ class Training:
     """One training run in a folder: begins, or resumes where the folder's checkpoint stands.
 
     Args:
-        network: The network to train.
-        samples: Its training samples.
+        method: What is trained, and how its losses come about.
+        samples: The training samples of each of its streams.
         config: The loop's settings.
         folder: Receives checkpoint.pt, log.jsonl and at the end weights.safetensors.
         provenance: Travels in every checkpoint and in the weights.
         step: Steps done.
-        progress: Wraps the numbers of the frames that are read before the first step.
         fabric: The processes to train with, launched; :meth:`run` launches those of ``config`` unless given.
+
+    Raises:
+        ConfigError: If the streams of the samples are not those of the method.
     """
 
-    network: nn.Module
-    samples: TrainingSamples
+    method: Method
+    samples: Mapping[str, TrainingSamples]
     config: TrainingConfig
     folder: Path
     provenance: dict[str, Any] = field(default_factory=dict)
     step: int = 0
-    progress: Progress = iter
     fabric: Fabric | None = None
+
+    def __post_init__(self) -> None:
+        if set(self.samples) != set(self.method.streams):
+            raise ConfigError(
+                f"Expected samples for the streams {', '.join(self.method.streams)}; got {', '.join(self.samples)}."
+            )
+
+    @property
+    def modules(self) -> nn.ModuleDict:
+        """All that is saved, averaged, spread and synchronised."""
+        return self.method.modules
 
     def run(self, report: Report | None = None) -> Path:
         """Train to the last step and write the weights.
+
+        Args:
+            report: Is informed of the course, in the first process.
 
         Returns:
             The path of the weights: an exponential average over the last steps.
         """
         fabric = self._begin()
+        report = report if report is not None and fabric.is_global_zero else Report()
+        counts = batch_shares(self.config.batch_size, self.method.streams, fabric.world_size)
         optimizer = self._optimizer()
-        average = {name: value.detach().clone().float() for name, value in self.network.state_dict().items()}
+        average = {name: value.detach().clone().float() for name, value in self.modules.state_dict().items()}
         self._resume(optimizer, average)
-        self.samples.prepare(self.step * self.config.batch_size, self.progress)
+        for name, samples in self.samples.items():
+            samples.prepare(self.step * counts[name], partial(report.reading, what="reading frames"))
         saved_at = time.monotonic()
-        self.network.train()
-        stream = batches(
-            self.samples,
-            first_step=self.step,
-            steps=self.config.steps,
-            batch_size=self.config.batch_size,
-            workers=self.config.workers,
-            rank=fabric.global_rank,
-            world=fabric.world_size,
-        )
-        for batch in stream:
-            losses = self._update(fabric, optimizer, batch)
-            self._average(average)
-            self.step += 1
-            if fabric.is_global_zero:
-                if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps:
-                    self._log(losses)
-                if report is not None:
-                    report(self.step, losses)
-                if time.monotonic() - saved_at > self.config.checkpoint_every_s:
-                    self._save(optimizer, average)
-                    saved_at = time.monotonic()
+        self.modules.train()
+        report.begins(self.step, self.config.steps)
+        try:
+            for batch in self._batches(counts, fabric):
+                losses = self._update(fabric, optimizer, batch)
+                self._average(average)
+                self.method.after_step(self.step)
+                self.step += 1
+                if fabric.is_global_zero:
+                    self._note(losses, report)
+                    if time.monotonic() - saved_at > self.config.checkpoint_every_s:
+                        self._save(optimizer, average)
+                        saved_at = time.monotonic()
+        except BaseException:
+            report.ends(None)
+            raise
         if fabric.is_global_zero:
             self._save(optimizer, average)
-            save_weights(
-                self.weights_path, self._averaged(average), config=self.network.config, provenance=self.provenance
-            )
+            self._export(average)
         fabric.barrier()
+        report.ends(self.weights_path)
         return self.weights_path
 
     @property
@@ -132,34 +144,66 @@ class Training:
         precision = precision_of(self.config)
         self.provenance = {**self.provenance, "precision": precision, "threads": torch.get_num_threads()}
         fabric = self.fabric or launch(self.config)
-        self.network.to(fabric.device, memory_format=torch.channels_last)
-        synchronise_norms(self.network)
-        spread_state(self.network)
+        self.modules.to(fabric.device, memory_format=torch.channels_last)
+        for name in self.method.frozen():
+            self.modules[name].requires_grad_(False)
+        synchronise_norms(self.modules)
+        spread_state(self.modules)
         return fabric
 
     def _optimizer(self) -> torch.optim.Optimizer:
-        decayed = [p for p in self.network.parameters() if p.ndim > 1]
-        plain = [p for p in self.network.parameters() if p.ndim <= 1]
+        trained = self._trained()
+        decayed = [p for p in trained if p.ndim > 1]
+        plain = [p for p in trained if p.ndim <= 1]
         groups = [{"params": decayed, "weight_decay": self.config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True)
 
-    def _update(self, fabric: Fabric, optimizer: Any, batch: list[Any]) -> dict[str, float]:
+    def _trained(self, names: Collection[str] | None = None) -> list[nn.Parameter]:
+        """The parameters that gradients train: of all modules, or of those named."""
+        frozen = set(self.method.frozen())
+        chosen = [name for name in self.modules if name not in frozen and (names is None or name in names)]
+        return [parameter for name in chosen for parameter in self.modules[name].parameters()]
+
+    def _batches(self, counts: Mapping[str, int], fabric: Fabric) -> Iterable[dict[str, list[Sample]]]:
+        return batches(
+            self.samples,
+            counts,
+            first_step=self.step,
+            steps=self.config.steps,
+            workers=self.config.workers,
+            rank=fabric.global_rank,
+            world=fabric.world_size,
+        )
+
+    def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:
         for group in optimizer.param_groups:
             group["lr"] = one_cycle(self.step, self.config)
         self._seed_torch(fabric.global_rank)
-        targets = [sample.targets for sample in batch]
+        batch = {name: _batch(each, fabric) for name, each in samples.items()}
         with fabric.autocast():
-            outputs = self.network({"points": [fabric.to_device(sample.points) for sample in batch]}, targets)
-        losses = self.network.losses(outputs, targets)
-        total = sum(losses.values())
-        optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        average_gradients(self.network.parameters())
-        lay_out_gradients(self.network.parameters())
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.gradient_clip, error_if_nonfinite=True)
-        optimizer.step()
+            losses = self.method.step(batch, self.step, partial(self._optimise, optimizer))
+            whole = self.method.losses(batch, self.step) if losses is None else None
+        if losses is None:
+            assert whole is not None
+            self._optimise(optimizer, whole, tuple(self.modules))
+            losses = whole
         named = {name: float(value.detach()) for name, value in losses.items()}
-        return average_values({"loss": float(total.detach()), **named}, fabric.device)
+        return average_values({"loss": float(_total(losses).detach()), **named}, fabric.device)
+
+    def _optimise(self, optimizer: Any, losses: Mapping[str, Tensor], names: Collection[str]) -> None:
+        """Minimise the sum of the losses over the parameters of some modules, one step."""
+        parameters = self._trained(names)
+        chosen = {id(parameter) for parameter in parameters}
+        self.modules.zero_grad(set_to_none=True)
+        with torch.autocast(parameters[0].device.type, enabled=False):
+            _total(losses).backward()
+        for parameter in self.modules.parameters():
+            if id(parameter) not in chosen:
+                parameter.grad = None
+        average_gradients(parameters)
+        lay_out_gradients(parameters)
+        nn.utils.clip_grad_norm_(parameters, self.config.gradient_clip, error_if_nonfinite=True)
+        optimizer.step()
 
     def _seed_torch(self, rank: int) -> None:
         """Make what a network draws at random a function of seed, step and process, so that a resumed run repeats."""
@@ -170,40 +214,35 @@ class Training:
         """Exponential average of weights and statistics; it follows closely at first and slowly later."""
         decay = min(self.config.average_decay, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
-            for name, value in self.network.state_dict().items():
+            for name, value in self.modules.state_dict().items():
                 average[name].lerp_(value.to(average[name].device, torch.float32), 1 - decay)
 
-    def _averaged(self, average: dict[str, Tensor]) -> dict[str, Tensor]:
-        state = self.network.state_dict()
-        return {name: average[name].to(value.dtype) for name, value in state.items()}
+    def _export(self, average: Mapping[str, Tensor]) -> None:
+        """Write the averaged weights of the modules that the method exports, as ordinary detectors."""
+        for stem, module in self.method.exported().items():
+            state = self.modules[module].state_dict()
+            averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
+            path = self.folder / f"{stem}.safetensors"
+            save_weights(path, averaged, config=self.modules[module].config, provenance=self.provenance)
 
     def _resume(self, optimizer: Any, average: dict[str, Tensor]) -> None:
-        if not self.checkpoint_path.is_file():
+        run = load_run(self.checkpoint_path, self.provenance, self.modules)
+        if run is None:
             return
-        state = load_checkpoint(self.checkpoint_path)
-        ours = {key: self.provenance.get(key) for key in ("experiment", "data_fingerprint")}
-        theirs = {key: json.loads(state["provenance"]).get(key) for key in ours}
-        if ours != theirs:
-            changed = [key for key in ours if ours[key] != theirs[key]]
-            raise ConfigError(
-                f"{self.checkpoint_path} was made by another {' and another '.join(changed)}. "
-                "Choose another run folder, or remove this one."
-            )
-        self.network.load_state_dict(state["network"])
-        optimizer.load_state_dict(state["optimizer"])
+        self.modules.load_state_dict(run.modules)
+        optimizer.load_state_dict(run.optimizer)
         for name in average:
-            average[name].copy_(state["average"][name])
-        self.step = int(state["step"])
+            average[name].copy_(run.average[name])
+        self.step = run.step
 
     def _save(self, optimizer: Any, average: dict[str, Tensor]) -> None:
-        state = {
-            "step": self.step,
-            "network": self.network.state_dict(),
-            "optimizer": optimizer.state_dict(),
-            "average": average,
-            "provenance": json.dumps(self.provenance),
-        }
-        save_checkpoint(self.checkpoint_path, state)
+        run = Run(self.step, self.modules.state_dict(), optimizer.state_dict(), average, self.provenance)
+        save_checkpoint(self.checkpoint_path, run.state())
+
+    def _note(self, losses: dict[str, float], report: Report) -> None:
+        if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps:
+            self._log(losses)
+        report.step(self.step, losses)
 
     def _log(self, losses: dict[str, float]) -> None:
         line = {
@@ -225,3 +264,22 @@ class Training:
         from torch.utils.tensorboard import SummaryWriter
 
         return SummaryWriter(str(self.folder), purge_step=self.step)
+
+
+def _total(losses: Mapping[str, Tensor]) -> Tensor:
+    """Sum of the losses, added in their order.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    if not losses:
+        raise ConfigError("Expected a training method to give at least one loss; got none.")
+    first, *others = losses.values()
+    return sum(others, start=first)
+
+
+def _batch(samples: list[Sample], fabric: Fabric) -> Batch:
+    """Samples as a batch on the process' device."""
+    names = samples[0].inputs
+    inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})
+    return Batch(inputs, [sample.targets for sample in samples if sample.targets is not None])

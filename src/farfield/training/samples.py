@@ -1,10 +1,11 @@
-"""Training samples: a frame's cloud, changed at random, with the targets of its boxes.
+"""Training samples: a frame's clouds, changed at random, with the targets of its boxes.
 
-A sample is a function of (seed, position) alone. A run that is resumed at any step, or that has more or fewer workers,
-sees exactly the same samples.
+A sample is a function of (seed, stream, position) alone. A run that is resumed at any step, or that has more or fewer
+workers, sees exactly the same samples.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -12,106 +13,186 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.datasets.base import Dataset
-from farfield.detectors.inputs import POSITION, cloud_tensor
+from farfield.detectors.contract import Assigner
+from farfield.detectors.inputs import CloudInput, cloud_tensor
+from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.training.augmentation import augment
-from farfield.training.bank import Points, Progress, RollingBank, cut_out
+from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import AugmentationConfig
+from farfield.training.method import LABELLED, Stream
+
+_ORDER, _BANK, _CHANGES = 1, 2, 3  # words of the generators
+_FIRST = ("x_m", "y_m", "z_m", "lag_s")
+
+Binding = Mapping[str, str]
+"""Which of a frame's clouds each of the network's inputs reads."""
 
 
 class Sample(NamedTuple):
     """One frame as the network takes it."""
 
-    points: Tensor
+    inputs: dict[str, Tensor]
     targets: Any
 
 
-class TrainingSamples(TorchDataset[Sample]):
-    """Samples by their position in the endless stream of epochs.
+def bindings(
+    inputs: Mapping[str, CloudInput], clouds: Sequence[str] | Mapping[str, Sequence[str]]
+) -> tuple[Binding, ...]:
+    """Bind clouds to the inputs of a network; each binding gives one sample a frame.
 
     Args:
-        data: Annotated frames.
-        clouds: Names of the clouds to train on; each frame gives one sample a cloud.
+        inputs: The network's inputs.
+        clouds: Names of clouds that its only input reads in turn, or the same for each input by its name: as many for
+            each, or one that goes with all.
+
+    Raises:
+        ConfigError: If the inputs and the clouds do not fit.
+
+    >>> bindings({"points": CloudInput()}, ("gaussian", "uniform"))
+    ({'points': 'gaussian'}, {'points': 'uniform'})
+    """
+    if not isinstance(clouds, Mapping):
+        if len(inputs) != 1:
+            raise ConfigError(f"Expected clouds for each of the inputs {', '.join(inputs)}; got {', '.join(clouds)}.")
+        clouds = {next(iter(inputs)): clouds}
+    if set(clouds) != set(inputs):
+        raise ConfigError(f"Expected clouds for the inputs {', '.join(inputs)}; got them for {', '.join(clouds)}.")
+    count = max(map(len, clouds.values()))
+    wrong = [name for name, names in clouds.items() if len(names) not in (1, count)]
+    if wrong or count == 0:
+        raise ConfigError(f"Expected one cloud or {count} for each input; {', '.join(wrong) or 'there is none'}.")
+    return tuple({name: names[i % len(names)] for name, names in clouds.items()} for i in range(count))
+
+
+class TrainingSamples(TorchDataset[Sample]):
+    """Samples of one stream by their position in the endless stream of epochs.
+
+    Args:
+        data: The frames; annotated ones, if the stream is labelled.
+        inputs: The network's inputs.
+        clouds: Which of a frame's clouds they read, see :func:`bindings`; each binding gives one sample a frame.
         classes: Class names of the detector; boxes of other classes are left out.
-        assigner: The network's, of a frame's boxes and inputs.
+        assigner: Gives a frame its targets, from its boxes and inputs.
         augmentation: Random changes.
-        columns: Columns of the clouds that the detector reads.
-        min_points: Boxes with fewer points in the present sweep of the sample's cloud are left out.
+        min_points: Boxes with fewer points in the present sweep of the sample's clouds are left out.
         seed: Seed of order and changes.
         aliases: Renames classes before they are looked up: trains ``large_vehicle`` as ``vehicle``.
         far_sampling: Weight that a frame with an average number of far boxes gains over one without any; an epoch draws
             frames by their weight. With 0 it holds every sample once.
         far_from_m: Boxes from this range on are far.
+        name: The stream's name.
+        stream: What the stream is.
+
+    Raises:
+        ConfigError: If the clouds do not fit the inputs.
     """
 
     def __init__(
         self,
         data: Dataset,
         *,
-        clouds: Sequence[str],
+        inputs: Mapping[str, CloudInput],
+        clouds: Sequence[str] | Mapping[str, Sequence[str]],
         classes: Sequence[str],
-        assigner: Callable[[Boxes, Mapping[str, np.ndarray]], Any],
+        assigner: Assigner,
         augmentation: AugmentationConfig,
-        columns: Sequence[str] = (*POSITION, "intensity", "lag_s"),
         min_points: int = 1,
         seed: int = 0,
         aliases: dict[str, str] | None = None,
         far_sampling: float | int = 0.0,
         far_from_m: float | int = 150.0,
+        name: str = LABELLED,
+        stream: Stream | None = None,
     ) -> None:
-        self.data, self.clouds, self.classes, self.assigner = data, tuple(clouds), tuple(classes), assigner
-        self.augmentation, self.columns, self.min_points = augmentation, tuple(columns), min_points
-        self.seed, self.aliases = seed, aliases or {}
+        self.data, self.inputs, self.bindings = data, dict(inputs), bindings(inputs, clouds)
+        self.classes, self.assigner, self.augmentation = tuple(classes), assigner, augmentation
+        self.min_points, self.seed, self.aliases = min_points, seed, aliases or {}
         self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
-        self.loaded = self.columns if "lag_s" in self.columns else (*self.columns, "lag_s")
+        self.name, self.labelled = name, (stream or Stream()).labelled
+        if not self.labelled:
+            self.augmentation, self.far_sampling = augmentation.model_copy(update={"pasted": {}}), 0.0
+        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.inputs.values() for c in each.columns)]))
         self._weights: np.ndarray | None = None
         self._set_up()
 
     def _set_up(self) -> None:
         """Make what cannot travel to another process."""
         self._order = lru_cache(maxsize=2)(self._epoch)
-        bank_order = lru_cache(maxsize=4)(lambda epoch: self._generator(2, epoch).permutation(self.epoch_length))
-        frames = min(self.augmentation.bank_frames, self.epoch_length)
+        self._bank_order = lru_cache(maxsize=4)(self._bank_epoch)
         self._bank = None
         if self.augmentation.pasted:
-            self._bank = RollingBank(
-                self._cut_out,
-                lambda place: int(bank_order(place // self.epoch_length)[place % self.epoch_length]),
-                frames,
-            )
+            frames = min(self.augmentation.bank_frames, self.epoch_length)
+            self._bank = RollingBank(self._cut_out, self._bank_number, frames)
 
     @property
     def epoch_length(self) -> int:
-        """Samples an epoch: frames times clouds."""
-        return len(self.data) * len(self.clouds)
+        """Samples an epoch: frames times bindings."""
+        return len(self.data) * len(self.bindings)
 
     def _generator(self, *words: int) -> np.random.Generator:
+        """The generator of a purpose and a number; each stream has generators of its own."""
+        if self.name != LABELLED:
+            digest = hashlib.sha256(self.name.encode()).digest()
+            words = (words[0], int.from_bytes(digest[:8], "little"), *words[1:])
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
 
-    def load(self, number: int) -> tuple[np.ndarray, Boxes]:
-        """The unchanged points and boxes of sample ``number`` of an epoch in order."""
-        frame = self.data[number // len(self.clouds)]
-        points = cloud_tensor(frame.cloud(self.clouds[number % len(self.clouds)]), self.loaded).numpy()
+    def load(self, number: int) -> tuple[Points, Boxes]:
+        """The unchanged points and boxes of sample ``number`` of an epoch in order.
+
+        The points of all inputs stand in one table: x, y, z, lag, the other columns that the inputs read, and the
+        number of the input that a point belongs to.
+        """
+        frame = self.data[number // len(self.bindings)]
+        binding = self.bindings[number % len(self.bindings)]
+        points = np.concatenate(
+            [self._rows(frame, part, name, binding[name]) for part, name in enumerate(self.inputs)], dtype=np.float32
+        )
+        if not self.labelled:
+            return points, Boxes.empty()
         boxes = self._wanted(frame)
         if self.min_points and len(boxes):
-            present = points[points[:, self.loaded.index("lag_s")] == 0, :3]
-            boxes = boxes[count_points_in_boxes(present, boxes, margin_m=0.05) >= self.min_points]
+            present = points[points[:, LAG] == 0, :3]
+            boxes = boxes[count_points_in_boxes(present, boxes, margin_m=BOX_MARGIN_M) >= self.min_points]
         return points, boxes
 
+    def _rows(self, frame: Frame, part: int, name: str, cloud: str) -> Points:
+        """The points of an input in the columns of all of them, zero where the input does not read one."""
+        columns = tuple(dict.fromkeys([*_FIRST, *self.inputs[name].columns]))
+        rows = cloud_tensor(frame.cloud(cloud), columns).numpy()
+        table = np.zeros((len(rows), len(self.columns) + 1), dtype=np.float32)
+        table[:, [self.columns.index(column) for column in columns]] = rows
+        table[:, -1] = part
+        return table
+
     def _wanted(self, frame: Frame) -> Boxes:
-        """The frame's boxes of the classes that are trained."""
-        boxes = (frame.boxes if frame.boxes is not None else Boxes.empty()).relabel(self.aliases)
+        """The frame's boxes of the classes that are trained.
+
+        Raises:
+            DatasetError: If the frame was not annotated: it would train as background.
+        """
+        boxes = frame.boxes
+        if boxes is None:
+            raise DatasetError(
+                f"{self.data.root}: expected annotated frames to train on; frame {frame.key} is not annotated and would "
+                "count as empty. Leave such frames out (training.unannotated: skip)."
+            )
+        boxes = boxes.relabel(self.aliases)
         return boxes[np.isin(boxes.label, self.classes)]
 
     def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
-        lag = self.loaded.index("lag_s")
-        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points, lag=lag)
+        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
+
+    def _bank_epoch(self, epoch: int) -> np.ndarray:
+        return self._generator(_BANK, epoch).permutation(self.epoch_length)
+
+    def _bank_number(self, place: int) -> int:
+        return int(self._bank_order(place // self.epoch_length)[place % self.epoch_length])
 
     def prepare(self, position: int = 0, progress: Progress = iter) -> None:
         """Read what the sample at ``position`` needs besides its frame; without this the first sample does it.
@@ -131,12 +212,12 @@ class TrainingSamples(TorchDataset[Sample]):
                 boxes = self._wanted(self.data[index])
                 far[index] = np.count_nonzero(np.hypot(*boxes.centre_m[:, :2].T) >= self.far_from_m)
             weight = 1 + self.far_sampling * far / max(float(far.mean()), 1e-9)
-            self._weights = np.repeat(weight, len(self.clouds))
+            self._weights = np.repeat(weight, len(self.bindings))
         return self._weights
 
     def _epoch(self, epoch: int) -> np.ndarray:
         """The samples of an epoch in their order, shape (epoch_length,)."""
-        rng, weight = self._generator(1, epoch), self._weigh()
+        rng, weight = self._generator(_ORDER, epoch), self._weigh()
         if weight is None:
             return rng.permutation(self.epoch_length)
         return rng.permutation(systematic(weight, rng))
@@ -149,12 +230,22 @@ class TrainingSamples(TorchDataset[Sample]):
         epoch, place = divmod(position, self.epoch_length)
         points, boxes = self.load(int(self._order(epoch)[place]))
         bank = None if self._bank is None else self._bank.at(position)
-        points, boxes = augment(points, boxes, self.augmentation, self._generator(3, position), bank)
-        points = np.ascontiguousarray(points[:, : len(self.columns)], dtype=np.float32)
-        return Sample(torch.from_numpy(points), self.assigner(boxes, {"points": points}))
+        points, boxes = augment(points, boxes, self.augmentation, self._generator(_CHANGES, position), bank)
+        inputs = self._split(points)
+        targets = self.assigner(boxes, inputs) if self.labelled else None
+        return Sample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets)
+
+    def _split(self, points: Points) -> dict[str, Points]:
+        """The table of :meth:`load` as the network's inputs, each with just its own columns."""
+        parts = {}
+        for part, (name, each) in enumerate(self.inputs.items()):
+            rows = points if len(self.inputs) == 1 else points[points[:, -1] == part]
+            chosen = rows[:, [self.columns.index(column) for column in each.columns]]
+            parts[name] = np.ascontiguousarray(chosen, dtype=np.float32)
+        return parts
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key not in ("_order", "_bank")}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_order", "_bank_order", "_bank")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -170,32 +261,3 @@ def systematic(weight: Float[np.ndarray, " n"], rng: np.random.Generator) -> Int
     edges[-1] = len(weight)
     upto = np.floor(edges + rng.random()).astype(np.int64)
     return np.repeat(np.arange(len(weight)), np.diff(upto, prepend=0))
-
-
-def batches(
-    samples: TrainingSamples,
-    *,
-    first_step: int,
-    steps: int,
-    batch_size: int,
-    workers: int,
-    rank: int = 0,
-    world: int = 1,
-) -> Iterator[list[Sample]]:
-    """Batches from ``first_step`` on; with several processes each takes every ``world``-th sample of a batch."""
-    positions = [
-        list(range(step * batch_size + rank, (step + 1) * batch_size, world)) for step in range(first_step, steps)
-    ]
-    loader: DataLoader[Sample] = DataLoader(
-        samples,
-        batch_sampler=positions,
-        num_workers=workers,
-        collate_fn=list,
-        worker_init_fn=_one_thread,
-        prefetch_factor=4 if workers else None,
-    )
-    return iter(loader)
-
-
-def _one_thread(_: int) -> None:
-    torch.set_num_threads(1)

@@ -1,0 +1,170 @@
+"""From an experiment to a run: data, network, method, samples, loop."""
+
+import json
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.maps import Sweeps
+from farfield.detectors import build_detector
+from farfield.errors import ConfigError, DatasetError
+from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
+from farfield.files.atomic import write_text
+from farfield.frame.provenance import environment
+from farfield.recording import ensure
+from farfield.training.distributed import launch
+from farfield.training.loop import Training
+from farfield.training.method import METHODS, Method, Stream
+from farfield.training.report import Report
+from farfield.training.samples import TrainingSamples
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do. It pickles, and neither reads, writes nor launches anything before :meth:`run`.
+
+    Args:
+        experiment: What to train, and how.
+        folder: The run's folder.
+    """
+
+    experiment: Experiment
+    folder: Path
+
+    def run(self, report: Report | None = None) -> Path:
+        """Start or join the processes, make what data are to be simulated, and train; a run that stopped goes on.
+
+        Args:
+            report: Is informed of the course, in the first process.
+
+        Returns:
+            The path of the weights.
+
+        Raises:
+            DatasetError: If data are not there, or hold none of the clouds or classes asked for.
+            ConfigError: If the method's streams and the experiment's data do not fit.
+        """
+        experiment = self.experiment
+        fabric = launch(experiment.training)
+        report = report if report is not None and fabric.is_global_zero else Report()
+        if fabric.is_global_zero:
+            for config in _groups(experiment).values():
+                ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
+        fabric.barrier()
+        method = _method(experiment)
+        configs = _configs(experiment, method)
+        data = {name: _opened(configs[name], stream, experiment) for name, stream in method.streams.items()}
+        samples = {name: self._samples(method, name, data[name], configs[name]) for name in method.streams}
+        training = Training(
+            method, samples, experiment.training, self.folder, _provenance(experiment, data, configs), fabric=fabric
+        )
+        if fabric.is_global_zero:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
+            write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
+        return training.run(report)
+
+    def _samples(self, method: Method, name: str, data: Dataset, config: DataConfig) -> TrainingSamples:
+        network, training = method.modules["detector"], self.experiment.training
+        return TrainingSamples(
+            data,
+            inputs=network.inputs,
+            clouds=config.clouds,
+            classes=self.experiment.detector.class_names,
+            assigner=network.assigner,
+            augmentation=self.experiment.augmentation,
+            min_points=training.min_points,
+            seed=training.seed,
+            aliases=config.aliases,
+            far_sampling=training.far_sampling,
+            far_from_m=training.far_from_m,
+            name=name,
+            stream=method.streams[name],
+        )
+
+
+def _groups(experiment: Experiment) -> dict[str, DataConfig]:
+    """The experiment's data by stream; the only one has no name yet."""
+    return {"": experiment.data} if isinstance(experiment.data, DataConfig) else dict(experiment.data)
+
+
+def _method(experiment: Experiment) -> Method:
+    network = build_detector(experiment.detector, seed=experiment.training.seed)
+    kind = METHODS[experiment.method.name]
+    try:
+        return kind(network, **experiment.method.settings)
+    except TypeError as error:
+        raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {error}") from error
+
+
+def _configs(experiment: Experiment, method: Method) -> dict[str, DataConfig]:
+    """Data of each stream of the method."""
+    groups, names = _groups(experiment), tuple(method.streams)
+    if isinstance(experiment.data, DataConfig) and len(names) == 1:
+        return {names[0]: experiment.data}
+    if set(groups) != set(names):
+        given = ", ".join(groups) if not isinstance(experiment.data, DataConfig) else "one data set without a name"
+        raise ConfigError(f"method {experiment.method.name}: expected data for {', '.join(names)}; got {given}.")
+    return groups
+
+
+def _opened(config: DataConfig, stream: Stream, experiment: Experiment) -> Dataset:
+    """The frames of a stream as they are trained on.
+
+    Raises:
+        DatasetError: If they lack a cloud, or a labelled stream has frames without annotation.
+    """
+    data = open_dataset(config.path, **config.options)
+    data = data.mapped(Sweeps(config.sweeps)) if config.sweeps > 1 else data
+    if config.split:
+        data = data.split(config.split)
+    wanted = config.clouds if isinstance(config.clouds, tuple) else sum(config.clouds.values(), ())
+    missing = [name for name in wanted if name not in data[0].clouds]
+    if missing:
+        raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
+    return annotated_frames(data, experiment.training.unannotated) if stream.labelled else data
+
+
+def annotated_frames(data: Dataset, unannotated: str) -> Dataset:
+    """The frames that were annotated; those without any box were, those without an annotation were not.
+
+    Args:
+        data: The frames.
+        unannotated: ``"refuse"`` or ``"skip"``.
+
+    Raises:
+        DatasetError: If there are frames without annotation and they are refused, or if no frame has one.
+    """
+    kept = [index for index in range(len(data)) if data.has_annotation(index)]
+    lacking = len(data) - len(kept)
+    if lacking and unannotated == "refuse":
+        raise DatasetError(
+            f"{data.root}: {lacking} of {len(data)} frames have no annotation and would train as empty ones. "
+            "Set training.unannotated=skip to leave them out, or name a split or folder of annotated ones."
+        )
+    if not kept:
+        raise DatasetError(f"{data.root}: expected annotated frames to train on, found none.")
+    return data.select(kept) if lacking else data
+
+
+def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[str, DataConfig]) -> dict[str, Any]:
+    """What travels in every checkpoint and in the weights: experiment, data, environment."""
+    streams = {
+        name: {
+            "data_fingerprint": each.fingerprint(),
+            "frames": len(each),
+            "clouds": configs[name].clouds,
+            "recipe": each.recipe,
+        }
+        for name, each in data.items()
+    }
+    first = next(iter(streams.values()))
+    return {
+        "experiment": experiment.model_dump(mode="json"),
+        "data_fingerprint": first["data_fingerprint"],
+        "frames": first["frames"],
+        "streams": streams,
+        "environment": environment(),
+    }

@@ -1,0 +1,129 @@
+"""What a training does with its batches: the modules it trains, the streams of samples it reads, the losses it minimises.
+
+The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from torch import Tensor, nn
+
+from farfield.detectors.contract import Network
+from farfield.detectors.inputs import Inputs
+from farfield.registry import Registry
+
+DETECTOR = "detector"
+"""Name of the module that becomes the detector's weights file."""
+
+LABELLED = "labelled"
+"""Name of the one stream of a supervised training."""
+
+Optimise = Callable[[Mapping[str, Tensor], Collection[str]], None]
+"""Takes losses and names of modules: minimises the losses' sum over these modules' parameters, one step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """A named stream of training samples.
+
+    Args:
+        labelled: Whether its frames are annotated; otherwise their annotations, if any, are not looked at.
+        share: Its part of each batch, relative to those of the other streams.
+    """
+
+    labelled: bool = True
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The frames of one stream in a step.
+
+    Args:
+        inputs: What the network reads, by input: one tensor a frame.
+        targets: Targets of each frame by the network's assigner; empty for an unlabelled stream.
+    """
+
+    inputs: Inputs
+    targets: Sequence[Any] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+
+class Method(ABC):
+    """A way to train. A subclass sets ``modules`` and names its streams.
+
+    Attributes:
+        streams: The streams that it reads; the data of each are the experiment's ``data.<name>``, for a single stream
+            ``data`` itself.
+        modules: All that is saved, averaged, spread to other processes and synchronised; ``modules["detector"]`` is a
+            :class:`~farfield.detectors.contract.Network` and is exported.
+    """
+
+    streams: ClassVar[Mapping[str, Stream]] = {LABELLED: Stream()}
+    modules: nn.ModuleDict
+
+    @abstractmethod
+    def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
+        """The losses of a batch by name; their sum is minimised, and each is a column of the log.
+
+        A loss that is a mean must be one over all processes: divide a sum by
+        :func:`farfield.detectors.processes.normaliser`.
+
+        Args:
+            batch: The frames of each stream. ``inputs`` of several streams can be added, so that one forward pass, and
+                with it one set of batch statistics, is that of the mixture.
+            step: Number of the step, from 0.
+        """
+
+    def frozen(self) -> Collection[str]:
+        """Names of modules that are not trained by gradients, such as a teacher."""
+        return ()
+
+    def after_step(self, step: int) -> None:
+        """Called after each step, such as to move a teacher's average."""
+
+    def step(self, batch: Mapping[str, Batch], step: int, optimise: Optimise) -> dict[str, Tensor] | None:
+        """A step of its own, such as of players that take turns; None leaves it to the loop.
+
+        Args:
+            batch: The frames of each stream.
+            step: Number of the step, from 0.
+            optimise: Minimises some losses over some modules; it may be called several times.
+
+        Returns:
+            The losses for the log.
+        """
+        del batch, step, optimise
+        return None
+
+    def exported(self) -> Mapping[str, str]:
+        """Weights files to write at the end, by their names without suffix: which module each holds."""
+        return {"weights": DETECTOR}
+
+
+class Supervised(Method):
+    """Train a detector on annotated frames.
+
+    Args:
+        network: The detector's network.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.modules = nn.ModuleDict({DETECTOR: network})
+
+    def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
+        """The network's own losses."""
+        del step
+        network, frames = self.modules[DETECTOR], batch[LABELLED]
+        losses: dict[str, Tensor] = network.losses(network(frames.inputs, frames.targets), frames.targets)
+        return losses
+
+
+METHODS: Registry[Callable[..., Method]] = Registry(
+    "farfield.methods", "training method", {"supervised": "farfield.training.method:Supervised"}
+)
+"""Methods by name: each is called with the detector's network and the experiment's further ``method`` settings."""

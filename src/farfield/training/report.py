@@ -1,0 +1,25 @@
+"""What a running training says, and to whom: nothing by default."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class Report:
+    """Receives the course of a training, in the first process only; a subclass shows what it likes."""
+
+    def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
+        """Wrap the numbers of frames that are read or simulated before the first step, to show progress."""
+        del what
+        return numbers
+
+    def say(self, text: str) -> None:
+        """A line for the user."""
+
+    def begins(self, step: int, steps: int) -> None:
+        """The first step is about to be taken: ``step`` are done, of ``steps``."""
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """A step is done; ``step`` counts from 1."""
+
+    def ends(self, weights: Path | None) -> None:
+        """The weights are written, or, without any, the training was interrupted."""

@@ -1,0 +1,104 @@
+"""Batches of several streams of samples, from one loader."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+
+import torch
+from torch.utils.data import DataLoader
+from torch.utils.data import Dataset as TorchDataset
+
+from farfield.errors import ConfigError
+from farfield.training.method import Stream
+from farfield.training.samples import Sample, TrainingSamples
+
+Place = tuple[str, int]
+"""Name of a stream and a position in it."""
+
+
+class StreamSamples(TorchDataset[Sample]):
+    """The samples of several streams, by stream and position: one loader's workers serve them all."""
+
+    def __init__(self, streams: Mapping[str, TrainingSamples]) -> None:
+        self.streams = dict(streams)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.streams.values()))
+
+    def __getitem__(self, place: Place) -> Sample:
+        """The sample at a position of a stream."""
+        name, position = place
+        return self.streams[name][position]
+
+
+def batch_shares(batch_size: int, streams: Mapping[str, Stream], world: int = 1) -> dict[str, int]:
+    """Samples of each stream in a batch, by their shares.
+
+    Raises:
+        ConfigError: If a stream gets none, the numbers do not add up, or the processes do not divide them.
+
+    >>> batch_shares(4, {"source": Stream(), "target": Stream(labelled=False)})
+    {'source': 2, 'target': 2}
+    """
+    total = sum(stream.share for stream in streams.values())
+    counts = {name: round(batch_size * stream.share / total) for name, stream in streams.items()}
+    if sum(counts.values()) != batch_size or min(counts.values()) < 1:
+        raise ConfigError(
+            f"Expected a batch_size that the shares of the streams {', '.join(streams)} divide; got {batch_size}, "
+            f"which gives {', '.join(f'{name} {count}' for name, count in counts.items())}."
+        )
+    uneven = [name for name, count in counts.items() if count % world]
+    if uneven:
+        raise ConfigError(
+            f"Expected a batch_size that {world} processes divide, for each stream; got {batch_size}, of which "
+            f"{counts[uneven[0]]} for {uneven[0]}."
+        )
+    return counts
+
+
+def batches(
+    streams: Mapping[str, TrainingSamples],
+    counts: Mapping[str, int],
+    *,
+    first_step: int,
+    steps: int,
+    workers: int,
+    rank: int = 0,
+    world: int = 1,
+) -> Iterator[dict[str, list[Sample]]]:
+    """Batches from ``first_step`` on, by stream; with several processes each takes every ``world``-th sample.
+
+    Args:
+        streams: The samples of each stream.
+        counts: How many of each are in a batch, over all processes.
+        first_step: Steps done.
+        steps: Steps in all.
+        workers: Processes that prepare samples.
+        rank: Number of this process.
+        world: Number of processes.
+    """
+    places = [
+        [
+            (name, position)
+            for name, count in counts.items()
+            for position in range(step * count + rank, (step + 1) * count, world)
+        ]
+        for step in range(first_step, steps)
+    ]
+    loader: DataLoader[Sample] = DataLoader(
+        StreamSamples(streams),
+        batch_sampler=places,  # type: ignore[arg-type]  # its indices may be of any kind
+        num_workers=workers,
+        collate_fn=partial(_by_stream, {name: count // world for name, count in counts.items()}),
+        worker_init_fn=_one_thread,
+        prefetch_factor=4 if workers else None,
+    )
+    return iter(loader)
+
+
+def _by_stream(counts: Mapping[str, int], samples: Iterable[Sample]) -> dict[str, list[Sample]]:
+    left = iter(samples)
+    return {name: [next(left) for _ in range(count)] for name, count in counts.items()}
+
+
+def _one_thread(_: int) -> None:
+    torch.set_num_threads(1)
