@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.datasets.kradar.drive import frame
+from drive import frame
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
