@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from _report import header
 
+from farfield.detectors.inputs import POSITION, cloud_tensor
 from farfield.detectors.pointrcnn import points as ops
 from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig
-from farfield.detectors.runtime import Detector, cloud_tensor
+from farfield.detectors.runtime import Detector
 from farfield.frame import Cloud
 from farfield.simulation import simulate_sequence
 
@@ -83,7 +84,7 @@ def main() -> None:
     for count in options.points:
         cloud = simulated_cloud(count)
         print(f"{count} points")
-        tensor = cloud_tensor(cloud).to(options.device)
+        tensor = cloud_tensor(cloud, POSITION).to(options.device)
         work = operators(tensor)
         network = PointRCNN(PointRCNNConfig(points=count))
         torch.nn.init.constant_(network.segmentation[-1].bias, 0.0)  # untrained: let it propose as many as it may

@@ -52,7 +52,7 @@ def measure(name: str, range_m: float, cloud_path: Path, frames: int, threads: i
     """Median time and peak memory of one detector with one range; runs in a process of its own."""
     import torch
 
-    from farfield.detectors import build_detector, detector_classes
+    from farfield.detectors import DETECTORS, build_detector
     from farfield.detectors.runtime import Detector
     from farfield.detectors.weights import load_weights, resolve_weights
     from farfield.frame import Cloud
@@ -65,7 +65,7 @@ def measure(name: str, range_m: float, cloud_path: Path, frames: int, threads: i
     kind, _, middle = name.partition(":")
     if kind in WORDS:
         settings = {"name": kind, **({"middle": middle} if middle else {})}
-        config, weights = detector_classes(kind)[1].model_validate(settings), None
+        config, weights = DETECTORS[kind].config_class.model_validate(settings), None
         config = config.model_copy(update={"score_threshold": 0.3})  # above what an untrained network says
     else:
         network, _ = load_weights(resolve_weights(name))

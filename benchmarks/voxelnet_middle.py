@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from _report import header
 
-from farfield.detectors.runtime import cloud_tensor
+from farfield.detectors.inputs import cloud_tensor
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxelnet.middle import MiddleLayers
 from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
@@ -85,7 +85,7 @@ def small_comparison() -> tuple[list[str], float]:
 def frame_voxels() -> tuple[SparseTensor, int]:
     """Voxels of one simulated frame at the published grid, with the features of an untrained encoder."""
     frame = next(iter(simulate_sequence("cirrus-sim", seed=7, sequence=0, frames=1)))
-    cloud = cloud_tensor(frame.cloud())
+    cloud = cloud_tensor(frame.cloud(), VoxelNetConfig().columns)
     torch.manual_seed(0)
     with torch.no_grad():
         encoder = VoxelNet(VoxelNetConfig()).encoder.eval()

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from tests.datasets.kradar.drive import frame
+from drive import frame
 
 from farfield.api import as_trained, evaluate, load_detector
 from farfield.cli import main

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
-from farfield.detectors.features import FeatureMap, PointFeatures
+from farfield.detectors.features import FeatureMap, PointFeatures, Rows
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.sparse import SparseTensor
 from farfield.frame import Boxes
@@ -134,11 +134,15 @@ def check_rows(network: Network) -> None:
     again = features.rows(limit=64, generator=torch.Generator().manual_seed(1))
     assert len(few.values) == min(64, count), "expected at most so many rows"
     assert all(torch.equal(a, b) for a, b in zip(few, again, strict=True)), "expected the same rows for one seed"
-    every = {(f, *place): value for f, place, value in zip(rows.frame.tolist(), rows.place_m.tolist(), rows.values)}
-    for frame, place, value in zip(few.frame.tolist(), few.place_m.tolist(), few.values, strict=True):
-        assert torch.equal(every[frame, *place], value), "expected chosen rows to be among all rows"
+    every = {(f, *place): number for number, (f, place) in enumerate(_places(rows))}
+    numbers = [every[frame, *place] for frame, place in _places(few)]
+    assert torch.equal(rows.values[numbers], few.values), "expected chosen rows to be among all rows"
     even = features.rows(limit=64)
     assert len(even.values) == min(64, count), "expected rows without a generator too"
+
+
+def _places(rows: Rows) -> list[tuple[int, list[float]]]:
+    return list(zip(rows.frame.tolist(), rows.place_m.tolist(), strict=True))
 
 
 def check_place(network: Network) -> None:
@@ -158,9 +162,7 @@ def check_place(network: Network) -> None:
     else:
         change = (after.rows().values - before.rows().values).abs().sum(1)
         nearest = (before.rows().place_m[change.argmax()] - spot).norm()
-    assert float(nearest) < 12.0, (
-        f"expected the largest change near {spot.tolist()}, got it {float(nearest):.1f} m away"
-    )
+    assert float(nearest) < 12.0, f"expected the change near {spot.tolist()}; it is {float(nearest):.1f} m away"
 
 
 def _pillar(cloud: Tensor, spot: Tensor) -> Tensor:

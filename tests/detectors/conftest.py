@@ -35,7 +35,8 @@ def made_scene(rng: np.random.Generator) -> Frame:
         yaw_rad=np.array([yaw for *_, yaw in places]),
         label="vehicle",
     )
-    return Frame.of(Cloud(points, np.full(len(points), 0.3, np.float32)), boxes)
+    strength = np.full(len(points), 0.3, np.float32)
+    return Frame.of(Cloud(points, strength, {"power": strength}), boxes)
 
 
 @pytest.fixture

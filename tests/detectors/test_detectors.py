@@ -88,7 +88,7 @@ def test_forward_has_no_nan_and_every_parameter_gets_a_gradient(name, scene):
 
 @every_detector
 def test_overfits_one_frame(name, scene, trained):
-    predicted, boxes = Detector(trained(name), precision="fp32", device="cpu")(scene), scene.boxes
+    predicted, boxes = Detector(trained(name), precision="fp32", device="cpu")(scene.cloud()), scene.boxes
     result = score({scene.key: predicted}, {scene.key: boxes}, protocol="dds").to_json()
     assert result["dds"]["0"]["dds"] > 0.9
     gap = np.hypot(*(predicted.centre_m[:, None, :2] - boxes.centre_m[None, :, :2]).transpose(2, 0, 1))
@@ -100,7 +100,7 @@ def test_overfits_one_frame(name, scene, trained):
 def test_same_seed_same_network_same_input_same_boxes(name, scene):
     one, other = (small_detector(name, score_threshold=0.0, max_boxes=50) for _ in range(2))
     first, again = (Detector(n, precision="fp32", device="cpu") for n in (one, other))
-    a, b, c = first(scene), first(scene), again(scene)
+    a, b, c = (detector(scene.cloud()) for detector in (first, first, again))
     for x in (b, c):
         np.testing.assert_array_equal(a.centre_m, x.centre_m)
         np.testing.assert_array_equal(a.score, x.score)
@@ -132,7 +132,8 @@ def test_batch_of_many_equals_many_of_one(name, scene):
 @every_detector
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((7, 3), 500.0), np.full((3, 3), np.nan), np.ones((1, 3))])
 def test_clouds_without_usable_points_give_no_error(name, points):
-    cloud = Cloud(points.astype(np.float32), np.zeros(len(points), np.float32))
+    strength = np.zeros(len(points), np.float32)
+    cloud = Cloud(points.astype(np.float32), strength, {"power": strength})
     network = small_detector(name)
     assert len(Detector(network, precision="fp32", device="cpu")(cloud)) >= 0
     losses = losses_of(network.train(), [cloud_of(network, cloud)], [Boxes.empty()])
@@ -182,14 +183,16 @@ def test_folding_an_untrained_network_changes_nothing_but_speed(name, scene):
 @every_detector
 def test_bf16_finds_nearly_the_same(name, scene):
     network = small_detector(name, score_threshold=0.0, max_boxes=30)
-    exact, coarse = (Detector(network, precision=precision, device="cpu")(scene) for precision in ("fp32", "bf16"))
+    exact, coarse = (
+        Detector(network, precision=precision, device="cpu")(scene.cloud()) for precision in ("fp32", "bf16")
+    )
     assert np.isfinite(coarse.score).all()
     np.testing.assert_allclose(np.sort(exact.score)[-10:], np.sort(coarse.score)[-10:], atol=0.05)
 
 
 @every_detector
 def test_bf16_finds_the_same_objects(name, scene, trained):
-    exact, coarse = (Detector(trained(name), precision=p, device="cpu")(scene) for p in ("fp32", "bf16"))
+    exact, coarse = (Detector(trained(name), precision=p, device="cpu")(scene.cloud()) for p in ("fp32", "bf16"))
     for boxes in (exact, coarse):
         gap = np.hypot(*(boxes[:5].centre_m[:, None, :2] - scene.boxes.centre_m[None, :, :2]).transpose(2, 0, 1))
         assert sorted(gap.argmin(axis=1)) == [0, 1, 2, 3, 4]
@@ -197,7 +200,9 @@ def test_bf16_finds_the_same_objects(name, scene, trained):
 
 def test_dense_middle_layers_of_voxelnet_run_in_bf16_too(scene):
     network = small_detector("voxelnet", middle="dense", score_threshold=0.0, max_boxes=30)
-    exact, coarse = (Detector(network, precision=precision, device="cpu")(scene) for precision in ("fp32", "bf16"))
+    exact, coarse = (
+        Detector(network, precision=precision, device="cpu")(scene.cloud()) for precision in ("fp32", "bf16")
+    )
     np.testing.assert_allclose(np.sort(exact.score)[-10:], np.sort(coarse.score)[-10:], atol=0.05)
 
 

@@ -179,15 +179,14 @@ def test_wide_form_learns_both_classes(scene):
 def test_doppler_is_read_where_asked_for(rng):
     points = rng.uniform([0, -6, -2], [70, 6, 5], (200, 3)).astype(np.float32)
     power, doppler = rng.uniform(0, 1, 200).astype(np.float32), rng.normal(0, 1, 200).astype(np.float32)
-    doppler[3] = np.nan
+    doppler[3], none = np.nan, np.zeros(200, np.float32)
     network = small_detector("rtnh", use_doppler=True, score_threshold=0.0)
     detector = Detector(network, precision="fp32", device="cpu")
     cloud = Cloud(points, None, {"power": power, "doppler_m_s": doppler})
     tensor = cloud_of(network, cloud)
     assert tensor.shape == (200, 5)
     assert tensor[3, 4] == 0
-    standing = Cloud(points, None, {"power": power, "doppler_m_s": np.zeros_like(doppler)})
-    moving, still = detector(cloud), detector(standing)
+    moving, still = detector(cloud), detector(Cloud(points, None, {"power": power, "doppler_m_s": none}))
     assert moving.score.tolist() != still.score.tolist()
     with pytest.raises(ConfigError, match="doppler_m_s"):
         detector(Cloud(points, None, {"power": power}))

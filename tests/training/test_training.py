@@ -89,7 +89,7 @@ def samples(data, **changes) -> TrainingSamples:
     settings = {
         "clouds": ("gaussian", "uniform"),
         "classes": ("vehicle", "large_vehicle"),
-        "targets": lambda boxes, points: boxes,
+        "assigner": lambda boxes, inputs: boxes,
         "augmentation": AugmentationConfig(pasted={"vehicle": 3}),
         "seed": 4,
     }
@@ -109,7 +109,7 @@ def test_samples_are_a_function_of_seed_and_position(data):
 def test_bank_depends_on_the_position_alone(data):
     """Whatever was asked for before, and in whatever process: the bank rolls on, and each frame passes through it."""
     settings = {"augmentation": AugmentationConfig(pasted={"vehicle": 3}, bank_frames=2)}
-    used, fresh = samples(data, **settings), pickle.loads(pickle.dumps(samples(data, targets=len, **settings)))
+    used, fresh = samples(data, **settings), pickle.loads(pickle.dumps(samples(data, assigner=len, **settings)))
     read = []
     used._bank.cut = lambda number: read.append(number) or samples(data, **settings)._cut_out(number)
     for position in (0, SAMPLES_PER_FRAME - 1):
@@ -335,7 +335,7 @@ def test_frames_with_far_boxes_come_more_often(data):
     drawn = np.bincount(np.concatenate([made._order(epoch) for epoch in range(400)]) // 2, minlength=3)
     weight = 1 + far / far.mean()
     np.testing.assert_allclose(drawn / drawn.sum(), weight / weight.sum(), atol=0.02)
-    again = pickle.loads(pickle.dumps(samples(data, far_sampling=1.0, targets=len, **changes)))
+    again = pickle.loads(pickle.dumps(samples(data, far_sampling=1.0, assigner=len, **changes)))
     np.testing.assert_array_equal(again._order(3), made._order(3))
     read = []
     made = samples(data, far_sampling=1.0, **changes)
@@ -376,17 +376,17 @@ def test_far_boxes_weigh_more_in_the_loss():
         )
         for x, length in ((20.0, 4.5), (150.0, 18.0))
     )
-    none = np.zeros((0, 5), np.float32)
-    assert set(plain.targets(far, none).weight) == {1.0}
-    np.testing.assert_allclose(weighted.targets(near, none).weight, 1 + 2 * 0.2)
-    np.testing.assert_allclose(weighted.targets(far, none).weight, 1 + 2 * 1.5)
+    none = {"points": np.zeros((0, 3), np.float32)}
+    assert set(plain.assigner(far, none).weight) == {1.0}
+    np.testing.assert_allclose(weighted.assigner(near, none).weight, 1 + 2 * 0.2)
+    np.testing.assert_allclose(weighted.assigner(far, none).weight, 1 + 2 * 1.5)
     both = Boxes.concatenate([near, far])
-    maps = plain.eval()([torch.zeros(0, 5)])
+    maps = plain.eval()({"points": [torch.zeros(0, 3)]})
     parts = {
-        name: [float(network.loss(maps, [network.targets(boxes, none)]).box.detach()) for boxes in (near, far, both)]
+        name: [float(network.losses(maps, [network.assigner(b, none)])["box"].detach()) for b in (near, far, both)]
         for name, network in (("plain", plain), ("weighted", weighted))
     }
-    count = [len(plain.targets(boxes, none).positive) for boxes in (near, far)]
+    count = [len(plain.assigner(boxes, none).positive) for boxes in (near, far)]
     shares = np.array(count) * [1.4, 4.0]
     expected = (parts["plain"][0] * shares[0] + parts["plain"][1] * shares[1]) / shares.sum()
     assert parts["weighted"][2] == pytest.approx(expected, rel=1e-5)

@@ -11,6 +11,7 @@ VERBS = {
     "demo": "simulate, detect, score and report: no data, no GPU",
     "doctor": "say what a data set holds, what is missing and how to mend it",
     "stats": "count a data set: frames by condition, boxes by class, range, visibility",
+    "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",

@@ -51,8 +51,14 @@ def run(
     for column in ("detector", "from", "weights", "parameters", "ms a frame", *(f"{metric}\n{r} m" for r in _RANGES)):
         table.add_column(column.replace("overall m", "overall"), justify="left" if column in ("detector",) else "right")
     for entry in entries:
-        table.add_row(entry.name, entry.paper, entry.weights or "-", *_row(entry, speeds[entry.name], cloud, epsilon))
+        paper = "cannot be used" if entry.broken else entry.paper or "-"
+        table.add_row(entry.name, paper, entry.weights or "-", *_row(entry, speeds[entry.name], cloud, epsilon))
     Console(width=160).print(table)
+    for entry in entries:
+        if entry.broken:
+            print(f"\n{entry.broken}")
+        elif entry.origin != "farfield":
+            print(f"\n{entry.name}: of {entry.origin}")
     known = figures()
     if known.get("split"):
         print(

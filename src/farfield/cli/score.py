@@ -1,7 +1,6 @@
 """``farfield score``: score the files of any detector, without a model."""
 
 import json as json_module
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from farfield.frame import Key
     from farfield.metrics import Detections, Protocol
 
 _FLAGS = ("range_bins_m", "epsilons", "region", "label", "label_version", "bootstrap")
@@ -107,26 +105,16 @@ def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> 
     """Detections with weather, road and time by frame, and a note on the sequences without."""
     from farfield.errors import ConfigError
     from farfield.metrics import PROTOCOLS
+    from farfield.metrics.kradar.conditions import read_conditions
 
     if "conditions" not in protocol.uses:
         usable = [name for name in PROTOCOLS.names() if not PROTOCOLS.broken(name)]
         able = [name for name in usable if "conditions" in PROTOCOLS[name].uses]
         raise ConfigError(f"--conditions: only {' and '.join(able)} score by condition, not {protocol}")
-    known = _conditions(found, source)
+    known = read_conditions(source, found.annotations)
     missing = sorted({key[0] for key in found.annotations if key not in known})
     note = f"no conditions for sequences {', '.join(missing[:8])}: their frames count in the whole alone"
     return replace(found, conditions=known, notes=(*found.notes, *([note] if missing else [])))
-
-
-def _conditions(found: "Detections", source: str) -> "Mapping[Key, Mapping[str, str]]":
-    if source == "published":
-        from farfield.vocabulary.kradar import published_conditions
-
-        known = {key: published_conditions(key[0]) for key in found.annotations}
-        return {key: values for key, values in known.items() if values}
-    from farfield.metrics.kradar.conditions import read_conditions
-
-    return read_conditions(source, found.annotations)
 
 
 def _parse_options(protocol: "Protocol", options: tuple[str, ...]) -> dict[str, Any]:

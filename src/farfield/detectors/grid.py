@@ -11,7 +11,7 @@ class GridConfig(BaseModel):
     """Where a detector looks, and how finely.
 
     ``range_m`` is the one number to change for another reach: the cell counts, anchors and strides follow. Cell counts
-    are rounded up to a multiple of the network's coarsest stride, so the grid may reach a little farther than asked.
+    are rounded up to a multiple of the network's coarsest stride, so the grid may reach a little farther than range_m.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -15,7 +15,7 @@ POSITION = ("x_m", "y_m", "z_m")
 """The first columns of every cloud's tensor, metres."""
 
 _FINITE = ("intensity", "power", "lag_s")
-"""A point without a finite position, strength or age is no point; other columns count as 0 where they are not finite."""
+"""A point whose position, strength or age is not finite is dropped; other columns count as 0 where they are not."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What the registry holds of a detector: its paper, and where its configuration and its network stand. Needs no torch."""
+"""The registry of detectors: the paper of each, and where its configuration and network stand. Needs no torch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -158,7 +158,7 @@ class Detector:
         return dict.fromkeys(inputs, frame)
 
     def _chosen(self, frame: Frame, source: str) -> Cloud:
-        """The cloud of an input: that asked for, or the first learnt from that the frame has, or the first that fits."""
+        """The cloud of an input: the chosen one, or the first one learnt from that is there, or the first that fits."""
         if isinstance(self.cloud, Mapping):
             name = self.cloud.get(source)
         elif len(self.network.inputs) > 1:

@@ -19,7 +19,7 @@ class VoxelGridConfig(BaseModel):
     """Where a voxel detector looks, and how finely.
 
     Cell counts along x and y are rounded up to a multiple of the network's coarsest stride, so the grid may reach a
-    little farther than asked.
+    little farther than range_m.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -100,7 +100,7 @@ def first_points(member: Tensor, limit: int) -> Tensor:
 def first_points_of_voxels(
     clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int, limit: int
 ) -> Sequence[Tensor]:
-    """The clouds, shape (n, columns), without the points that come after the first ``limit`` of their voxel; 0 for all."""
+    """The clouds, shape (n, columns), each with the first ``limit`` points of every voxel alone; 0 for all points."""
     if limit == 0:
         return clouds
     kept = []

@@ -95,14 +95,13 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
     changed += [] if _fingerprints(theirs) == _fingerprints(provenance) else ["data_fingerprint"]
     if changed:
         raise ConfigError(
-            f"{path} was made by another {' and another '.join(changed)}. Choose another run folder, or remove this one."
+            f"{path} was made by another {' and another '.join(changed)}. "
+            "Choose another run folder, or remove this one."
         )
     if "network" in state:
         average = {f"detector.{name}": value for name, value in average.items()}
     if set(kept) != set(modules.state_dict()):
-        raise ConfigError(
-            f"{path} holds other modules than the method's {', '.join(modules)}. Remove it to begin anew."
-        )
+        raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
     return Run(step, kept, optimizer, average, theirs)
 
 

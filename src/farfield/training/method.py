@@ -1,4 +1,4 @@
-"""What a training does with its batches: the modules it trains, the streams of samples it reads, the losses it minimises.
+"""What a training does with its batches: modules that it trains, streams of samples that it reads, losses.
 
 The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
 """
@@ -83,7 +83,7 @@ class Method(ABC):
         """Names of modules that are not trained by gradients, such as a teacher."""
         return ()
 
-    def after_step(self, step: int) -> None:
+    def after_step(self, step: int) -> None:  # noqa: B027 - most methods have nothing to do
         """Called after each step, such as to move a teacher's average."""
 
     def step(self, batch: Mapping[str, Batch], step: int, optimise: Optimise) -> dict[str, Tensor] | None:

@@ -179,8 +179,8 @@ class TrainingSamples(TorchDataset[Sample]):
         boxes = frame.boxes
         if boxes is None:
             raise DatasetError(
-                f"{self.data.root}: expected annotated frames to train on; frame {frame.key} is not annotated and would "
-                "count as empty. Leave such frames out (training.unannotated: skip)."
+                f"{self.data.root}: expected annotated frames to train on; frame {frame.key} is not annotated and "
+                "would count as empty. Leave such frames out (training.unannotated: skip)."
             )
         boxes = boxes.relabel(self.aliases)
         return boxes[np.isin(boxes.label, self.classes)]

@@ -86,7 +86,7 @@ def batches(
     ]
     loader: DataLoader[Sample] = DataLoader(
         StreamSamples(streams),
-        batch_sampler=places,  # type: ignore[arg-type]  # its indices may be of any kind
+        batch_sampler=places,
         num_workers=workers,
         collate_fn=partial(_by_stream, {name: count // world for name, count in counts.items()}),
         worker_init_fn=_one_thread,

@@ -119,7 +119,7 @@ def import_openpcdet(
     config = _config(path, kind, state, settings or {})
     with torch.device("meta"):
         network = build_detector(config)
-    wanted = network.state_dict()
+    expected = network.state_dict()
     plan = rules(kind, config, state)
     used = {key: rule.ours for rule in plan for key in rule.theirs}
     ignored = {key: reason for key in state if key not in used and (reason := _reason_to_ignore(key)) is not None}
@@ -128,11 +128,11 @@ def import_openpcdet(
     problems = [f"  missing: {key}" for key in missing]
     problems += [f"  unknown: {key}" for key in unknown if not allow_unknown]
     ours = {} if missing else {rule.ours: rule.convert(*(state[key] for key in rule.theirs)) for rule in plan}
-    problems += [_misfit(rule, ours[rule.ours], wanted[rule.ours]) for rule in plan if _misfits(rule, ours, wanted)]
+    problems += [_misfit(rule, ours[rule.ours], expected[rule.ours]) for rule in plan if _misfits(rule, ours, expected)]
     if problems:
         hint = "" if missing or allow_unknown else "\nUnknown keys can be left out (--allow-unknown)."
         raise ConfigError(f"{path}: not the {kind} that the settings describe:\n" + "\n".join(problems) + hint)
-    counters = {name: torch.tensor(0) for name in wanted if name.endswith("num_batches_tracked")}
+    counters = {name: torch.tensor(0) for name in expected if name.endswith("num_batches_tracked")}
     network.load_state_dict({**ours, **counters}, assign=True)
     mapped = {key: name for key, name in used.items() if key in state}
     return network.eval(), ImportReport(kind, mapped, ignored, unknown, _NOTES)
@@ -194,11 +194,11 @@ def _reason_to_ignore(key: str) -> str | None:
     return None
 
 
-def _misfits(rule: Rule, ours: Mapping[str, Tensor], wanted: Mapping[str, Tensor]) -> bool:
-    return rule.ours in ours and ours[rule.ours].shape != wanted[rule.ours].shape
+def _misfits(rule: Rule, ours: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> bool:
+    return rule.ours in ours and ours[rule.ours].shape != expected[rule.ours].shape
 
 
-def _misfit(rule: Rule, found: Tensor, wanted: Tensor) -> str:
+def _misfit(rule: Rule, found: Tensor, expected: Tensor) -> str:
     hint = "; has each of its classes one of the anchors?" if rule.ours.startswith("head.") else ""
-    shapes = f"expected shape {tuple(wanted.shape)} as {rule.ours}, got {tuple(found.shape)}"
+    shapes = f"expected shape {tuple(expected.shape)} as {rule.ours}, got {tuple(found.shape)}"
     return f"  {', '.join(rule.theirs)}: {shapes}{hint}"

@@ -1,9 +1,10 @@
 """PointPillars (Lang et al., CVPR 2019, arXiv 1812.05784) at long range.
 
 Points -> pillars -> bird's-eye image -> three blocks of convolutions -> one anchor head -> rotated NMS. Differences
-from the paper, each for long range: every point counts (no limit of points or pillars), anchors are assigned to a box by the
-distance of its centre (boxes of visible parts overlap no anchor; ``matching: iou`` is the published way), and intensity
-is left out by default. ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
+from the paper, each for long range: every point counts (no limit of points or pillars), anchors are assigned to a box
+by the distance of its centre (boxes of visible parts overlap no anchor; ``matching: iou`` is the published way), and
+intensity is left out by default. ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints
+expect.
 """
 
 from collections.abc import Mapping

@@ -35,8 +35,8 @@ def sparse_conv(
     """
     if isinstance(book, NeighbourTable):
         return table_product(features, weight, book.rows, bias)
-    asked = (features, weight) if bias is None else (features, weight, bias)
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in asked):
+    given = (features, weight) if bias is None else (features, weight, bias)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given):
         out: Tensor = _SparseConv.apply(features, weight, book)
         return out if bias is None else out + bias
     return gather_product(features, weight, book, bias)

@@ -18,7 +18,7 @@ def neighbour_table(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Se
 
     Args:
         keys: Occupied cells, shape (n,), int64, ascending, each once.
-        query_keys: Cells whose neighbours are wanted, shape (m,), int64, on the same grid.
+        query_keys: Cells whose neighbours are looked up, shape (m,), int64, on the same grid.
         shape: Cells along z, x and y.
         offsets: Steps (dz, dx, dy) to the K neighbours.
 
@@ -64,7 +64,7 @@ def neighbour_pairs(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> t
 class Numbering:
     """Numbers for the cells of a grid with empty cells between its lines, planes and frames.
 
-    A step from any cell then leads to its neighbour or to an empty cell, so that nothing has to be asked about borders.
+    A step from any cell then leads to its neighbour or to an empty cell, so that borders need no check.
     Numbers ascend as keys do.
 
     Args:
@@ -115,7 +115,7 @@ def occupied(numbering: Numbering, numbers: Tensor, wanted: Tensor) -> tuple[Ten
         wanted: Cells to look up, shape (m,).
 
     Returns:
-        Which of those wanted are occupied, shape (p,), int64, ascending, and their rows in ``numbers``, int32.
+        Which of them are occupied, shape (p,), int64, ascending, and their rows in ``numbers``, int32.
     """
     words = numbering.size >> _WORD_BITS
     if numbering.size <= _MAX_BITMAP_CELLS and words <= _WORDS_PER_CELL * (len(numbers) + 4096):

@@ -1,7 +1,8 @@
 """The centre head on a sparse map: a heat value a class and a box at each occupied cell, its losses and its boxes.
 
 CenterPoint (arXiv 2006.11275, section 4) with the changes of VoxelNeXt (arXiv 2303.11301, section 3.2): the occupied
-cell nearest to a box's centre is assigned to it, wherever it is, and boxes are read at local maxima over occupied cells.
+cell nearest to a box's centre is assigned to it, wherever it is, and boxes are read at local maxima over occupied
+cells.
 """
 
 from collections.abc import Sequence

@@ -10,18 +10,19 @@ from farfield.files.atomic import read_bytes
 from farfield.files.description import read_description
 from farfield.frame.drive import Key
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
-from farfield.vocabulary.kradar import DESCRIPTION_ORDER
+from farfield.vocabulary.kradar import DESCRIPTION_ORDER, published_conditions
 
+PUBLISHED = "published"
 _MAX_BYTES = 1 << 24
 _COLUMNS = ("sequence", *DESCRIPTION_ORDER)
 
 
 def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str, str]]:
-    """Conditions of frames, from a table or a K-Radar tree.
+    """Conditions of frames, from a table, a K-Radar tree or what was published.
 
     Args:
         path: A CSV with the columns sequence, road, time, weather; or a folder of ``<sequence>/description.txt``, each
-            with one line ``road,time,weather``.
+            with one line ``road,time,weather``; or the word ``"published"`` for the table of K-Radar's 58 sequences.
         keys: (sequence, frame) of the frames.
 
     Returns:
@@ -31,8 +32,11 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
         ConfigError: If there is no such file or folder, or it states no sequence of the frames.
         FileFormatError: If a file is not of that form.
     """
-    path, keys = Path(path), list(keys)
+    keys = list(keys)
     sequences = sorted({sequence for sequence, _ in keys})
+    if path == PUBLISHED:
+        return {key: known for key in keys if (known := published_conditions(key[0]))}
+    path = Path(path)
     if path.is_dir():
         found = {
             name: read_description(path / name / "description.txt") for name in sequences if _is_folder(path, name)

@@ -185,7 +185,7 @@ def _nearest_by_tree(query: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
     if not len(source) or not len(query):
         return _nearest_by_distance(query, source)
     gap, row = cKDTree(source.numpy()).query(query.numpy(), k=[1, 2, 3], workers=torch.get_num_threads())
-    row = np.where(np.isfinite(gap), row, 0)  # the tree answers with the number of sources where there are too few
+    row = np.where(np.isfinite(gap), row, 0)  # the tree gives the number of sources where there are too few
     return torch.from_numpy(row), torch.from_numpy(gap).float()
 
 

@@ -1,4 +1,4 @@
-"""Proposals between the stages of PointRCNN: which to keep, which to train on, and which box each answers for.
+"""Proposals between the stages of PointRCNN: which to keep, which to train on, and which box each is assigned to.
 
 The reference implementation gives 70 % of the proposals to the first 40 m, the rest to 40 to 80 m, and drops whatever
 lies beyond. Here every band of range has a budget, and what it leaves unused goes to the others.
@@ -54,7 +54,7 @@ class MatchConfig(BaseModel):
 
 
 class Match(NamedTuple):
-    """The annotated box that each of m proposals answers for (-1 without any), their 3D IoU and distance, (m,) each."""
+    """The annotated box of each of m proposals (-1 without any), their 3D IoU and distance, (m,) each."""
 
     box: Int[np.ndarray, " m"]
     iou: Float[np.ndarray, " m"]

@@ -1,0 +1,73 @@
+"""``farfield radar``: look at 4D radar frames: power, Doppler and detected echoes beside the camera."""
+
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import bar
+
+
+def run(
+    path: Positional[Path],
+    /,
+    *,
+    frames: tuple[int, ...] = (0,),
+    cfar: Literal["cell-averaging", "ordered-statistic"] = "cell-averaging",
+    false_alarm: float = 1e-6,
+    doppler: Literal["mean", "peak"] = "mean",
+    speed: float | None = None,
+    turn: float = 0.0,
+    camera: str = "cam-front",
+    labels: str | None = None,
+    roots: tuple[Path, ...] = (),
+    out: Path | None = None,
+) -> int:
+    """Look at 4D radar frames: power from above, front and side, Doppler, detected echoes, beside the camera.
+
+    examples:
+      farfield radar K-Radar --frames 0 300 600
+      farfield radar K-Radar --frames 12 --cfar ordered-statistic --false-alarm 1e-8
+      farfield radar K-Radar --frames 12 --doppler peak --speed 22.5
+      farfield simulate kradar-sim-mini data/mini --sensors os2-64,cam-front,polar3d,cube && farfield radar data/mini
+
+    Writes radar.html, one self-contained page, and a PNG for each frame. A tesseract or a polar map is needed for
+    Doppler and echoes; a cube, or the cells of the radar store, show power alone.
+
+    Args:
+        path: Folder of a K-Radar, real or simulated.
+        frames: Numbers of the frames, counted from 0.
+        cfar: What a cell is compared with: the mean of the cells around, or one of a rank, which a second target among
+            them does not deafen.
+        false_alarm: Probability that a cell of noise alone is detected.
+        doppler: Velocity of a cell: the mean of its bins by power, or that of the strongest bin (takes the tesseract).
+        speed: How fast the car drives, m/s, to unwrap velocities; from the poses of the frames beside unless given.
+        turn: How fast it turns to the left, degrees a second; with --speed.
+        camera: Name of the image to show.
+        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        roots: Further folders of a K-Radar that is spread over several disks.
+        out: Folder to write into; runs/radar-NAME unless given.
+    """
+    from farfield.datasets import open_dataset
+    from farfield.errors import ConfigError
+    from farfield.inspection.radar_frame import look_at
+    from farfield.reports.radar_page import write_radar
+
+    if not 0 < false_alarm < 1:
+        raise ConfigError(f"--false-alarm: expected a probability between 0 and 1, got {false_alarm:g}")
+    if not frames:
+        raise ConfigError("--frames: expected one number or more, got none")
+    given = {"labels": labels, "roots": roots}
+    chosen = {name: value for name, value in given.items() if value}
+    data = open_dataset(path, format="kradar", reference="radar", **chosen)
+    look = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)
+    looks = [look(index, speed_m_s=speed, turn_deg_s=turn) for index in bar(frames, "frames")]
+    name = path.resolve().name
+    page, pictures = write_radar(out or Path("runs") / f"radar-{name}", looks, title=f"Radar frames of {name}")
+    for each, picture in zip(looks, pictures, strict=True):
+        echoes = each.views.echoes
+        found = "no polar map: no echoes" if echoes is None else f"{len(echoes):,} echoes"
+        print(f"{each.key[0]} {each.key[1]}: {found}; {picture}")
+    print(f"report: {page.resolve()}")
+    return 0
