@@ -1,6 +1,7 @@
 """What every frame keeps, whoever made it: plain functions that can become part of farfield.testing."""
 
 import itertools
+import json
 import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -9,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.maps import Coordinates
+from farfield.datasets.recipes import replay
 from farfield.errors import ConfigError
 from farfield.frame import Boxes, Cloud, Frame, joined, moved
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
@@ -22,6 +25,36 @@ def check_dataset(data: Dataset) -> None:
     assert pickle.loads(pickle.dumps(data)).keys == data.keys
     for frame in data:
         check_frame(frame)
+    check_drives(data)
+    check_views(data)
+
+
+def check_drives(data: Dataset) -> None:
+    """Drives and annotations that are known without frames are those of the frames, in the order of time."""
+    for index, frame in enumerate(data):
+        assert data.has_annotation(index) == frame.has_annotation
+        assert_same(data.annotation(index), frame.annotation, atol=1e-9)
+    for drive in data.drives():
+        frames = [data[int(index)] for index in drive.indices]
+        assert drive.keys == tuple(frame.key for frame in frames)
+        assert {frame.sequence for frame in frames} == {drive.name}
+        if drive.times_ns is not None:
+            assert drive.times_ns.tolist() == [frame.time_ns for frame in frames]
+            assert (np.diff(drive.times_ns) > 0).all(), f"{drive.name}: times do not grow"
+        if drive.world_T_frame is not None:
+            np.testing.assert_allclose(drive.world_T_frame, np.stack([frame.world_T_frame for frame in frames]))
+
+
+def check_views(data: Dataset) -> None:
+    """Maps travel to other processes, leave a recipe that gives the same again, and enter the fingerprint."""
+    others = [name for name in data.references if name != data[0].reference]
+    views = [data.moved(AWAY), *(data.mapped(Coordinates(name)) for name in others)]
+    for seen in views:
+        again = replay(data, json.loads(json.dumps(seen.recipe)))
+        assert again.fingerprint() == pickle.loads(pickle.dumps(seen)).fingerprint()
+        assert_same(again[0], seen[0])
+        check_pickling(seen[0])
+    assert len({seen.fingerprint() for seen in (data, *views)}) == 1 + len(views)
 
 
 def check_frame(frame: Frame) -> None:

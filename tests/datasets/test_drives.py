@@ -174,6 +174,7 @@ def test_annotations_come_without_frames_where_they_can(tmp_path, monkeypatch):
     data = open_dataset(tmp_path)
     without_frames(data, monkeypatch)
     seen = data.select([1, 0]).mapped(Sweeps(3))
+    assert [seen.has_annotation(index) for index in (0, 1)] == [False, True]
     assert seen.annotation(0) is None
     assert len(seen.annotation(1)) == 0
 

@@ -186,7 +186,7 @@ def test_all_that_was_trained_is_replayed(kradar, with_recipe):
     """Provenance of earlier versions holds options and sweeps; of this one the recipe."""
     options = {"reference": "radar", "radar_rate": 0.01, "radar_region": "narrow", "rotate_deg": 180, "labels": "v1.0"}
     trained = open_dataset(kradar, **options).mapped(Sweeps(2))
-    known = {"recipe": trained.recipe} if with_recipe else {}
+    known = {"streams": {"labelled": {"recipe": trained.recipe}}} if with_recipe else {}
     detector = Trained(experiment={"data": {"path": "x", "options": options, "sweeps": 2}}, **known)
     seen = as_trained(open_dataset(kradar), detector)
     assert seen.recipe["maps"] == trained.recipe["maps"]

@@ -63,6 +63,10 @@ class Dataset(ABC):
         """What was annotated in frame ``index``, without its clouds; None where nothing was."""
         return self.frame(index).annotation
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index`` was annotated, without reading the annotation; an empty one was."""
+        return self.frame(index).has_annotation
+
     def __len__(self) -> int:
         return len(self.sequences)
 
@@ -273,6 +277,10 @@ class Subset(Dataset):
         """What was annotated in frame ``index`` of the selection."""
         return self.parent.annotation(self.indices[index])
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index`` of the selection was annotated."""
+        return self.parent.has_annotation(self.indices[index])
+
     def drives(self) -> tuple[Drive, ...]:
         """The drives' frames that were selected, in the order of time."""
         places = self._places()
@@ -343,6 +351,12 @@ class Mapped(Subset):
         if getattr(self.function, "keeps_annotation", False):
             return self.parent.annotation(index)
         return self.frame(index).annotation
+
+    def has_annotation(self, index: int) -> bool:
+        """Whether frame ``index``, seen through the map, was annotated."""
+        if getattr(self.function, "keeps_annotation", False):
+            return self.parent.has_annotation(index)
+        return self.frame(index).has_annotation
 
     def drives(self) -> tuple[Drive, ...]:
         """The drives; their poses where the map says what becomes of them."""

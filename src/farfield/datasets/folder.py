@@ -152,6 +152,10 @@ class Folder(Dataset):
         path = self._beside(index, _BOX_FOLDERS, [".json"])
         return None if path is None else _read_annotation(path)
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether boxes stand beside frame ``index``."""
+        return self._beside(index, _BOX_FOLDERS, [".json"]) is not None
+
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(_time_ns(self.frame_ids[index]) for index in indices)
 

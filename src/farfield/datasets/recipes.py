@@ -48,6 +48,17 @@ def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
     return {"format": None, "options": kept, "maps": maps}
 
 
+def recipe_of_provenance(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The recipe of the data that a detector was trained on: of its first stream, where there are several.
+
+    Args:
+        provenance: What weights hold; those of earlier versions have the experiment's options and sweeps alone.
+    """
+    streams = provenance.get("streams") or {}
+    recipe: Mapping[str, Any] | None = next((one.get("recipe") for one in streams.values()), None)
+    return recipe or recipe_of_experiment((provenance.get("experiment") or {}).get("data") or {})
+
+
 def replay(data: Dataset, recipe: Mapping[str, Any]) -> Dataset:
     """Return the data as those of another recipe were seen.
 

@@ -101,6 +101,10 @@ class Cirrus(Dataset):
         raw = self.raw_labels(index)
         return None if raw is None else annotation_from_labels(raw, self.mapping.labels)
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether there is a label file of frame ``index``."""
+        return self.entries[index].labels is not None
+
     def raw_labels(self, index: int) -> RawLabels | None:
         """Read the annotations of frame ``index`` as the file has them; None where there are none."""
         path = self.entries[index].labels

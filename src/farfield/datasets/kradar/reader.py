@@ -142,6 +142,10 @@ class KRadar(Dataset):
         raw = self.labels(index)
         return None if raw is None else annotation_of(raw, self.entries[index].version or "")
 
+    def has_annotation(self, index: int) -> bool:
+        """Whether there is a label file of frame ``index``."""
+        return self.entries[index].label is not None
+
     def label_table(self, *, progress: Callable[[int], None] | None = None) -> LabelTable:
         """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
         return read_label_table(self.entries, progress=progress)
