@@ -11,9 +11,7 @@ torch = pytest.importorskip("torch")
 from one_step import one_step
 from small import SMALL
 
-from farfield.api import prepare_training
 from farfield.detectors.weights import load_weights
-from farfield.experiments.schema import load_experiment
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
@@ -64,8 +62,11 @@ def test_sparse_middle_layers_share_their_statistics(shared_steps):
 
 
 def test_torchrun_follows_the_course_of_one_process(experiment, tmp_path):
+    from farfield.experiments.plan import Plan
+    from farfield.experiments.schema import load_experiment
+
     settings = ["training.steps=10", "training.batch_size=4"]
-    prepare_training(load_experiment(experiment, settings), tmp_path / "one").run()
+    Plan(load_experiment(experiment, settings), tmp_path / "one").run()
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command += ["-m", "farfield.cli", "train", str(experiment), "--out", str(tmp_path)]
     command += [word for setting in settings for word in ("-o", setting)]
