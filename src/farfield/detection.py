@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.recipes import recipe_of_experiment, replay
+from farfield.datasets.recipes import recipe_of_provenance, replay
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Key, Pose
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
@@ -97,11 +97,7 @@ def as_trained(data: Any, detector: Any) -> Any:
     """
     if not isinstance(data, Dataset):
         return data
-    provenance = getattr(detector, "provenance", None) or {}
-    streams = [stream["recipe"] for stream in provenance.get("streams", {}).values() if "recipe" in stream]
-    return replay(
-        data, streams[0] if streams else recipe_of_experiment(provenance.get("experiment", {}).get("data", {}))
-    )
+    return replay(data, recipe_of_provenance(getattr(detector, "provenance", None) or {}))
 
 
 def learnt_clouds(provenance: Mapping[str, Any]) -> tuple[str, ...]:

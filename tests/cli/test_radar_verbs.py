@@ -10,11 +10,12 @@ pytest.importorskip("torch")
 
 from drive import frame
 
-from farfield.api import as_trained, evaluate, load_detector
+from farfield.api import evaluate, load_detector
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.maps import Coordinates
+from farfield.detection import as_trained
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.frame import Annotation, Boxes
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M

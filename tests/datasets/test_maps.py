@@ -11,13 +11,13 @@ import pytest
 from drive import frame as kradar_frame
 from pydantic import BaseModel
 
-from farfield.api import as_trained
-from farfield.datasets import FORMATS, open_dataset
+from farfield.datasets import DATASETS, Format, open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.radar_cloud import RadarView
 from farfield.datasets.maps import MAPS, Coordinates, Move, Placed, Sweeps, described, make, none_before
 from farfield.datasets.recipes import plain, recipe_of_experiment, replay
+from farfield.detection import as_trained
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
 from farfield.frame import Frame
@@ -215,8 +215,8 @@ def test_a_readers_own_type_error_surfaces(folder, monkeypatch):
         def __init__(self, root, *, size=1):
             raise TypeError("helper() got an unexpected keyword argument 'size'")
 
-    monkeypatch.setitem(FORMATS, "folder", f"{__name__}:Faulty")
-    monkeypatch.setitem(globals(), "Faulty", Faulty)
+    faulty = Format(name="folder", looked_for="", recognises=lambda root: True, reader=Faulty)
+    monkeypatch.setitem(DATASETS._loaded, "folder", faulty)
     with pytest.raises(TypeError, match="helper"):
         open_dataset(folder, size=2)
 

@@ -17,6 +17,7 @@ from small import SMALL
 
 from farfield.datasets import open_dataset
 from farfield.datasets.maps import Sweeps
+from farfield.detectors.inputs import CloudInput
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
 from farfield.experiments.catalogue import shipped
@@ -77,8 +78,10 @@ def test_killed_training_resumes_to_the_same_weights(name, experiment, data, tmp
         load_weights(tmp_path / run / "tiny" / "weights.safetensors")[0].state_dict() for run in ("whole", "cut")
     )
     assert all(torch.equal(one[name], other[name]) for name in one)
-    raw = [load_checkpoint(tmp_path / run / "tiny" / "checkpoint.pt")["network"] for run in ("whole", "cut")]
-    assert all(torch.equal(raw[0][name], raw[1][name]) for name in raw[0])
+    raw = [load_checkpoint(tmp_path / run / "tiny" / "checkpoint.pt") for run in ("whole", "cut")]
+    modules = [name for name in raw[0] if name.startswith("modules/detector/")]
+    assert len(modules) == len(one)
+    assert all(torch.equal(raw[0][name], raw[1][name]) for name in modules)
     provenance = load_weights(tmp_path / "cut" / "tiny" / "weights.safetensors")[1]
     assert provenance["data_fingerprint"] == open_dataset(data).fingerprint()
     assert provenance["experiment"]["training"]["seed"] == 0
@@ -87,6 +90,7 @@ def test_killed_training_resumes_to_the_same_weights(name, experiment, data, tmp
 
 def samples(data, **changes) -> TrainingSamples:
     settings = {
+        "inputs": {"points": CloudInput()},
         "clouds": ("gaussian", "uniform"),
         "classes": ("vehicle", "large_vehicle"),
         "assigner": lambda boxes, inputs: boxes,
@@ -101,9 +105,9 @@ def test_samples_are_a_function_of_seed_and_position(data):
     assert first.epoch_length == 6
     for position in (0, 5, 6, 17):
         a, b = first[position], second[position]
-        assert torch.equal(a.points, b.points)
+        assert torch.equal(a.inputs["points"], b.inputs["points"])
         np.testing.assert_array_equal(a.targets.centre_m, b.targets.centre_m)
-    assert not torch.equal(first[0].points, samples(data, seed=5)[0].points)
+    assert not torch.equal(first[0].inputs["points"], samples(data, seed=5)[0].inputs["points"])
 
 
 def test_bank_depends_on_the_position_alone(data):
@@ -148,8 +152,8 @@ def test_bands_are_drawn_from_evenly(rng):
 
 def test_every_sample_comes_once_an_epoch(data):
     made = samples(data, augmentation=AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0))
-    once = sorted(len(made[position].points) for position in range(6))
-    again = sorted(len(made[position].points) for position in range(6, 12))
+    once = sorted(len(made[position].inputs["points"]) for position in range(6))
+    again = sorted(len(made[position].inputs["points"]) for position in range(6, 12))
     assert once == again == sorted(len(made.load(number)[0]) for number in range(6))
 
 
@@ -222,9 +226,9 @@ def test_pasted_objects_touch_nothing_and_clear_their_place(rng):
     bank = ObjectBank()
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    bank.add(cut_out(np.array([[20, 0, 0, 1, 0]] * 6, dtype=np.float32), car, min_points=5))
+    bank.add(cut_out(np.array([[20, 0, 0, 0, 1]] * 6, dtype=np.float32), car, min_points=5))
     farther = car.replace(centre_m=place * 2)
-    bank.add(cut_out(np.array([[40, 0, 0, 1, 0]] * 4, dtype=np.float32), farther, min_points=5))
+    bank.add(cut_out(np.array([[40, 0, 0, 0, 1]] * 4, dtype=np.float32), farther, min_points=5))
     assert len(bank.objects["vehicle"]) == 1  # the second has too few points
     ground = np.array([[20.5, 0, -0.5, 0, 0], [60, 0, 0, 0, 0]], dtype=np.float32)
     points, boxes = bank.paste(ground, Boxes.empty(), {"vehicle": 3}, rng)
@@ -259,10 +263,12 @@ def test_experiment_round_trips_and_refuses_unknown_keys(experiment, tmp_path):
 
 def test_trained_sweeps_are_those_of_prediction(experiment, data, tmp_path):
     """The weights tell how many sweeps they were trained on; prediction stacks as many."""
-    from farfield.api import as_trained, load_detector, prepare_training
+    from farfield.api import load_detector
+    from farfield.detection import as_trained
+    from farfield.experiments.plan import Plan
 
     settings = ["training.steps=1", "data.sweeps=3", "detector.use_lag=true"]
-    prepare_training(load_experiment(experiment, settings), tmp_path / "run").run()
+    Plan(load_experiment(experiment, settings), tmp_path / "run").run()
     detector, opened = load_detector(tmp_path / "run"), open_dataset(data)
     stacked = as_trained(opened, detector)
     assert len(stacked[2].cloud("gaussian")) > 2 * len(opened[2].cloud("gaussian"))
@@ -272,12 +278,12 @@ def test_trained_sweeps_are_those_of_prediction(experiment, data, tmp_path):
 
 
 def test_run_of_another_experiment_is_not_continued(experiment, tmp_path):
-    from farfield.api import prepare_training
+    from farfield.experiments.plan import Plan
 
-    prepare_training(load_experiment(experiment, ["training.steps=1"]), tmp_path / "run").run()
+    Plan(load_experiment(experiment, ["training.steps=1"]), tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["step"] == 1
     with pytest.raises(ConfigError, match="another experiment"):
-        prepare_training(load_experiment(experiment, ["training.steps=2"]), tmp_path / "run").run()
+        Plan(load_experiment(experiment, ["training.steps=2"]), tmp_path / "run").run()
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"\x80\x04\x95\x00."])
@@ -297,21 +303,19 @@ def test_shipped_experiments_are_valid(path):
 
 def test_tensorboard_log_is_written_when_asked_for(experiment, tmp_path):
     pytest.importorskip("tensorboard")
-    from farfield.api import prepare_training
+    from farfield.experiments.plan import Plan
 
-    prepare_training(
-        load_experiment(experiment, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run"
-    ).run()
+    Plan(load_experiment(experiment, ["training.steps=1", "training.tensorboard=true"]), tmp_path / "run").run()
     (events,) = (tmp_path / "run").glob("events.out.tfevents.*")
     assert events.stat().st_size > 0
 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_both_precisions_take_a_step(experiment, tmp_path, precision):
-    from farfield.api import prepare_training
+    from farfield.experiments.plan import Plan
 
     settings = load_experiment(experiment, ["training.steps=1", f"training.precision={precision}"])
-    prepare_training(settings, tmp_path / "run").run()
+    Plan(settings, tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text())["loss"] > 0
 
 
@@ -348,7 +352,7 @@ def test_min_points_counts_the_present_sweep_only(data):
     """A box that only earlier sweeps filled is not asked for, nor cut out to be pasted."""
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    rows = np.array([[20, 0, 0, 1, 0], [20, 0, 0, 1, 0.1], [20, 0, 0, 1, 0.1]], dtype=np.float32)
+    rows = np.array([[20, 0, 0, 0, 1], [20, 0, 0, 0.1, 1], [20, 0, 0, 0.1, 1]], dtype=np.float32)
     assert len(cut_out(rows, car, min_points=1)) == 1
     assert len(cut_out(rows, car, min_points=2)) == 0
     one, two = samples(data, min_points=3), samples(data, min_points=3)

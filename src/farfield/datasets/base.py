@@ -55,10 +55,6 @@ class Dataset(ABC):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
 
-    def has_annotation(self, index: int) -> bool:
-        """Whether frame ``index`` was annotated; nothing that holds boxes or points is read."""
-        return self.frame(index).has_annotation
-
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``, without its clouds; None where nothing was."""
         return self.frame(index).annotation
@@ -268,10 +264,6 @@ class Subset(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` of the selection is read from."""
         return self.parent.files(self.indices[index])
-
-    def has_annotation(self, index: int) -> bool:
-        """Whether frame ``index`` of the selection was annotated."""
-        return self.parent.has_annotation(self.indices[index])
 
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index`` of the selection."""

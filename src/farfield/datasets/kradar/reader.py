@@ -128,10 +128,6 @@ class KRadar(Dataset):
         self.frame_ids = tuple(entry.stem for entry in self.entries)
         self._shared: dict[str, tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]] = {}
 
-    def has_annotation(self, index: int) -> bool:
-        """Whether frame ``index`` has an annotation file."""
-        return self.entries[index].label is not None
-
     def labels(self, index: int) -> KRadarLabels | None:
         """Read the annotations of frame ``index``; None where there are none."""
         path = self.entries[index].label
