@@ -154,7 +154,8 @@ def _multiply(rows: Tensor, matrix: Tensor, out: Tensor, bias: Tensor | None = N
     for the copy of the result where the product is large.
     """
     c_in, c_out = matrix.shape
-    if c_in * c_out >= _LARGE_KERNEL and rows.dtype == torch.float32 and rows.device.type == "cpu" and _has_onednn():
+    large = len(rows) > 0 and c_in * c_out >= _LARGE_KERNEL  # a convolution takes no image without rows
+    if large and rows.dtype == torch.float32 and rows.device.type == "cpu" and _has_onednn():
         image = rows.view(1, len(rows), 1, c_in).permute(0, 3, 1, 2)
         product = functional.conv2d(image, matrix.t().reshape(c_out, c_in, 1, 1), bias)
         out.copy_(product.permute(0, 2, 3, 1).view(-1, c_out))
