@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+import torch
 from torch import Tensor, nn
 
 from farfield.detectors.contract import Network
@@ -119,7 +120,9 @@ class Supervised(Method):
         """The network's own losses."""
         del step
         network, frames = self.modules[DETECTOR], batch[LABELLED]
-        losses: dict[str, Tensor] = network.losses(network(frames.inputs, frames.targets), frames.targets)
+        outputs = network(frames.inputs, frames.targets)
+        with torch.autocast(next(network.parameters()).device.type, enabled=False):  # losses are summed in float32
+            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
         return losses
 
 
