@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Protocol, final
+from typing import Annotated, Any, ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -65,6 +65,7 @@ class DetectorConfig(BaseModel, ABC):
         return range_weights(boxes, self.far_weight)
 
 
+@runtime_checkable
 class Assigner(Protocol):
     """Turns a frame's annotation into targets, in numpy and without the network: loader's workers hold it alone."""
 
