@@ -13,7 +13,7 @@ class FileFormatError(FarfieldError):
     Args:
         path: The file, or a name for bytes that came from elsewhere.
         where: Line or byte, such as ``"line 7"`` or ``"byte 1024"``.
-        expected: What the format asks for.
+        expected: What the format requires.
         found: What stands there instead.
         mend: How to mend it, if that is known.
     """

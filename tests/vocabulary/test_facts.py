@@ -90,6 +90,8 @@ def test_kradar_s_class_names_regions_and_ousters_stand_once() -> None:
     assert list(CIRRUS_FROM_ANY_KRADAR)[:4] == ["Sedan", "sed", "Bus or Truck", "bus"]
     bounds = {name for name, _, value in _constants() if list(REGIONS_M) == _words(value)[: len(REGIONS_M)]}
     assert bounds == {"vocabulary/kradar.py"}
+    top = _holding(lambda node: isinstance(node, ast.Constant) and node.value == REGIONS_M["wide"][5])
+    assert [name for name in top if not name.startswith("simulation/")] == ["vocabulary/kradar.py"]
     lines = _holding(lambda node: {"os1-128", "os2-64"} <= set(_words(node)) and 128 in _values(node))
     assert lines == ["vocabulary/kradar.py"]
 

@@ -67,8 +67,9 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "Dataset
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from farfield.inspection.side import side_of
+    from farfield.inspection.side import has_sensors, side_of
     from farfield.inspection.statistics.census import take_census
+    from farfield.inspection.statistics.notes import notes_of
     from farfield.reports.statistics import DatasetFigures
 
     columns = (TextColumn("annotations"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -76,7 +77,7 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "Dataset
         task = counting.add_task("annotations", total=len(dataset))
         census = take_census(dataset, progress=lambda done, _: counting.update(task, completed=done))
     sensors = None
-    if sweeps and _has_sensors(dataset):
+    if sweeps and has_sensors(dataset):
         sensors = side_of(dataset, called, sweeps, progress=partial(bar, what=called))
     return DatasetFigures(
         name=called,
@@ -85,44 +86,8 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "Dataset
         census=census.summary(),
         arrays={"name": census.name, "range_m": census.range_m, "objects": census.objects},
         sensors=sensors,
-        notes=_notes(dataset),
+        notes=notes_of(dataset),
     )
-
-
-def _has_sensors(dataset: "Dataset") -> bool:
-    """Whether the first, the middle or the last frame has a cloud or a radar product."""
-    from farfield.errors import FarfieldError
-
-    for index in {0, len(dataset) // 2, len(dataset) - 1} if len(dataset) else ():
-        try:
-            frame = dataset[index]
-        except (FarfieldError, OSError):
-            continue
-        if frame.clouds or frame.radar:
-            return True
-    return False
-
-
-def _notes(dataset: "Dataset") -> tuple[str, ...]:
-    """What is special about a K-Radar: versions of its annotations, and where its conditions come from."""
-    from collections import Counter
-
-    from farfield.datasets.kradar import KRadar
-    from farfield.errors import FarfieldError
-
-    reader = dataset.unwrapped
-    if not isinstance(reader, KRadar):
-        return ()
-    versions = Counter(reader.entries[index].version or "none" for index in dataset.origins)
-    said: Counter[str] = Counter()
-    for sequence in dict.fromkeys(dataset.sequences):
-        try:
-            said[reader.of_sequence(sequence).conditions_from or "nowhere"] += 1
-        except FarfieldError:
-            said["a damaged file"] += 1
-    shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())
-    places = ", ".join(f"{place} in {count} sequences" for place, count in said.most_common())
-    return f"annotations: {shown}", f"conditions come from: {places}"
 
 
 def _print(found: "DatasetFigures") -> None:

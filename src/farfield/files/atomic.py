@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 from farfield.errors import FileFormatError
 
-MAX_BYTES = 1 << 30  # the largest file that a reader takes unless told otherwise: 1 GiB
+MAX_BYTES = 1 << 30  # the largest file that a reader takes unless its caller says otherwise: 1 GiB
 
 
 def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:

@@ -1,7 +1,7 @@
 """Cells of a radar cube in HDF5, one file a frame.
 
 A user block of 512 bytes stands before the HDF5 data: a mark and the SHA-256 of what follows. Nothing is parsed unless
-it fits, so a damaged file is told from a whole one before the HDF5 library sees it.
+it fits, so a damaged file is known from a whole one before the HDF5 library sees it.
 """
 
 import hashlib
@@ -73,10 +73,10 @@ def read_radar_cells(path: Path | str) -> dict[str, np.ndarray]:
     block, body = data[:_BLOCK_BYTES], data[_BLOCK_BYTES:]
     if not block.startswith(_MARK):
         raise FileFormatError(path, where="byte 0", expected=repr(_MARK.decode()), found=repr(block[:24]))
-    told, found = block[len(_MARK) : len(_MARK) + 64].decode("ascii", "replace"), hashlib.sha256(body).hexdigest()
-    if told != found:
+    stated, found = block[len(_MARK) : len(_MARK) + 64].decode("ascii", "replace"), hashlib.sha256(body).hexdigest()
+    if stated != found:
         mend = "The file is damaged: convert the frame again."
-        raise FileFormatError(path, where="the checksum", expected=told, found=found, mend=mend)
+        raise FileFormatError(path, where="the checksum", expected=stated, found=found, mend=mend)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             arrays = {name: _column(file[name]) for name in ("gap", "code", "quantiles", "doppler") if name in file}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.errors import FarfieldError
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.inspection.statistics import Statistics
 from farfield.vocabulary.kradar import OUSTER_LINES
@@ -62,6 +63,18 @@ def side_of(
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
     return Side(name, summary, statistics.arrays(), str(data.root))
+
+
+def has_sensors(data: Dataset) -> bool:
+    """Whether the first, the middle or the last frame has a cloud or a radar product."""
+    for index in {0, len(data) // 2, len(data) - 1} if len(data) else ():
+        try:
+            frame = data[index]
+        except (FarfieldError, OSError):
+            continue
+        if frame.clouds or frame.radar:
+            return True
+    return False
 
 
 def shots_of(root: Path) -> dict[str, int]:

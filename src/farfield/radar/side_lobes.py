@@ -4,7 +4,7 @@ A method of this project, standing where RTNH+ has its unpublished second filter
 their range, which is taken from the bins around. In every range bin the local maxima that stand out of the floor are
 visited from the strongest down; one that is not itself marked marks the cells outside its main lobe whose power does
 not exceed what the antenna's side lobes let through: cells beside it in azimuth by the level of azimuth, those above
-and below by that of elevation, those that are both by both. A mark means "not to be told from a side lobe": what an
+and below by that of elevation, those that are both by both. A mark means "may be nothing but a side lobe": what an
 object leaves behind a much stronger one is marked too.
 """
 

@@ -9,19 +9,23 @@ from torch import Tensor, nn
 from farfield.detectors.inputs import POSITION, stacked
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig, first_points, voxel_keys
+from farfield.vocabulary.kradar import REGIONS_M
 
 POWER, DOPPLER = "power", "doppler_m_s"
 LOG_POWER_UNIT = 0.01
 """With ``power: log`` a power p, over 1e13, becomes log(1 + p / 0.01): K-Radar's noise lies near 0.01."""
 
 
+_NARROW = REGIONS_M["narrow"]
+
+
 class RadarGridConfig(VoxelGridConfig):
     """The raster, in the radar's frame; K-Radar's narrow region (driving corridor) by default."""
 
-    range_m: float = Field(72.0, gt=0, description="forward reach, x from 0")
-    half_width_m: float = Field(6.4, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
-    z_min_m: float = Field(-2.0, description="cells below are dropped")
-    z_max_m: float = Field(6.0, description="cells above are dropped")
+    range_m: float = Field(_NARROW[1], gt=0, description="forward reach, x from 0")
+    half_width_m: float = Field(_NARROW[3], gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
+    z_min_m: float = Field(_NARROW[4], description="cells below are dropped")
+    z_max_m: float = Field(_NARROW[5], description="cells above are dropped")
     voxel_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
 
 

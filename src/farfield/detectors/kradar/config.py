@@ -12,6 +12,7 @@ from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kradar.cells import RadarGridConfig, cell_columns
 from farfield.detectors.kradar.softmax_head import SoftmaxHead
+from farfield.vocabulary.kradar import REGIONS_M
 
 _SEDAN = {"size_m": (4.2, 2.1, 2.0), "z_m": 0.0, "positive_iou": 0.5, "negative_iou": 0.2}
 _BOTTOM_M = -1.08
@@ -27,7 +28,7 @@ FORMS: dict[str, dict[str, Any]] = {
         "nms_iou": 0.1,
     },
     "wide": {  # cfg_RTNH_wide.yml, benchmark v2.0
-        "grid": {"half_width_m": 16.0, "z_max_m": 7.6},
+        "grid": {"half_width_m": REGIONS_M["wide"][3], "z_max_m": REGIONS_M["wide"][5]},
         "anchors": {
             "vehicle": {**_SEDAN, "z_m": _BOTTOM_M + 1.0},
             "large_vehicle": {

@@ -185,7 +185,7 @@ def misfit_share(counts: Int[np.ndarray, "m k"], size_m: Float[np.ndarray, "m 3"
 def changes_asked_for(
     points: Sequence[Float[np.ndarray, "_ 3"]], boxes: Sequence[Boxes]
 ) -> list[tuple[Ballot, Reading]]:
-    """Find the changes that the points ask for, the most helpful first, each on top of those before.
+    """Find the changes that the points support, the most helpful first, each on top of those before.
 
     Args:
         points: Cloud of each frame.

@@ -104,8 +104,8 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]
         what = "none" if not having else f"in {_of(having, names)}"
         what += f"; missing in {_listed(lacks)}" if having and lacks else ""
         yield Finding(severity="ok", topic=topic, what=what + _standing_in(topic, having, lacks))
-    told = set(there["description"]) | set(there["published conditions"])
-    silent = [name for name in names if name not in told]
+    described = set(there["description"]) | set(there["published conditions"])
+    silent = [name for name in names if name not in described]
     if silent:
         mend = "Scores by weather leave them out. Add description.txt: road,time,weather."
         yield Finding(severity="warn", topic="conditions", what=f"unknown in {_listed(silent)}", mend=mend)

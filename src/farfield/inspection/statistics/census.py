@@ -139,13 +139,13 @@ class Census:
                 if kind == "range" or kind in self.known
             },
             "visibility_by": {
-                kind: self.table(kind, "visibility") for kind in ("range", *CONDITIONS) if self._told(kind)
+                kind: self.table(kind, "visibility") for kind in ("range", *CONDITIONS) if self._is_known(kind)
             },
             "table_5": sequences,
             "damaged": list(self.damaged),
         }
 
-    def _told(self, kind: str) -> bool:
+    def _is_known(self, kind: str) -> bool:
         return "visibility" in self.known and (kind == "range" or kind in self.known)
 
 

@@ -164,7 +164,7 @@ class _Simulation:
     def accelerate(
         self, progress_m: Float[np.ndarray, " n"], speed_m_s: Float[np.ndarray, " n"], time_s: float
     ) -> Float[np.ndarray, " n"]:
-        """What each driver does: the least of what its leaders and a red signal ask for."""
+        """What each driver does: the least of what its leaders and a red signal allow."""
         row, leader, n = self.order.row, self.order.leader, len(self.lane)
         closing = np.where(leader >= 0, speed_m_s[row] - speed_m_s[leader], 0.0)
         ease: Float[np.ndarray, " e"] | float = 1.0
