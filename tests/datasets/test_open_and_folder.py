@@ -97,7 +97,7 @@ def test_nothing_recognised_lists_what_was_looked_for(tmp_path):
         assert words in str(caught.value)
     with pytest.raises(DatasetError, match="found nothing"):
         open_dataset(tmp_path / "absent")
-    with pytest.raises(ConfigError, match="expected format to be one of cirrus"):
+    with pytest.raises(ConfigError, match="data set format, one of cirrus"):
         open_dataset(tmp_path, format="pandaset")
 
 
