@@ -51,7 +51,7 @@ def test_a_shipped_experiment_trains_by_its_name(
     assert main(["train", "pointpillars_cirrus_sim", *words]) == 0
     assert (tmp_path / "runs" / "pointpillars-cirrus-sim" / "weights.safetensors").is_file()
     assert (tmp_path / "data" / "mini" / "simulation.json").is_file()
-    assert "preset cirrus-sim-mini, seed 0: 2 frames" in capsys.readouterr().out
+    assert "preset cirrus-sim-mini, seed 0: 2 frames" in capsys.readouterr().err
 
 
 def test_data_that_are_absent_are_named_with_the_way_to_set_them(

@@ -89,11 +89,11 @@ def test_the_one_line_evaluation_knows_where_the_boxes_are(home: Path) -> None:
     data = open_dataset(home / "data")
     for given in (data, data.mapped(Coordinates("radar"))):
         found = {frame.key: frame.boxes.replace(score=np.ones(1)) for frame in (given[i] for i in range(4))}
-        result = evaluate(found, given, metric="kradar", region=(19.0, 21.0, 0.5, 1.5, -1.0, 1.0)).to_json()
+        result = evaluate(found, given, protocol="kradar", region=(19.0, 21.0, 0.5, 1.5, -1.0, 1.0)).to_json()
         assert result["ap"]["vehicle"]["3d"]["0.7"] == 1
         assert result["counts"]["classes"]["vehicle"]["annotated"] == 4
         assert result["conditions"]["weather"]["fog"]["ap"]["vehicle"]["3d"]["0.7"] == 1
-    detected = evaluate(load_detector(home / "runs" / "tiny"), data, metric="kradar").to_json()
+    detected = evaluate(load_detector(home / "runs" / "tiny"), data, protocol="kradar").to_json()
     assert detected["settings"]["boxes_in"] == "radar"  # as the detector learnt
 
 

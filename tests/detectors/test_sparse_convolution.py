@@ -393,13 +393,3 @@ def test_gpu_gives_what_the_cpu_gives(triton, monkeypatch):
         results.append([out, features.grad, *(parameter.grad for parameter in network.parameters())])
     for expected, got in zip(*results, strict=True):
         torch.testing.assert_close(got.cpu(), expected, rtol=1e-3, atol=1e-4)
-
-
-def test_no_rows_are_multiplied_whatever_the_number_of_threads(monkeypatch):
-    """Large kernels go to oneDNN where there are several threads; it takes no empty image."""
-    from farfield.detectors.sparse import functional
-
-    monkeypatch.setattr(functional, "_has_onednn", lambda: True)
-    out = torch.full((0, 64), 1.0)
-    functional._multiply(torch.zeros(0, 64), torch.zeros(64, 64), out)
-    assert out.shape == (0, 64)

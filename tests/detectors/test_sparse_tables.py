@@ -98,3 +98,13 @@ def test_a_named_layer_keeps_the_pairs_for_its_way_back():
 def test_an_even_submanifold_kernel_is_refused():
     with pytest.raises(ValueError, match="odd along every axis"):
         submanifold_table(cells(), (2, 3, 3))
+
+
+def test_no_rows_are_multiplied_whatever_the_number_of_threads(monkeypatch):
+    """Large kernels go to oneDNN where there are several threads; it takes no empty image."""
+    from farfield.detectors.sparse import functional
+
+    monkeypatch.setattr(functional, "_has_onednn", lambda: True)
+    out = torch.full((0, 64), 1.0)
+    functional._multiply(torch.zeros(0, 64), torch.zeros(64, 64), out)
+    assert out.shape == (0, 64)

@@ -116,6 +116,11 @@ def _opened(config: DataConfig, stream: Stream, experiment: Experiment) -> Datas
     Raises:
         DatasetError: If they lack a cloud, or a labelled stream has frames without annotation.
     """
+    if not config.path.is_dir():
+        raise DatasetError(
+            f"{experiment.name}: expected its data in {config.path}, found no folder there. Name where they are: "
+            f"farfield train {experiment.name} -o data.path=FOLDER"
+        )
     data = open_dataset(config.path, **config.options)
     data = data.mapped(Sweeps(config.sweeps)) if config.sweeps > 1 else data
     if config.split:
