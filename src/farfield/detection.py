@@ -100,17 +100,6 @@ def as_trained(data: Any, detector: Any) -> Any:
     return replay(data, recipe_of_provenance(getattr(detector, "provenance", None) or {}))
 
 
-def learnt_clouds(provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of the clouds that a detector learnt from, by its provenance; empty where nothing is known."""
-    data = provenance.get("experiment", {}).get("data", {})
-    groups = [data] if "path" in data else list(data.values())
-    names: list[str] = []
-    for group in groups:
-        clouds = group.get("clouds", ())
-        names += [n for each in clouds.values() for n in each] if isinstance(clouds, Mapping) else list(clouds)
-    return tuple(dict.fromkeys(names))
-
-
 def suitable_clouds(detector: Any, frame: Frame) -> tuple[str, ...]:
     """Clouds of a frame that a detector may read.
 
@@ -134,7 +123,7 @@ def suitable_clouds(detector: Any, frame: Frame) -> tuple[str, ...]:
             f"Expected a cloud of a {kind}, which the detector reads, in the frame's coordinates; frame {frame.key} "
             f"has {there}. Take a detector for these sensors, or data with a {kind}."
         )
-    learnt = set(learnt_clouds(detector.provenance))
+    learnt = set(detector.learnt_clouds)
     learnt |= set(PATTERNS) if learnt & set(PATTERNS) else set()
     return tuple(name for name in fitting if name in learnt) or tuple(fitting)
 

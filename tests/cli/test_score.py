@@ -56,7 +56,7 @@ def test_the_json_has_the_promised_layout(tmp_path: Path, files: tuple[Path, Pat
 
 
 def test_flags_reach_the_settings(tmp_path: Path, files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--range-bins-m", "0,50,100", "--epsilon", "0.5", "--region", "range", "--label", "vehicle"]
+    words = ["--range-bins-m", "0,50,100", "--epsilons", "0.5", "--region", "range", "--label", "vehicle"]
     tree = run(tmp_path, *files, *words, "--options", "ap=area", "relabel=", "ignore=a,b", "aiou_threshold_m=all")
     settings = tree["settings"]
     assert (settings["range_bins_m"], settings["epsilons"], settings["region"]) == ([0.0, 50.0, 100.0], [0.5], "range")

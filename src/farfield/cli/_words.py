@@ -1,8 +1,13 @@
 """Words of the command line into values."""
 
 import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from farfield.metrics import Protocol
 
 
 def names(text: str) -> list[str]:
@@ -22,3 +27,27 @@ def deprecated(old: str, old_value: str, new: str, new_value: str) -> str:
         raise ConfigError(f"{old} is the old name of {new}: give one of them")
     print(f"warning: {old} is called {new} now; the old name goes with the next version", file=sys.stderr)
     return old_value
+
+
+def parse_options(protocol: "Protocol", options: Sequence[str], flags: Sequence[str]) -> dict[str, Any]:
+    """Turn ``name=value`` words into settings: numbers, comma lists and ``a:b`` pairs as the setting asks.
+
+    Args:
+        protocol: Whose settings.
+        options: The words.
+        flags: Settings that have a flag of their own.
+
+    Raises:
+        ConfigError: If a word is none of these, or a setting has a flag of its own.
+    """
+    from farfield.metrics.options import read_option
+
+    parsed: dict[str, Any] = {}
+    for option in options:
+        name, equals, text = option.partition("=")
+        if not equals or name in parsed:
+            raise ConfigError(f"--options: expected each name=value once, got {option!r}")
+        if name in flags:
+            raise ConfigError(f"--options: {name} has a flag of its own")
+        parsed[name] = read_option(protocol.Settings, name, text)
+    return parsed

@@ -3,12 +3,13 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
 from tyro.conf import Positional
 
 from farfield.cli._progress import bar
-from farfield.cli._words import deprecated, names
+from farfield.cli._words import deprecated, names, parse_options
 
 if TYPE_CHECKING:
     from farfield.metrics import Protocol
@@ -28,6 +29,7 @@ def run(
     epsilons: str = "",
     epsilon: str = "",
     region: str = "",
+    options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int | None = None,
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
@@ -60,6 +62,7 @@ def run(
         epsilon: The old name of epsilons.
         region: For dds window (x 0..250, |y| <= 50 m, the default), range, or none; for nuscenes and kitti none is the
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
+        options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
@@ -74,10 +77,11 @@ def run(
     from farfield.reports.page import write_report
 
     epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
-    options: dict[str, Any] = {"mapping": mapping} if mapping else {}
-    opened = open_dataset(data, rotate_deg=rotate_deg, **options)
+    reading: dict[str, Any] = {"mapping": mapping} if mapping else {}
+    opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
     opened = opened.split(split) if split else opened
     loaded = load_detector(detector, precision=precision, device=device)
+    protocol = protocol or opened.protocol
     given: dict[str, Any] = {
         "label": label,
         "range_bins_m": numbers(range_bins_m, "--range-bins-m") if range_bins_m else None,
@@ -85,7 +89,7 @@ def run(
         "region": region or None,
         "bootstrap": None if replicates is None else Bootstrap(replicates=replicates),
     }
-    protocol = protocol or opened.protocol
+    given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
     evaluation = evaluate_clouds(
         loaded,
         opened,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from farfield.cli._words import deprecated, parse_options
+
 if TYPE_CHECKING:
     from farfield.metrics import Detections, Protocol
 
@@ -21,7 +23,8 @@ def run(
     format: Literal["boxes-csv", "kitti", "kitti-tracking"] = "boxes-csv",
     label: str | None = None,
     range_bins_m: str | None = None,
-    epsilon: str | None = None,
+    epsilons: str = "",
+    epsilon: str = "",
     region: str | None = None,
     conditions: str | None = None,
     label_version: str | None = None,
@@ -53,7 +56,8 @@ def run(
         format: Format of both.
         label: The class that is scored; without it every class is, each for itself, the most annotated one first.
         range_bins_m: Edges of the range bins; without it 0,70,150,250, for kradar 0,20,40,60,80.
-        epsilon: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; 0,0.003,0.006,0.009 unless given.
+        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; 0,0.003,0.006,0.009 unless given.
+        epsilon: The old name of epsilons.
         region: window: x 0..250, |y| <= 50 and the outermost bin edges; range: the outermost bin edges; none: all.
             Without it: window for dds on boxes-csv, none otherwise. For kradar: wide (without it), narrow, none or
             six bounds x,x,y,y,z,z in the radar's frame.
@@ -72,13 +76,14 @@ def run(
     from farfield.metrics.reading import read
 
     chosen = PROTOCOLS[protocol]
-    given: dict[str, Any] = _parse_options(chosen, options)
+    given: dict[str, Any] = parse_options(chosen, options, _FLAGS)
     if "bootstrap" in chosen.options():
         given["bootstrap"] = Bootstrap(replicates=replicates, seed=seed)
     if range_bins_m is not None:
         given["range_bins_m"] = numbers(range_bins_m, "--range-bins-m")
-    if epsilon is not None:
-        given["epsilons"] = numbers(epsilon, "--epsilon")
+    epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
+    if epsilons:
+        given["epsilons"] = numbers(epsilons, "--epsilons")
     if region is not None:
         given["region"] = region
     elif format != "boxes-csv" and chosen.default("region") == "window":
@@ -115,19 +120,3 @@ def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> 
     missing = sorted({key[0] for key in found.annotations if key not in known})
     note = f"no conditions for sequences {', '.join(missing[:8])}: their frames count in the whole alone"
     return replace(found, conditions=known, notes=(*found.notes, *([note] if missing else [])))
-
-
-def _parse_options(protocol: "Protocol", options: tuple[str, ...]) -> dict[str, Any]:
-    """Turn ``name=value`` words into settings: numbers, comma lists and ``a:b`` pairs as the setting asks."""
-    from farfield.errors import ConfigError
-    from farfield.metrics.options import read_option
-
-    parsed: dict[str, Any] = {}
-    for option in options:
-        name, equals, text = option.partition("=")
-        if not equals or name in parsed:
-            raise ConfigError(f"--options: expected each name=value once, got {option!r}")
-        if name in _FLAGS:
-            raise ConfigError(f"--options: {name} has a flag of its own")
-        parsed[name] = read_option(protocol.Settings, name, text)
-    return parsed

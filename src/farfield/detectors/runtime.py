@@ -104,7 +104,9 @@ class Detector:
     @property
     def learnt_clouds(self) -> tuple[str, ...]:
         """Names of the clouds that it learnt from; none where nothing is known of its training."""
-        return tuple(self._trained_on.get("clouds", ()))
+        clouds = self._trained_on.get("clouds", ())
+        names = [name for each in clouds.values() for name in each] if isinstance(clouds, Mapping) else clouds
+        return tuple(dict.fromkeys(names))
 
     @property
     def kind(self) -> Literal["lidar", "radar"]:
@@ -122,8 +124,10 @@ class Detector:
 
     @property
     def _trained_on(self) -> dict[str, Any]:
+        """The experiment's data; of several streams the first one's."""
         data: dict[str, Any] = self.provenance.get("experiment", {}).get("data", {})
-        return data
+        several = bool(data) and "path" not in data and all(isinstance(group, dict) for group in data.values())
+        return next(iter(data.values())) if several else data
 
     def with_cloud(self, cloud: str | Mapping[str, str] | None) -> "Detector":
         """The same detector reading another of a frame's clouds; weights are shared."""

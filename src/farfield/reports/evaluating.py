@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
 
 
+@runtime_checkable
 class Progress(Protocol):
     """Wraps frame numbers, to show how far a cloud's frames are."""
 
