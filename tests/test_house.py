@@ -35,7 +35,7 @@ HEAVY = (
     "yaml",
 )
 TORCH = {"torch", "lightning_fabric", "safetensors"}
-TORCH_ROOMS = {"detectors", "training", "adaptation"}
+TORCH_ROOMS = {"detectors", "training", "adaptation", "testing"}
 NESTED = {"registry.py: keep in register": "a decorator with an argument; it runs once a name"}
 """Functions in functions that may stay, and why."""
 
