@@ -69,8 +69,8 @@ def check_drives(data: Dataset) -> None:
             assert drive.times_ns.tolist() == [frame.time_ns for frame in frames], f"{named}: times are not the frames'"
             assert (np.diff(drive.times_ns) > 0).all(), f"{named}: times do not grow; order drive_indices() by time"
         if drive.world_T_frame is not None:
-            poses = np.stack([frame.world_T_frame for frame in frames])
-            np.testing.assert_allclose(drive.world_T_frame, poses, err_msg=f"{named}: poses are not the frames'")
+            for pose, frame in zip(drive.world_T_frame, frames, strict=True):
+                assert_same(frame.world_T_frame, pose, atol=1e-7, where=f"{frame.key}: pose, which its drive has too")
 
 
 def check_views(data: Dataset) -> None:

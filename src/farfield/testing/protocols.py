@@ -72,7 +72,7 @@ def check_worse(made: Protocol, found: Detections, top: Mapping[str, float | Non
 def check_order(made: Protocol, found: Detections, top: Mapping[str, float | None]) -> None:
     """The order of boxes and of frames does not matter."""
     rng = np.random.default_rng(0)
-    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed(found.boxes.items())}
+    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed([*found.boxes.items()])}
     again = found.replaced(turned).score(made)
     assert_close(made.headline(again.to_json()), top, f"{made}: the order of boxes and frames must not matter")
 
