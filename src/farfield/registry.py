@@ -1,6 +1,7 @@
 """Names to things, with a door for other packages: built in, by decorator, by entry point, asked in this order."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
@@ -102,11 +103,11 @@ class Registry(Generic[T]):
         if name in self.builtin:
             raise ConfigError(f"{self.what} {name!r} is built in; choose another name.")
 
-        def keep(thing: Registered) -> Registered:
-            self._registered[name] = thing  # type: ignore[assignment]
-            return thing
+        return partial(self._keep, name)
 
-        return keep
+    def _keep(self, name: str, thing: Registered) -> Registered:
+        self._registered[name] = thing  # type: ignore[assignment]
+        return thing
 
     def _points(self) -> list[EntryPoint]:
         """Entry points of other packages, each once, though a distribution may be found twice on the path."""

@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import checks
+
 from small import SMALL, batch_of, cloud_of, losses_of, small_detector
 
 from farfield.detectors import DETECTORS, build_detector
@@ -16,6 +16,7 @@ from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score
+from farfield.testing import detectors as checks
 
 every_detector = pytest.mark.parametrize("name", list(DETECTORS))
 
@@ -43,19 +44,7 @@ def test_every_registered_detector_is_tested():
 
 
 @every_detector
-@pytest.mark.parametrize(
-    "check",
-    [
-        checks.check_declared,
-        checks.check_gradients,
-        checks.check_assigner,
-        checks.check_rows,
-        checks.check_place,
-        checks.check_joined,
-        checks.check_copies,
-    ],
-    ids=lambda check: check.__name__,
-)
+@pytest.mark.parametrize("check", checks.CHECKS, ids=lambda check: check.__name__)
 def test_contract(name, check):
     check(checks.built(name, SMALL[name].settings))
 

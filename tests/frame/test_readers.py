@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trees
-from check_frames import check_dataset, check_frame
 from drive import frame as kradar_frame
 
 from farfield.datasets import open_dataset
@@ -18,6 +17,8 @@ from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
 from farfield.frame import Boxes, Cloud, Frame, joined
 from farfield.simulation import simulate_frame
+from farfield.testing import check_dataset
+from farfield.testing.datasets import check_frame
 
 
 def cirrus(root: Path) -> Any:

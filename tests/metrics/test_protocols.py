@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame import Annotation
-from farfield.geometry.boxes import Boxes
 from farfield.metrics import PROTOCOLS, Detections, Protocol, Result, protocol, score
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.comparing import compare, read_results
 from farfield.metrics.protocol import ForeignProtocol, protocol_of
+from farfield.testing import check_protocol
+from farfield.testing.protocols import example
 
 NAMES = ("dds", "nuscenes", "kitti", "kradar", "kradar-compat:old_as_shipped@0.3", "kradar-compat:revised_yaw_fixed")
 
@@ -50,66 +50,6 @@ def registered() -> Iterator[None]:
     protocol("recall")(Recall)
     yield
     PROTOCOLS._registered.pop("recall")
-
-
-def example() -> Detections:
-    """Perfect boxes of two classes in six frames of two drives, one frame of them annotated as empty."""
-    boxes, annotations = {}, {}
-    for number in range(6):
-        many = 0 if number == 3 else 10
-        place = np.arange(many)
-        marked = Boxes(
-            centre_m=np.column_stack([5.0 + 6.0 * place, (place % 3) * 3.0 - 3.0, np.zeros(many)]),
-            size_m=np.tile([4.0, 2.0, 1.5], (many, 1)),
-            yaw_rad=np.linspace(-1, 1, many),
-            label=np.where(place % 5 == 0, "pedestrian", "vehicle"),
-        )
-        key = (f"drive{number % 2}", str(number))
-        annotations[key] = Annotation(boxes=marked)
-        boxes[key] = marked.replace(score=np.linspace(0.5, 0.9, many))
-    return Detections(boxes=boxes, annotations=annotations, reference="radar")
-
-
-def check_protocol(protocol: str | Protocol) -> None:
-    """Check what holds for every protocol: the best and the worst score, order, JSON, empty frames.
-
-    Raises:
-        AssertionError: If something does not hold; the message says what and how to mend it.
-    """
-    made = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-    found = example()
-    best = found.score(made)
-    tree = json.loads(json.dumps(best.to_json(), allow_nan=False))
-    top = made.headline(tree)
-    assert any(value is not None for value in top.values()), f"{made}: headline() must name figures of the result"
-    assert made.settings(found) == made.settings(found), f"{made}: settings() must depend on its arguments alone"
-    assert tree["protocol"] == str(made), f"{made}: Result.protocol must be the protocol's name"
-    assert str(best), f"{made}: a result must print itself"
-
-    shifted = {
-        key: boxes.replace(centre_m=boxes.centre_m + np.array([0.8, 0.0, 0.0])) for key, boxes in found.boxes.items()
-    }
-    for worse, name in ((shifted, "moved by 0.8 m"), ({}, "absent")):
-        low = made.headline(found.replaced(worse).score(made).to_json())
-        for figure, value in top.items():
-            assert low.get(figure) is None or value is None or low[figure] <= value, (
-                f"{made}: {figure} is larger for boxes that are {name} than for perfect ones"
-            )
-    none = [value for value in low.values() if value is not None]
-    most = max(value for value in top.values() if value is not None)
-    assert none, f"{made}: no boxes at all where some are annotated must score something, such as 0"
-    assert max(none) < most, f"{made}: no boxes at all must score less than perfect ones"
-
-    rng = np.random.default_rng(0)
-    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed(found.boxes.items())}
-    again = found.replaced(turned).score(made)
-    assert made.headline(again.to_json()) == pytest.approx(top, abs=1e-12), f"{made}: order of boxes or frames matters"
-
-    nothing = Annotation(boxes=Boxes.empty())
-    bare = Detections(boxes={}, annotations=dict.fromkeys(found.annotations, nothing)).score(made)
-    json.dumps(bare.to_json(), allow_nan=False)
-    assert not any(made.headline(bare.to_json()).values()), f"{made}: frames without boxes must give None, or 0"
-    json.dumps(Detections(boxes={}, annotations={}).score(made).to_json(), allow_nan=False)
 
 
 @pytest.mark.parametrize("name", NAMES)

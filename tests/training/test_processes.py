@@ -2,33 +2,35 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 torch = pytest.importorskip("torch")
 
-from one_step import one_step
 from small import SMALL
 
 from farfield.detectors.weights import load_weights
+from farfield.testing.processes import (
+    Task,
+    check_same_losses,
+    check_same_statistics,
+    check_same_step,
+    one_step,
+    steps_of_two,
+)
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
+TASKS = {name: Task(name, small.settings) for name, small in SMALL.items()}
+TASKS["voxelnet"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "dense"})  # in double precision throughout
+TASKS["voxelnet-sparse"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "sparse"}, double=False)
+
+
 @pytest.fixture(scope="module")
-def shared_steps(tmp_path_factory) -> Path:
-    """One step of every small detector, shared by one pair of processes: a folder with a file each."""
-    folder = tmp_path_factory.mktemp("shared")
-    command = [sys.executable, str(Path(__file__).with_name("one_step.py")), str(folder)]
-    names = [*SMALL, "voxelnet-sparse"]
-    running = [subprocess.Popen([*command, str(rank), "2", *names], env=ENVIRONMENT) for rank in range(2)]
-    try:
-        assert [process.wait(300) for process in running] == [0, 0]
-    finally:
-        for process in running:
-            process.kill()
-    return folder
+def shared_steps(tmp_path_factory) -> dict[str, dict]:
+    """One step of every small detector, shared by one pair of processes."""
+    return dict(zip(TASKS, steps_of_two(tmp_path_factory.mktemp("shared"), [*TASKS.values()]), strict=True))
 
 
 def close(one, other, tolerance: float) -> bool:
@@ -39,26 +41,24 @@ def close(one, other, tolerance: float) -> bool:
 @pytest.mark.parametrize("name", list(SMALL))
 def test_two_processes_take_the_step_of_one(name, shared_steps):
     """Losses, gradients and statistics over two processes, one of which got an empty cloud, are those of the batch."""
-    shared, alone = torch.load(shared_steps / f"{name}.pt", weights_only=True), one_step(name)
-    assert shared["losses"] == pytest.approx(alone["losses"], rel=1e-5, abs=1e-7)
-    assert shared["gradients"].keys() == alone["gradients"].keys()
-    one, two = (torch.cat([step["gradients"][key].flatten() for key in step["gradients"]]) for step in (alone, shared))
-    assert float((two - one).norm()) < 1e-5 * float(one.norm())
-    largest = float(one.abs().max())
-    for key, value in alone["gradients"].items():
-        assert float((shared["gradients"][key] - value).abs().max()) <= 1e-5 * largest, key
-    for key, value in alone["statistics"].items():
-        assert close(value, shared["statistics"][key], 1e-6), key
+    check_same_step(name, one_step(TASKS[name]), shared_steps[name])
 
 
 def test_sparse_middle_layers_share_their_statistics(shared_steps):
     """In single precision, which is all that they have: what is left are its roundings."""
-    shared = torch.load(shared_steps / "voxelnet-sparse.pt", weights_only=True)
-    alone = one_step("voxelnet-sparse")
-    assert shared["losses"] == pytest.approx(alone["losses"], rel=1e-3, abs=1e-6)
-    for key, value in alone["statistics"].items():
-        if "middle" in key:
-            assert close(value, shared["statistics"][key], 1e-5), key
+    name = "voxelnet-sparse"
+    shared, alone = shared_steps[name], one_step(TASKS[name])
+    check_same_losses(name, alone["losses"], shared["losses"], 1e-3)
+    middle = {key: value for key, value in alone["statistics"].items() if "middle" in key}
+    assert middle
+    check_same_statistics(name, middle, shared["statistics"], 1e-5)
+
+
+def test_a_loss_that_is_a_mean_over_a_process_is_refused(shared_steps):
+    alone = one_step(TASKS["pointpillars"])
+    wrong = {**alone, "losses": {name: 1.1 * value for name, value in alone["losses"].items()}}
+    with pytest.raises(AssertionError, match="divide sums by"):
+        check_same_step("pointpillars", wrong, shared_steps["pointpillars"])
 
 
 def test_torchrun_follows_the_course_of_one_process(experiment, tmp_path):

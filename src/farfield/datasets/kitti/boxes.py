@@ -1,12 +1,15 @@
-"""KITTI's calibration files as cameras and poses (Geiger et al., CVPR 2012, object devkit readme)."""
+"""KITTI's calibration and label files as cameras, poses and annotations (Geiger et al., CVPR 2012, devkit readme)."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 
 from farfield.errors import DatasetError
-from farfield.frame import Camera
+from farfield.files.kitti import KittiObjects
+from farfield.frame import Annotation, Boxes, Camera, CameraField
 
 _RECTIFIED_PX = {
     721.5377: (1242, 375),  # 2011_09_26
@@ -75,4 +78,44 @@ def camera_of(calib: Mapping[str, np.ndarray], *, width_px: int = 0, height_px: 
         camera_T_lidar=offset @ camera_from_calib(calib),
         width_px=width_px,
         height_px=height_px,
+    )
+
+
+def sized_camera(
+    calib: Mapping[str, np.ndarray], image: Path | None, *, size_px: tuple[int, int] | None = None
+) -> Camera:
+    """Camera P2 with the size of its image, from the image's header.
+
+    Args:
+        calib: The calibration file's matrices.
+        image: The image, or None.
+        size_px: Width and height where there is no image; None takes those of KITTI's drives, see :func:`image_size`.
+    """
+    if image is None:
+        width, height = size_px or image_size(camera_of(calib).matrix)
+        return camera_of(calib, width_px=width, height_px=height)
+    try:
+        with Image.open(image, formats=("JPEG", "PNG")) as picture:
+            width, height = picture.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {error}") from error
+    return camera_of(calib, width_px=width, height_px=height)
+
+
+def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | None) -> Annotation:
+    """What KITTI knows of its objects beyond their boxes.
+
+    Args:
+        objects: Rows of a label file, ``DontCare`` included.
+        boxes: Boxes of those that have one, in the same order.
+        region: Where was annotated.
+    """
+    kept = objects[objects.has_box]
+    details = {name: getattr(kept, name) for name in ("truncation", "occlusion", "box_px", "alpha_rad")}
+    return Annotation(
+        boxes=boxes,
+        original_label=tuple(kept.type.tolist()),
+        details=details,
+        unboxed={"dontcare_px": objects[objects.type == "DontCare"].box_px},
+        region=region,
     )

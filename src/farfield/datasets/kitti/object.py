@@ -11,12 +11,11 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.drives import Indices
-from farfield.datasets.kitti.boxes import camera_from_calib, camera_of, image_size
+from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
@@ -120,46 +119,6 @@ def mounted(cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
     if cameras or pictured:
         known["camera"] = camera_sensor(cameras.get("camera"))
     return known
-
-
-def sized_camera(
-    calib: Mapping[str, np.ndarray], image: Path | None, *, size_px: tuple[int, int] | None = None
-) -> Camera:
-    """Camera P2 with the size of its image, from the image's header.
-
-    Args:
-        calib: The calibration file's matrices.
-        image: The image, or None.
-        size_px: Width and height where there is no image; None takes those of KITTI's drives, see :func:`image_size`.
-    """
-    if image is None:
-        width, height = size_px or image_size(camera_of(calib).matrix)
-        return camera_of(calib, width_px=width, height_px=height)
-    try:
-        with Image.open(image, formats=("JPEG", "PNG")) as picture:
-            width, height = picture.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {error}") from error
-    return camera_of(calib, width_px=width, height_px=height)
-
-
-def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | None) -> Annotation:
-    """What KITTI knows of its objects beyond their boxes.
-
-    Args:
-        objects: Rows of a label file, ``DontCare`` included.
-        boxes: Boxes of those that have one, in the same order.
-        region: Where was annotated.
-    """
-    kept = objects[objects.has_box]
-    details = {name: getattr(kept, name) for name in ("truncation", "occlusion", "box_px", "alpha_rad")}
-    return Annotation(
-        boxes=boxes,
-        original_label=tuple(kept.type.tolist()),
-        details=details,
-        unboxed={"dontcare_px": objects[objects.type == "DontCare"].box_px},
-        region=region,
-    )
 
 
 def _read_annotation(

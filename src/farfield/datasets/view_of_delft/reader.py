@@ -16,8 +16,7 @@ from jaxtyping import Float
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.drives import Indices, all_known
-from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.object import annotation_of, sized_camera
+from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, Placed
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects, kitti_names

@@ -6,6 +6,8 @@ They know a detector by its name and settings alone, so that one of another pack
 import copy
 import pickle
 from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from farfield.detectors.contract import Network
 from farfield.detectors.features import FeatureMap, PointFeatures, Rows
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.weights import load_weights, save_weights
 from farfield.frame import Boxes
 
 LARGEST_ASSIGNER = 1_000_000
@@ -26,6 +29,12 @@ LARGEST_ASSIGNER = 1_000_000
 def built(name: str, settings: Mapping[str, Any], *, seed: int = 3) -> Network:
     """The network of a detector by name."""
     return build_detector(DETECTORS[name].config_class.model_validate({"name": name, **settings}), seed=seed)
+
+
+def check_network(name: str, settings: Mapping[str, Any]) -> None:
+    """Every check of this module, each on a network with the same first weights."""
+    for check in CHECKS:
+        check(built(name, settings))
 
 
 def made_frame(network: Network, *, seed: int = 5, objects: int = 4) -> tuple[Inputs, Boxes]:
@@ -92,7 +101,7 @@ def check_gradients(network: Network) -> None:
     assert isinstance(losses, dict), "expected losses by name"
     assert all(value.ndim == 0 and torch.isfinite(value) for value in losses.values()), "expected finite scalars"
     network.zero_grad()
-    sum(losses.values()).backward()
+    torch.stack([*losses.values()]).sum().backward()
     without = [key for key, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert not without, f"expected a gradient for every parameter; none for {', '.join(without)}"
 
@@ -178,7 +187,8 @@ def check_joined(network: Network) -> None:
     with torch.no_grad():
         parts = network.encode(first + second + first).split(1)
         alone = [network.encode(first), network.encode(second + first)]
-        for part, own in zip(parts, alone, strict=True):
+        pairs: list[tuple[Any, Any]] = [*zip(parts, alone, strict=True)]
+        for part, own in pairs:
             assert len(part) == len(own), "expected split(n) to give n frames and the rest"
             _same(part.rows(), own.rows())
             _same(network.head(part), network.head(own))
@@ -197,3 +207,78 @@ def check_copies(network: Network) -> None:
     batch, _ = made_frame(network)
     one, other = network.predict(batch)[0], copy.deepcopy(network).predict(batch)[0]
     np.testing.assert_array_equal(one.centre_m, other.centre_m)
+
+
+def check_empty(network: Network) -> None:
+    """A frame without points, alone or beside another, gives boxes or none, and finite losses."""
+    batch, boxes = made_frame(network)
+    nothing = Inputs({name: [cloud[:0] for cloud in clouds] for name, clouds in batch.items()})
+    network.eval()
+    for each in (nothing, nothing + batch, batch + nothing):
+        found = network.predict(each)
+        assert len(found) == len(each), f"expected boxes of {len(each)} frames, got those of {len(found)}"
+    network.train()
+    for each, annotated in ((nothing, [Boxes.empty()]), (nothing, [boxes]), (batch + nothing, [boxes, boxes])):
+        losses = losses_of(network, each, annotated)
+        assert all(torch.isfinite(value) for value in losses.values()), (
+            "expected finite losses of frames without points; divide by normaliser(count), which is at least 1"
+        )
+        assert any(value.requires_grad for value in losses.values()), (
+            "expected losses of frames without points that can be differentiated: take them of the outputs"
+        )
+
+
+def check_order(network: Network) -> None:
+    """The order of a cloud's points does not matter."""
+    network.eval()
+    batch, _ = made_frame(network)
+    draw = torch.Generator().manual_seed(2)
+    turned = Inputs({name: [_shuffled(cloud, draw) for cloud in clouds] for name, clouds in batch.items()})
+    with torch.no_grad():
+        one, other = (_in_order(network.encode(each).rows()) for each in (batch, turned))
+    for a, b in zip(one, other, strict=True):
+        assert a.shape == b.shape, "expected as many rows, whatever the order of the points"
+        torch.testing.assert_close(
+            a, b, rtol=1e-3, atol=1e-3, msg=lambda text: f"features depend on the points' order: {text}"
+        )
+
+
+def _shuffled(cloud: Tensor, draw: torch.Generator) -> Tensor:
+    return cloud[torch.randperm(len(cloud), generator=draw)]
+
+
+def _in_order(rows: Rows) -> tuple[Tensor, Tensor]:
+    """Places and values of rows, in the order of their places."""
+    order = np.lexsort(rows.place_m.numpy().T)
+    return rows.place_m[order], rows.values[order]
+
+
+def check_weights(network: Network) -> None:
+    """A weights file gives the network again, in another process too: the same settings, the same boxes."""
+    network.eval()
+    batch, _ = made_frame(network)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "weights.safetensors"
+        save_weights(path, network.state_dict(), config=network.config, provenance={"seed": 3})
+        loaded, provenance = load_weights(path)
+    assert provenance == {"seed": 3}, "expected the provenance from the weights file"
+    assert loaded.config == network.config, "expected settings that JSON holds: config.model_dump_json()"
+    one, other = network.predict(batch)[0], loaded.predict(batch)[0]
+    np.testing.assert_array_equal(
+        one.centre_m, other.centre_m, err_msg="boxes of loaded weights: keep what matters in the state dict or config"
+    )
+
+
+CHECKS = (
+    check_declared,
+    check_gradients,
+    check_assigner,
+    check_rows,
+    check_place,
+    check_joined,
+    check_copies,
+    check_empty,
+    check_order,
+    check_weights,
+)
+"""What every network must do; each takes one that was just built."""
