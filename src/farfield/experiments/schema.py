@@ -56,8 +56,9 @@ class MethodConfig(BaseModel):
 
 def _one_or_several(data: Any) -> str:
     """Whether ``data`` describes one data set or, by stream, several."""
-    several = isinstance(data, Mapping) and "path" not in data and all(isinstance(v, Mapping) for v in data.values())
-    return "several" if several or (isinstance(data, dict) and not data) else "one"
+    if not isinstance(data, Mapping) or "path" in data:
+        return "one"
+    return "several" if all(isinstance(group, Mapping | DataConfig) for group in data.values()) else "one"
 
 
 Data = Annotated[
