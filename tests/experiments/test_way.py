@@ -1,0 +1,77 @@
+"""The way from an experiment's YAML to a training step: down through the rooms, never through the command line."""
+
+import sys
+import tomllib
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("embreex")
+
+from farfield.experiments.plan import Plan
+from farfield.experiments.schema import load_experiment
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "src" / "farfield"
+EXPERIMENT = """
+name: way
+data: {path: DATA, clouds: [gaussian], simulate: {preset: cirrus-sim-mini, sequences: 1, frames: 2}}
+detector:
+  {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 8, 8], depths: [0, 0, 0], neck_width: 8}
+augmentation: {pasted: {vehicle: 1}}
+training: {steps: 1, batch_size: 1, precision: fp32, threads: 1, workers: 0}
+"""
+
+
+def floors() -> dict[str, int]:
+    """The floor of each room, the lowest 0, by the import contract."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    return {room.strip(): floor for floor, layer in enumerate(reversed(layers)) for room in layer.split("|")}
+
+
+def room_of(frame: FrameType | None) -> str | None:
+    """The room of the nearest function of ours at or above a frame of the stack; class bodies and lambdas aside."""
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(SOURCE) and frame.f_code.co_name != "<module>":
+            return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+        frame = frame.f_back
+    return None
+
+
+class Walk:
+    """Notes every call from a room into one above it, and every room that is entered."""
+
+    def __init__(self) -> None:
+        self.floors, self.rooms, self.climbs = floors(), set[str](), set[tuple[str, str]]()
+
+    def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
+        """As ``sys.setprofile`` calls it."""
+        if event != "call" or not frame.f_code.co_filename.startswith(str(SOURCE)):
+            return
+        if frame.f_code.co_name == "<module>":
+            return
+        to, source = room_of(frame), room_of(frame.f_back)
+        self.rooms.add(str(to))
+        if source is not None and self.floors.get(str(to), -1) > self.floors.get(source, 99):
+            self.climbs.add((source, str(to)))
+
+
+def test_from_yaml_to_a_step_it_climbs_at_most_twice(tmp_path: Path) -> None:
+    """What climbs are loaders: a frame's, which the reader or the simulator gave it."""
+    (tmp_path / "way.yaml").write_text(EXPERIMENT.replace("DATA", str(tmp_path / "data")))
+    walk = Walk()
+    sys.setprofile(walk)
+    try:
+        experiment = load_experiment(tmp_path / "way.yaml")
+        Plan(experiment, tmp_path / "run").run()
+    finally:
+        sys.setprofile(None)
+    assert {"experiments", "recording", "training", "datasets", "detectors", "frame"} <= walk.rooms
+    assert "cli" not in walk.rooms
+    assert "api" not in walk.rooms
+    assert len(walk.climbs) <= 2, sorted(walk.climbs)
