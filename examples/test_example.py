@@ -18,21 +18,26 @@ SMALL = {
 
 @pytest.fixture
 def survey(tmp_path: Path) -> Path:
-    """Three frames with two cars each, the last one annotated as empty."""
+    """A small data set."""
+    return write_survey(tmp_path / "survey")
+
+
+def write_survey(root: Path) -> Path:
+    """Write three frames, two with two cars each, the last one annotated as empty."""
     rng = np.random.default_rng(1)
-    (tmp_path / "clouds").mkdir()
-    (tmp_path / "survey.txt").write_text("a survey\n")
+    (root / "clouds").mkdir(parents=True)
+    (root / "survey.txt").write_text("a survey\n")
     centre = np.array([[12.0, 3.0, -1.2], [30.0, -5.0, -1.2]] * 2)
     for name in "abc":
         cars = [place + rng.uniform(-1, 1, (120, 3)) * [2.2, 0.9, 0.7] for place in centre[:2] if name != "c"]
         ground = np.column_stack([rng.uniform(1, 48, 800), rng.uniform(-16, 16, 800), np.full(800, -2.0)])
         points = np.concatenate([ground, *cars])
         rows = np.column_stack([points, np.full(len(points), 0.3)])
-        np.savetxt(tmp_path / "clouds" / f"{name}.csv", rows, fmt="%.3f", delimiter=",", header="x,y,z,intensity")
+        np.savetxt(root / "clouds" / f"{name}.csv", rows, fmt="%.3f", delimiter=",", header="x,y,z,intensity")
     boxes = {"centre_m": centre, "size_m": np.tile([4.4, 1.8, 1.4], (4, 1)), "yaw_rad": np.zeros(4)}
     frames = np.array(["a", "a", "b", "b"])
-    write_boxes_csv(tmp_path / "boxes.csv", BoxRows(**boxes, frame=frames, label=np.full(4, "vehicle")))
-    return tmp_path
+    write_boxes_csv(root / "boxes.csv", BoxRows(**boxes, frame=frames, label=np.full(4, "vehicle")))
+    return root
 
 
 def test_data_set(survey: Path) -> None:

@@ -16,22 +16,50 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 if TYPE_CHECKING:
-    from farfield.api import evaluate, load_detector, open_dataset, show
+    from farfield.api import detect, evaluate, load_detector, open_dataset, show
+    from farfield.datasets.formats import dataset
+    from farfield.detectors.kinds import detector
     from farfield.errors import FarfieldError
-    from farfield.frame import Cloud, Frame
+    from farfield.frame import Annotation, Cloud, Frame, Sensor, joined, moved
     from farfield.geometry.boxes import Boxes
+    from farfield.metrics.protocol import protocol
 
 _HOMES = {
+    "Annotation": "farfield.frame",
     "Boxes": "farfield.geometry.boxes",
     "Cloud": "farfield.frame",
-    "Frame": "farfield.frame",
     "FarfieldError": "farfield.errors",
+    "Frame": "farfield.frame",
+    "Sensor": "farfield.frame",
+    "dataset": "farfield.datasets.formats",
+    "detect": "farfield.api",
+    "detector": "farfield.detectors.kinds",
     "evaluate": "farfield.api",
+    "joined": "farfield.frame",
     "load_detector": "farfield.api",
+    "moved": "farfield.frame",
     "open_dataset": "farfield.api",
+    "protocol": "farfield.metrics.protocol",
     "show": "farfield.api",
 }
-__all__ = ["Boxes", "Cloud", "FarfieldError", "Frame", "evaluate", "load_detector", "open_dataset", "show"]
+__all__ = [
+    "Annotation",
+    "Boxes",
+    "Cloud",
+    "FarfieldError",
+    "Frame",
+    "Sensor",
+    "dataset",
+    "detect",
+    "detector",
+    "evaluate",
+    "joined",
+    "load_detector",
+    "moved",
+    "open_dataset",
+    "protocol",
+    "show",
+]
 
 
 def __getattr__(name: str) -> Any:

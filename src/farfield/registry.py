@@ -61,7 +61,7 @@ class Registry(Generic[T]):
             raise PluginError(f"{self.what} {name!r}: registered by {packages}; uninstall one of them.")
         try:
             found: T = points[0].load()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PluginError(
                 f"{self.what} {name!r} of the package {_package(points[0])} cannot be used: "
                 f"{type(error).__name__}: {error}"

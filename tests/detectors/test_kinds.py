@@ -74,7 +74,7 @@ class Mean(Network):
 
     def losses(self, outputs, targets):
         centres = [(frame, torch.from_numpy(centre)) for frame, centre in enumerate(targets) if len(centre)]
-        error = sum((outputs[frame] - centre[0]).square().sum() for frame, centre in centres)
+        error = sum(((outputs[frame] - centre[0]).square().sum() for frame, centre in centres), 0 * outputs.sum())
         return {"centre": error / normaliser(torch.tensor(float(len(centres))))}
 
     def decode(self, outputs):

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from farfield.errors import ConfigError, MissingExtraError
-from farfield.registry import Registry
+from farfield.registry import PluginError, Registry
 
 if TYPE_CHECKING:
     from farfield.detectors.contract import DetectorConfig, Network
@@ -63,7 +63,20 @@ def _loaded(place: "str | type") -> Any:
         raise
 
 
-DETECTORS: Registry[Kind] = Registry(
+class Detectors(Registry[Kind]):
+    """Detectors by name."""
+
+    def __getitem__(self, name: str) -> Kind:
+        found = super().__getitem__(name)
+        if not isinstance(found, Kind) or found.name != name:
+            raise PluginError(
+                f"detector {name!r} of the package {self.origin(name)} cannot be used: expected a "
+                f"farfield.detectors.Kind with name={name!r}, got {found!r}"
+            )
+        return found
+
+
+DETECTORS = Detectors(
     "farfield.detectors",
     "detector",
     {

@@ -10,7 +10,7 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
 from farfield.metrics.result import Result, figure_names, value_at
-from farfield.registry import Registry
+from farfield.registry import PluginError, Registry
 
 if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
@@ -175,7 +175,10 @@ class Protocols(Registry[Any]):
         if isinstance(found, type):
             found = found(variant) if colon else found()
         if not isinstance(found, Protocol):
-            raise ConfigError(f"protocol {kind!r}: expected a farfield.metrics.Protocol, got {type(found).__name__}")
+            raise PluginError(
+                f"protocol {kind!r} of {self.origin(kind)} cannot be used: expected a class that inherits "
+                f"farfield.metrics.Protocol, or an object of one; got {found!r}"
+            )
         return found
 
 
