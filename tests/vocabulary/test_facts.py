@@ -2,18 +2,15 @@
 
 import ast
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
+from sources import trees
 
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN, WEATHER_COLOURS, WEATHERS
 from farfield.vocabulary.kradar import REGIONS_M
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published import RADAR_LEVELS, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
-
-SOURCE = Path(__file__).parents[2] / "src" / "farfield"
-TREES = {path.relative_to(SOURCE).as_posix(): ast.parse(path.read_text("utf-8")) for path in SOURCE.rglob("*.py")}
 
 
 def _words(node: ast.AST) -> list[object]:
@@ -31,7 +28,7 @@ def _values(node: ast.AST) -> list[object]:
 
 
 def _holding(test: Callable[[ast.AST], bool]) -> list[str]:
-    return sorted(name for name, tree in TREES.items() if any(test(node) for node in ast.walk(tree)))
+    return sorted(name for name, tree in trees().items() if any(test(node) for node in ast.walk(tree)))
 
 
 def _spelling_out(*wanted: object) -> list[str]:
@@ -44,7 +41,7 @@ def _text_holding(text: str) -> list[str]:
 
 def _constants() -> Iterator[tuple[str, str, ast.expr]]:
     """Module-level names with what is assigned to them."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
