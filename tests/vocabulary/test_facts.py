@@ -1,7 +1,8 @@
 """Facts that several rooms need stand once, in the vocabulary or below those who use them: read from the source."""
 
 import ast
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 
 import pytest
 from sources import trees
@@ -27,8 +28,15 @@ def _values(node: ast.AST) -> list[object]:
     return [part.value for part in node.values if isinstance(part, ast.Constant)] if isinstance(node, ast.Dict) else []
 
 
+@cache
+def _literals() -> Mapping[str, list[ast.AST]]:
+    """What each module spells out: its constants, lists, tuples, sets and mappings."""
+    kinds = ast.Constant | ast.List | ast.Tuple | ast.Set | ast.Dict
+    return {name: [node for node in ast.walk(tree) if isinstance(node, kinds)] for name, tree in trees().items()}
+
+
 def _holding(test: Callable[[ast.AST], bool]) -> list[str]:
-    return sorted(name for name, tree in trees().items() if any(test(node) for node in ast.walk(tree)))
+    return sorted(name for name, nodes in _literals().items() if any(test(node) for node in nodes))
 
 
 def _spelling_out(*wanted: object) -> list[str]:
