@@ -11,13 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from sources import sources, trees
 
 import farfield
 from farfield.cli import VERBS
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = sorted((ROOT / "src" / "farfield").rglob("*.py"))
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 SNAPSHOT = ROOT / "tests" / "public_api.txt"
 HEAVY = (
     "torch",
@@ -105,15 +104,11 @@ def _is_override(node: ast.FunctionDef) -> bool:
     return any(isinstance(decorator, ast.Name) and decorator.id == "override" for decorator in node.decorator_list)
 
 
-def _name(path: Path) -> str:
-    return path.relative_to(ROOT / "src" / "farfield").as_posix()
-
-
 def test_public_names_have_docstrings() -> None:
-    missing = [f"{_name(path)}: the module" for path, tree in TREES.items() if not ast.get_docstring(tree)]
+    missing = [f"{name}: the module" for name, tree in trees().items() if not ast.get_docstring(tree)]
     missing += [
-        f"{_name(path)}:{node.lineno} {node.name}"
-        for path, tree in TREES.items()
+        f"{name}:{node.lineno} {node.name}"
+        for name, tree in trees().items()
         for node in _public_definitions(tree)
         if not ast.get_docstring(node)
     ]
@@ -121,21 +116,21 @@ def test_public_names_have_docstrings() -> None:
 
 
 def test_files_are_small() -> None:
-    long = {_name(path): count for path in SOURCES if (count := len(path.read_text("utf-8").splitlines())) > LINE_LIMIT}
+    long = {name: count for name, text in sources().items() if (count := len(text.splitlines())) > LINE_LIMIT}
     assert not long
 
 
 def test_shape_checks_are_on_everywhere() -> None:
     """``from __future__ import annotations`` would turn the run-time shape checks off."""
-    found = [_name(path) for path in SOURCES if "from __future__ import annotations" in path.read_text("utf-8")]
+    found = [name for name, text in sources().items() if "from __future__ import annotations" in text]
     assert not found
 
 
 def test_no_function_stands_in_a_function() -> None:
     """The shape checks recompile one at every call of the outer function, and it does not pickle."""
     found = {
-        f"{_name(path)}: {inner.name} in {outer.name}": f"{_name(path)}:{inner.lineno}"
-        for path, tree in TREES.items()
+        f"{name}: {inner.name} in {outer.name}": f"{name}:{inner.lineno}"
+        for name, tree in trees().items()
         for outer in ast.walk(tree)
         if isinstance(outer, ast.FunctionDef | ast.AsyncFunctionDef)
         for inner in ast.walk(outer)
@@ -152,9 +147,9 @@ VERBS_CALLED = {
 }  # until these have a function beneath the verb
 
 
-def _imports(path: Path) -> Iterator[str]:
+def _imports(tree: ast.Module) -> Iterator[str]:
     """Dotted names that a file imports, lazily too: modules, and what is taken from them."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -165,10 +160,10 @@ def test_verbs_do_not_call_each_other() -> None:
     """A verb is arguments and words; what two of them share stands in a room beneath."""
     verbs = {verb.replace("-", "_") for verb in VERBS}
     found = {
-        (path.stem, name.split(".")[2])
-        for path in SOURCES
-        if path.parent.name == "cli"
-        for name in _imports(path)
+        (Path(place).stem, name.split(".")[2])
+        for place, tree in trees().items()
+        if Path(place).parent.name == "cli"
+        for name in _imports(tree)
         if name.startswith("farfield.cli.") and name.split(".")[2] in verbs
     }
     assert found <= VERBS_CALLED
@@ -184,14 +179,15 @@ def _is_private_of_another(node: ast.AST) -> bool:
 def test_scripts_use_public_names_and_no_test(folder: str) -> None:
     tests = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests"}
     for path in (ROOT / folder).rglob("*.py"):
-        names = list(_imports(path))
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        names = list(_imports(tree))
         hidden = [n for n in names if n.startswith("farfield.") and any(part.startswith("_") for part in n.split("."))]
         assert not hidden, f"{path.name}: {', '.join(hidden)}"
         taken = [name for name in names if name.partition(".")[0] in tests]
         assert not taken, f"{path.name}: {', '.join(taken)}"
-        text = path.read_text(encoding="utf-8")
         assert "sys.path" not in text, f"{path.name} changes where modules are found"
-        private = [ast.unparse(node) for node in ast.walk(ast.parse(text)) if _is_private_of_another(node)]
+        private = [ast.unparse(node) for node in ast.walk(tree) if _is_private_of_another(node)]
         assert not private, f"{path.name}: {', '.join(private)}"
 
 
@@ -212,9 +208,9 @@ def _imported(tree: ast.Module) -> set[str]:
 
 def test_only_some_rooms_import_torch() -> None:
     found = [
-        f"{_name(path)}: {', '.join(sorted(_imported(tree) & TORCH))}"
-        for path, tree in TREES.items()
-        if Path(_name(path)).parts[0] not in TORCH_ROOMS and _imported(tree) & TORCH
+        f"{name}: {', '.join(sorted(_imported(tree) & TORCH))}"
+        for name, tree in trees().items()
+        if Path(name).parts[0] not in TORCH_ROOMS and _imported(tree) & TORCH
     ]
     assert not found, "only " + ", ".join(sorted(TORCH_ROOMS)) + " may import torch:\n" + "\n".join(found)
 
@@ -248,7 +244,7 @@ def test_readme_links_lead_somewhere() -> None:
 
 def test_compiled_code_keeps_the_order_of_its_sums() -> None:
     """With numba's fastmath, code compiled now and code from the cache round differently: other bytes for one seed."""
-    assert not [path.name for path in SOURCES if "fastmath=" in path.read_text(encoding="utf-8")]
+    assert not [name for name, text in sources().items() if "fastmath=" in text]
 
 
 if __name__ == "__main__":

@@ -1,19 +1,17 @@
 """Facts that several rooms need stand once, in the vocabulary or below those who use them: read from the source."""
 
 import ast
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 
 import pytest
+from sources import trees
 
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN, WEATHER_COLOURS, WEATHERS
 from farfield.vocabulary.kradar import REGIONS_M
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published import RADAR_LEVELS, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
-
-SOURCE = Path(__file__).parents[2] / "src" / "farfield"
-TREES = {path.relative_to(SOURCE).as_posix(): ast.parse(path.read_text("utf-8")) for path in SOURCE.rglob("*.py")}
 
 
 def _words(node: ast.AST) -> list[object]:
@@ -30,8 +28,15 @@ def _values(node: ast.AST) -> list[object]:
     return [part.value for part in node.values if isinstance(part, ast.Constant)] if isinstance(node, ast.Dict) else []
 
 
+@cache
+def _literals() -> Mapping[str, list[ast.AST]]:
+    """What each module spells out: its constants, lists, tuples, sets and mappings."""
+    kinds = ast.Constant | ast.List | ast.Tuple | ast.Set | ast.Dict
+    return {name: [node for node in ast.walk(tree) if isinstance(node, kinds)] for name, tree in trees().items()}
+
+
 def _holding(test: Callable[[ast.AST], bool]) -> list[str]:
-    return sorted(name for name, tree in TREES.items() if any(test(node) for node in ast.walk(tree)))
+    return sorted(name for name, nodes in _literals().items() if any(test(node) for node in nodes))
 
 
 def _spelling_out(*wanted: object) -> list[str]:
@@ -44,7 +49,7 @@ def _text_holding(text: str) -> list[str]:
 
 def _constants() -> Iterator[tuple[str, str, ast.expr]]:
     """Module-level names with what is assigned to them."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
