@@ -2,8 +2,9 @@
 
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "src" / "farfield"
 EXPERIMENT = """
 name: way
-data: {path: DATA, clouds: [gaussian], simulate: {preset: cirrus-sim-mini, sequences: 1, frames: 2}}
+data: {path: DATA, clouds: [gaussian], simulate: {preset: cirrus-sim-mini, sequences: 1, frames: 1}}
 detector:
   {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 8, 8], depths: [0, 0, 0], neck_width: 8}
 augmentation: {pasted: {vehicle: 1}}
@@ -33,12 +34,20 @@ def floors() -> dict[str, int]:
     return {room.strip(): floor for floor, layer in enumerate(reversed(layers)) for room in layer.split("|")}
 
 
+@cache
+def room_of_code(code: CodeType) -> str | None:
+    """The room of a function of ours; None for others and for the bodies of modules."""
+    path = Path(code.co_filename)
+    ours = path.is_relative_to(SOURCE) and code.co_name != "<module>"
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py") if ours else None
+
+
 def room_of(frame: FrameType | None) -> str | None:
-    """The room of the nearest function of ours at or above a frame of the stack; class bodies and lambdas aside."""
+    """The room of the nearest function of ours at or above a frame of the stack."""
     while frame is not None:
-        path = Path(frame.f_code.co_filename)
-        if path.is_relative_to(SOURCE) and frame.f_code.co_name != "<module>":
-            return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+        room = room_of_code(frame.f_code)
+        if room is not None:
+            return room
         frame = frame.f_back
     return None
 
@@ -51,14 +60,13 @@ class Walk:
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
         """As ``sys.setprofile`` calls it."""
-        if event != "call" or not frame.f_code.co_filename.startswith(str(SOURCE)):
+        to = room_of_code(frame.f_code) if event == "call" else None
+        if to is None:
             return
-        if frame.f_code.co_name == "<module>":
-            return
-        to, source = room_of(frame), room_of(frame.f_back)
-        self.rooms.add(str(to))
-        if source is not None and self.floors.get(str(to), -1) > self.floors.get(source, 99):
-            self.climbs.add((source, str(to)))
+        source = room_of(frame.f_back)
+        self.rooms.add(to)
+        if source is not None and self.floors.get(to, -1) > self.floors.get(source, 99):
+            self.climbs.add((source, to))
 
 
 def test_from_yaml_to_a_step_it_climbs_at_most_twice(tmp_path: Path) -> None:
