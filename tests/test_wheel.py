@@ -1,10 +1,14 @@
 """The built wheel, away from the source tree, has its weights, pages and splits."""
 
+import os
 import shutil
 import subprocess
 import sys
+import venv
 import zipfile
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -51,17 +55,29 @@ def test_the_largest_parts_are_named(tmp_path: Path) -> None:
     assert last.split() == ["10", "farfield/light.py"]
 
 
-@pytest.mark.slow
-def test_wheel_holds_everything_and_works_elsewhere(tmp_path: Path) -> None:
+def _wheel(project: Path, out: Path) -> Path:
+    """Build a project's wheel with what this environment holds."""
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(project)]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = out.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built wheel, of a copy of the tree, so that no stale build folder slips in."""
     pytest.importorskip("build")
-    tree = tmp_path / "tree"  # a copy, so that no stale build folder slips in
+    place = tmp_path_factory.mktemp("wheel")
+    tree = place / "tree"
     tree.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", "CHANGELOG.md", "constraints.txt"):
         shutil.copy(ROOT / name, tree / name)
     shutil.copytree(ROOT / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(tree)]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    return _wheel(tree, place / "dist")
+
+
+@pytest.mark.slow
+def test_wheel_holds_everything_and_works_elsewhere(wheel: Path, tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     with zipfile.ZipFile(wheel) as archive:
         inside = set(archive.namelist())
@@ -73,3 +89,63 @@ def test_wheel_holds_everything_and_works_elsewhere(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-c", CHECK, str(installed)], check=True, cwd=tmp_path, env={"PYTHONPATH": str(installed)}
     )
+
+
+@pytest.fixture(scope="module")
+def elsewhere(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Runs commands in an empty folder, in a clean environment that holds the two wheels and what they depend on."""
+    pytest.importorskip("torch")
+    place = tmp_path_factory.mktemp("elsewhere")
+    shutil.copytree(ROOT / "examples", place / "examples", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    example = _wheel(place / "examples", place / "dist")
+    environment, folder = place / "environment", place / "empty"
+    folder.mkdir()
+    venv.create(environment, with_pip=False, symlinks=True)
+    python = environment / "bin" / "python"
+    install = ["-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([sys.executable, *install, str(wheel), str(example)], check=True)
+    (site,) = environment.glob("lib/python*/site-packages")
+    # numpy, torch and the rest from here; this environment's own Farfield stands behind the installed one
+    (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    shutil.copy(ROOT / "examples" / "test_example.py", folder)
+    return partial(_run, environment / "bin", folder)
+
+
+def _run(programs: Path, folder: Path, program: str, *words: str) -> str:
+    """What a command prints; it must succeed."""
+    kept = {name: os.environ[name] for name in ("OMP_NUM_THREADS",) if name in os.environ}
+    settings = {**kept, "PATH": f"{programs}:/usr/bin:/bin", "HOME": str(folder)}
+    command = [str(programs / program), *words]
+    done = subprocess.run(command, cwd=folder, env=settings, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join([program, *words])}\n{done.stdout}\n{done.stderr}"
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_examples_are_found_beside_the_wheel(elsewhere: Callable[..., str]) -> None:
+    where = elsewhere("python", "-c", "import farfield, farfield_example as e; print(farfield.__file__, e.__file__)")
+    assert where.count("environment") == 2, where
+    shown = elsewhere("farfield", "detectors")
+    assert "mean-pillars" in shown
+    assert "of farfield-example" in shown
+    assert "3 passed" in elsewhere("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_example.py")
+
+
+@pytest.mark.slow
+def test_the_examples_protocol_scores_files(elsewhere: Callable[..., str]) -> None:
+    header, box = "frame,label,x,y,z,l,w,h,yaw_rad,score", "vehicle,{x},0,0,4,2,1.5,0,{score}"
+    made = "import pathlib, sys; pathlib.Path(sys.argv[1]).write_text(sys.argv[2])"
+    for name, x, score in (("found.csv", 21.5, 0.9), ("boxes.csv", 20.0, "")):
+        elsewhere("python", "-c", made, name, f"{header}\n1,{box.format(x=x, score=score)}\n")
+    words = ("score", "found.csv", "boxes.csv", "--protocol", "recall", "--options")
+    assert "1.0000" in elsewhere("farfield", *words, "distance_m=2")
+    assert "0.0000" in elsewhere("farfield", *words, "distance_m=1")
+
+
+@pytest.mark.slow
+def test_a_shipped_experiment_trains_without_a_clone(elsewhere: Callable[..., str]) -> None:
+    settings = ("training.steps=10", "data.simulate.sequences=2", "data.simulate.frames=2")
+    words = [word for setting in settings for word in ("-o", setting)]
+    shown = elsewhere("farfield", "train", "pointpillars-cirrus-sim", *words)
+    assert "step 10/10" in shown
+    assert "weights: runs/pointpillars-cirrus-sim/weights.safetensors" in shown
