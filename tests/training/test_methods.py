@@ -1,5 +1,6 @@
 """Methods over several streams and modules, and the plan of a run."""
 
+import json
 import os
 import pickle
 import signal
@@ -91,6 +92,34 @@ def test_two_streams_train_in_one_forward_and_export_a_detector(
     assert plan.run() == weights  # nothing left to do
 
 
+def environment() -> dict[str, str]:
+    path = os.pathsep.join([str(Path(__file__).parents[2] / "examples"), os.environ.get("PYTHONPATH", "")])
+    return {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path}
+
+
+@pytest.mark.slow
+def test_two_processes_share_streams_and_modules_as_one(data: Path, bare: Path, tmp_path: Path) -> None:
+    from farfield.experiments.schema import dump_experiment
+
+    plan = planned(data, bare, tmp_path, steps=6)
+    (tmp_path / "reversal.yaml").write_text(dump_experiment(plan.experiment))
+    (tmp_path / "run.py").write_text(RUN)
+    words = [str(tmp_path / "run.py"), str(tmp_path / "reversal.yaml")]
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    for name, before in (("one", []), ("two", launch)):
+        command = [sys.executable, *before, *words, str(tmp_path / name)]
+        subprocess.run(command, env=environment(), check=True, capture_output=True, timeout=300)
+    one, two = (
+        [json.loads(line) for line in (tmp_path / name / "log.jsonl").read_text().splitlines()]
+        for name in ("one", "two")
+    )
+    assert [row["step"] for row in one] == [row["step"] for row in two] == list(range(1, 7))
+    for alone, shared in zip(one, two, strict=True):
+        assert set(alone) == set(shared) >= {"domain_source", "domain_target", "classification"}
+        for name in set(alone) - {"time"}:
+            assert shared[name] == pytest.approx(alone[name], rel=1e-3), name
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("detector", ["pointpillars", "sparsecentre"])
 def test_a_killed_run_of_several_modules_resumes_to_the_same_bits(
@@ -103,8 +132,7 @@ def test_a_killed_run_of_several_modules_resumes_to_the_same_bits(
 
     def start(name: str) -> "subprocess.Popen[bytes]":
         words = [sys.executable, "-c", RUN, str(tmp_path / "reversal.yaml"), str(tmp_path / name)]
-        path = os.pathsep.join([str(Path(__file__).parents[2] / "examples"), os.environ.get("PYTHONPATH", "")])
-        return subprocess.Popen(words, env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path})
+        return subprocess.Popen(words, env=environment())
 
     assert start("whole").wait(600) == 0
     cut, log, until = start("cut"), tmp_path / "cut" / "log.jsonl", time.monotonic() + 300
@@ -233,7 +261,7 @@ def test_checkpoints_of_the_first_form_are_read(experiment: Path, tmp_path: Path
     old["network"] = {k.removeprefix("modules/detector/"): v for k, v in state.items() if k.startswith("modules/")}
     old["average"] = {k.removeprefix("detector."): v for k, v in state["average"].items()}
     save_checkpoint(path, old)
-    run = load_run(path, __import__("json").loads(state["provenance"]), _modules(experiment))
+    run = load_run(path, json.loads(state["provenance"]), _modules(experiment))
     assert run is not None
     assert run.step == 2
     assert all(torch.equal(run.modules[f"detector.{name}"], value) for name, value in old["network"].items())
