@@ -70,7 +70,7 @@ def planned(data: Path, bare: Path, folder: Path, detector: str = "pointpillars"
             "source": {"path": str(data), "clouds": ["gaussian"]},
             "target": {"path": str(bare), "clouds": ["uniform"]},
         },
-        "method": {"name": "reversal", "weight": 0.2},
+        "method": {"name": "reversal", "weight": 0.2, "cells": 1_000_000},  # all: processes would draw others
         "detector": {"name": detector, **SMALL[detector].settings},
         "training": {**settings, **training},
     }
