@@ -101,7 +101,7 @@ def environment() -> dict[str, str]:
 def test_two_processes_share_streams_and_modules_as_one(data: Path, bare: Path, tmp_path: Path) -> None:
     from farfield.experiments.schema import dump_experiment
 
-    plan = planned(data, bare, tmp_path, steps=6)
+    plan = planned(data, bare, tmp_path, steps=6, learning_rate=1e-5)  # larger ones turn the last digit into the second
     (tmp_path / "reversal.yaml").write_text(dump_experiment(plan.experiment))
     (tmp_path / "run.py").write_text(RUN)
     words = [str(tmp_path / "run.py"), str(tmp_path / "reversal.yaml")]
@@ -116,8 +116,8 @@ def test_two_processes_share_streams_and_modules_as_one(data: Path, bare: Path, 
     assert [row["step"] for row in one] == [row["step"] for row in two] == list(range(1, 7))
     for alone, shared in zip(one, two, strict=True):
         assert set(alone) == set(shared) >= {"domain_source", "domain_target", "classification"}
-        for name in set(alone) - {"time"}:  # a step turns the last digit of an untrained network into the third
-            assert shared[name] == pytest.approx(alone[name], rel=1e-5 if alone["step"] == 1 else 1e-2), name
+        for name in set(alone) - {"time"}:
+            assert shared[name] == pytest.approx(alone[name], rel=1e-4), name
 
 
 @pytest.mark.slow
