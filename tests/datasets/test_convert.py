@@ -5,8 +5,12 @@ from street import street_frame
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cloud_files import cache_path
+from farfield.datasets.folder import write_boxes
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
+from farfield.files.clouds import write_bin
+from farfield.frame import Boxes
+from farfield.metrics import reading
 from farfield.recording.convert import convert
 
 
@@ -76,6 +80,25 @@ def test_boxes_csv_holds_every_box(street_root, tmp_path):
     np.testing.assert_array_equal(rows.yaw_rad, np.concatenate([boxes.yaw_rad for boxes in want]))
     assert set(zip(rows.sequence.tolist(), rows.frame.tolist(), strict=True)) == set(source.keys)
     assert rows.score is None
+
+
+def test_boxes_csv_holds_velocities_where_a_frame_knows_them(tmp_path):
+    boxes = Boxes(
+        centre_m=np.zeros((1, 3)),
+        size_m=np.ones((1, 3)),
+        yaw_rad=np.zeros(1),
+        velocity_m_s=np.array([[3.0, -1.0, 0.5]]),
+    )
+    for stem, each in (("a", boxes.plain()), ("b", boxes), ("c", Boxes.empty())):
+        write_bin(tmp_path / f"{stem}.bin", np.zeros((4, 4), dtype=np.float32))
+        write_boxes(tmp_path / f"{stem}.json", each)
+    convert(open_dataset(tmp_path), tmp_path / "labels.csv", to="boxes-csv")
+    got = read_boxes_csv(tmp_path / "labels.csv")
+    np.testing.assert_array_equal(got.velocity_m_s, [[np.nan] * 3, [3.0, -1.0, 0.5]])
+    side = reading.read(tmp_path / "labels.csv", tmp_path / "labels.csv")
+    (key,) = [key for key in side.boxes if key[1] == "b"]
+    np.testing.assert_array_equal(side.boxes[key].velocity_m_s, [[3.0, -1.0, 0.5]])
+    np.testing.assert_array_equal(side.annotations[key].boxes.velocity_m_s, [[3.0, -1.0, 0.5]])
 
 
 def test_full_boxes_can_be_asked_for(street_root, tmp_path):

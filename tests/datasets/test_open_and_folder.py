@@ -68,13 +68,41 @@ def test_boxes_round_trip(tmp_path, rng):
 
 
 @pytest.mark.parametrize(
-    "change", [{"size_m": [1, 0, 1]}, {"yaw": 1}, {"centre_m": [1, 2]}, {"yaw_rad": "NaN"}, {"label": 3}]
+    "change",
+    [
+        {"size_m": [1, 0, 1]},
+        {"yaw": 1},
+        {"centre_m": [1, 2]},
+        {"yaw_rad": "NaN"},
+        {"label": 3},
+        {"velocity_m_s": [1]},
+        {"velocity_m_s": [1, 2, "NaN"]},
+        {"velocity_m_s": [1, None]},
+    ],
 )
 def test_wrong_boxes_are_named(tmp_path, change):
     box = {"label": "vehicle", "centre_m": [1, 2, 3], "size_m": [1, 1, 1], "yaw_rad": 0.0} | change
     (tmp_path / "x.json").write_text(json.dumps({"boxes": [box]}))
     with pytest.raises(FileFormatError, match=f"boxes.0.{next(iter(change))}"):
         read_boxes(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_velocities_round_trip_and_unknown_ones_are_left_out(tmp_path, rng, axes):
+    velocity = rng.normal(0, 9, (3, axes))
+    velocity[1] = np.nan
+    boxes = Boxes(centre_m=np.zeros((3, 3)), size_m=np.ones((3, 3)), yaw_rad=np.zeros(3), velocity_m_s=velocity)
+    write_boxes(tmp_path / "x.json", boxes)
+    np.testing.assert_array_equal(read_boxes(tmp_path / "x.json").velocity_m_s, velocity)
+    entries = json.loads((tmp_path / "x.json").read_text())["boxes"]
+    assert ["velocity_m_s" in entry for entry in entries] == [True, False, True]
+    write_boxes(tmp_path / "y.json", boxes.plain())
+    assert read_boxes(tmp_path / "y.json").velocity_m_s is None
+    assert "velocity" not in (tmp_path / "y.json").read_text()
+    entries[0]["velocity_m_s"], entries[2]["velocity_m_s"] = [1, 2], [1, 2, 3]
+    (tmp_path / "z.json").write_text(json.dumps({"boxes": entries}))
+    with pytest.raises(FileFormatError, match="as many numbers in every velocity_m_s"):
+        read_boxes(tmp_path / "z.json")
 
 
 def test_two_clouds_of_one_stem_are_refused(folder, rows):

@@ -1,5 +1,6 @@
 """Boxes as comma-separated text: round trips, optional columns, and everything that can be wrong."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +108,47 @@ def test_mutated_files_give_one_clear_error_or_valid_rows(tmp_path: Path, rng: n
             continue
         assert (found.size_m > 0).all()
         assert np.isfinite(found.centre_m).all()
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_velocities_round_trip_and_unknown_ones_are_empty(tmp_path: Path, rng: np.random.Generator, axes: int) -> None:
+    velocity = rng.normal(0, 9, (5, axes))
+    velocity[1], velocity[3, 0] = np.nan, np.nan
+    write_boxes_csv(tmp_path / "boxes.csv", replace(rows(rng, 5), velocity_m_s=velocity))
+    again = read_boxes_csv(tmp_path / "boxes.csv")
+    velocity[3] = np.nan  # of which a part is not known
+    np.testing.assert_array_equal(again.velocity_m_s, velocity)
+    lines = (tmp_path / "boxes.csv").read_text().splitlines()
+    assert lines[0].endswith(",point_count,vx_m_s,vy_m_s,vz_m_s"[: None if axes == 3 else -7])
+    assert lines[2].endswith("," * axes)
+    assert "nan" not in "".join(lines)
+
+
+def test_files_without_velocities_are_as_they_were(tmp_path: Path, rng: np.random.Generator) -> None:
+    write_boxes_csv(tmp_path / "boxes.csv", rows(rng, 2))
+    assert read_boxes_csv(tmp_path / "boxes.csv").velocity_m_s is None
+    assert "m_s" not in (tmp_path / "boxes.csv").read_text()
+
+
+def test_velocities_of_no_boxes_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
+    write_boxes_csv(tmp_path / "boxes.csv", replace(rows(rng, 0), velocity_m_s=np.zeros((0, 3))))
+    assert read_boxes_csv(tmp_path / "boxes.csv").velocity_m_s.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "said"),
+    [
+        ("vx_m_s,vy_m_s", "1,fast", "line 2.*a finite number as vy_m_s.*'fast'"),
+        ("vx_m_s,vy_m_s", "nan,1", "line 2.*a finite number as vx_m_s"),
+        ("vx_m_s,vy_m_s", "inf,1", "line 2.*a finite number as vx_m_s"),
+        ("vx_m_s,vy_m_s", "1,1e300", "line 2.*within 1e.09 as vy_m_s"),
+        ("vx_m_s,vy_m_s", "1,", "box 1.*vx_m_s, vy_m_s all with a number or all empty"),
+        ("vx_m_s,vy_m_s,vz_m_s", "1,2,", "box 1.*vz_m_s all with a number or all empty"),
+        ("vx_m_s", "1", "line 1.*vx_m_s and vy_m_s, or no velocities"),
+        ("vx_m_s,vz_m_s", "1,2", "line 1.*vx_m_s and vy_m_s, or no velocities"),
+        ("vx,vy", "1,2", "line 1.*perhaps.*vx_m_s"),
+    ],
+)
+def test_wrong_velocities_are_named(tmp_path: Path, columns: str, cells: str, said: str) -> None:
+    with pytest.raises(FileFormatError, match=said):
+        read_boxes_csv(write(tmp_path, f"{HEADER},{columns}\n{ROW},{cells}\n"))

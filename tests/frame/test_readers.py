@@ -15,7 +15,7 @@ from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.frame import Boxes, Cloud, Frame, joined
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, joined
 from farfield.simulation import simulate_frame
 from farfield.testing import check_dataset
 from farfield.testing.datasets import check_frame
@@ -39,9 +39,15 @@ def kradar(root: Path, **options: Any) -> Any:
 def folder(root: Path) -> Any:
     root.mkdir(exist_ok=True)
     rows = np.random.default_rng(1).uniform(0, 1, (20, 4)).astype(np.float32)
+    boxes = Boxes(
+        centre_m=np.ones((2, 3)),
+        size_m=np.ones((2, 3)),
+        yaw_rad=np.ones(2),
+        velocity_m_s=np.array([[9.0, 1.0, 0.1], [np.nan] * 3]),
+    )
     for stem in "ab":
         write_bin(root / f"{stem}.bin", rows)
-    write_boxes(root / "a.json", Boxes(centre_m=np.ones((1, 3)), size_m=np.ones((1, 3)), yaw_rad=np.ones(1)))
+    write_boxes(root / "a.json", boxes)
     return open_dataset(root)
 
 
@@ -121,3 +127,15 @@ def test_where_nobody_annotated_is_told(tmp_path: Path) -> None:
         assert not region.contains(-frame.boxes.centre_m).any()
     for name in ("cirrus", "kradar", "folder", "radiate"):
         assert READERS[name](tmp_path / name)[0].annotation.region is None
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_velocities_that_do_not_turn_with_the_frame_are_found(monkeypatch: pytest.MonkeyPatch, axes: int) -> None:
+    boxes = Boxes(centre_m=np.ones((2, 3)), size_m=np.ones((2, 3)), yaw_rad=np.ones(2), velocity_m_s=np.ones((2, axes)))
+    boxes.velocity_m_s[1] = np.nan
+    frame = Frame(sequence="s", frame_id="1", load_annotation=Given(Annotation(boxes=boxes)))
+    check_frame(frame)
+    turn = Boxes.transform
+    monkeypatch.setattr(Boxes, "transform", lambda old, pose: turn(old, pose).replace(velocity_m_s=old.velocity_m_s))
+    with pytest.raises(AssertionError, match="velocities of boxes, moved"):
+        check_frame(frame)

@@ -205,3 +205,20 @@ def test_velocities_turn_with_the_boxes_and_are_cut_with_them(without_shape_chec
     assert boxes.plain().velocity_m_s is None
     with pytest.raises(ValueError, match="velocity_m_s: expected shape"):
         boxes.replace(velocity_m_s=np.zeros((2, 4)))
+
+
+def test_infinite_velocities_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"velocity_m_s: expected finite numbers or NaN, got .* in row 0"):
+        one(velocity_m_s=np.array([[np.inf, 0.0]]))
+
+
+def test_joined_with_boxes_of_unknown_velocity_the_known_ones_stay(rng: np.random.Generator) -> None:
+    still, driven = random_boxes(rng, 2), random_boxes(rng, 3).replace(velocity_m_s=rng.normal(0, 9, (3, 3)))
+    joined = Boxes.concatenate([still, Boxes.empty(), driven])
+    assert np.isnan(joined.velocity_m_s[:2]).all()
+    np.testing.assert_array_equal(joined.velocity_m_s[2:], driven.velocity_m_s)
+    flat = Boxes.concatenate([driven, driven.replace(velocity_m_s=driven.velocity_m_s[:, :2])])
+    np.testing.assert_array_equal(flat.velocity_m_s, np.tile(driven.velocity_m_s[:, :2], (2, 1)))
+    turned = joined.transform(pose_from_yaw(np.pi))
+    np.testing.assert_allclose(turned.velocity_m_s[2:], driven.velocity_m_s * [-1, -1, 1], atol=1e-12)
+    assert Boxes.concatenate([still, still]).velocity_m_s is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Sensor, joined
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor, joined
 from farfield.reports.frame_store import load_frame, save_frame
 
 
@@ -31,3 +31,21 @@ def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path:
     assert not back.has_annotation
     with pytest.raises(ConfigError, match="one kind of sensor"):
         joined(back, ["lidar", "radar"])
+
+
+@pytest.mark.parametrize("velocity", [None, [[4.0, -2.0], [np.nan, np.nan]], [[4.0, -2.0, 0.1], [0.0, 0.0, 0.0]]])
+def test_a_stored_frame_keeps_velocities(tmp_path: Path, velocity: list[list[float]] | None) -> None:
+    boxes = Boxes(
+        centre_m=np.zeros((2, 3)),
+        size_m=np.ones((2, 3)),
+        yaw_rad=np.zeros(2),
+        velocity_m_s=None if velocity is None else np.array(velocity),
+    )
+    frame = Frame(sequence="s", frame_id="1", load_annotation=Given(Annotation(boxes=boxes)))
+    save_frame(tmp_path, "0000", frame, boxes)
+    back, predicted, _ = load_frame(tmp_path, "0000")
+    for got in (back.boxes, predicted):
+        if velocity is None:
+            assert got.velocity_m_s is None
+        else:
+            np.testing.assert_array_equal(got.velocity_m_s, velocity)

@@ -395,3 +395,14 @@ def test_far_boxes_weigh_more_in_the_loss():
     expected = (parts["plain"][0] * shares[0] + parts["plain"][1] * shares[1]) / shares.sum()
     assert parts["weighted"][2] == pytest.approx(expected, rel=1e-5)
     assert parts["weighted"][2] != pytest.approx(parts["plain"][2], rel=1e-3)
+
+
+def test_pasted_objects_keep_their_velocities() -> None:
+    car = Boxes(centre_m=np.array([[20.0, 0, 0]]), size_m=np.array([[4.0, 2, 2]]), yaw_rad=np.zeros(1), label="car")
+    bank = ObjectBank()
+    points = np.array([[20, 0, 0, 0, 1]] * 6, dtype=np.float32)
+    bank.add(cut_out(points, car.replace(velocity_m_s=np.array([[5.0, 1.0, 0.0]])), min_points=5))
+    away = car.replace(centre_m=np.array([[20.0, 9, 0]]))
+    for there, expected in ((away, [np.nan] * 3), (away.replace(velocity_m_s=np.ones((1, 3))), [1.0] * 3)):
+        _, boxes = bank.paste(points[:0], there, {"car": 1}, np.random.default_rng(0))
+        np.testing.assert_array_equal(boxes.velocity_m_s, [expected, [5.0, 1.0, 0.0]])

@@ -4,9 +4,10 @@ Clouds: ``.pcd``, ``.bin`` (KITTI velodyne), ``.npy`` (rows), ``.xyz``, ``.ffclo
 Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
 
     {"boxes": [{"label": "vehicle", "centre_m": [x, y, z], "size_m": [l, w, h], "yaw_rad": 0.1,
-                "score": 0.9, "track_id": 3}]}
+                "score": 0.9, "track_id": 3, "velocity_m_s": [vx, vy, vz]}]}
 
-``score`` and ``track_id`` are optional; unknown keys are errors.
+``score``, ``track_id`` and ``velocity_m_s`` (over ground, in the box's axes as its centre is, with or without z) are
+optional; unknown keys are errors.
 """
 
 import json
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset
@@ -47,6 +49,7 @@ class _BoxEntry(BaseModel):
     yaw_rad: _Finite
     score: _Finite | None = None
     track_id: int | None = None
+    velocity_m_s: tuple[_Finite, _Finite] | tuple[_Finite, _Finite, _Finite] | None = None
 
 
 class _BoxFile(BaseModel):
@@ -82,7 +85,20 @@ def read_boxes(path: Path | str) -> Boxes:
         track_id=None
         if all(t is None for t in tracks)
         else np.array([-1 if t is None else t for t in tracks], dtype=np.int64),
+        velocity_m_s=_velocities(path, entries),
     )
+
+
+def _velocities(path: Path | str, entries: Sequence[_BoxEntry]) -> Float[np.ndarray, "n axes"] | None:
+    """Velocities of all boxes, NaN where one has none; None where none has one."""
+    axes = {len(entry.velocity_m_s) for entry in entries if entry.velocity_m_s is not None}
+    if not axes:
+        return None
+    if len(axes) > 1:
+        expected = "as many numbers in every velocity_m_s"
+        raise FileFormatError(path, where="boxes", expected=expected, found="velocities of two and of three")
+    unknown = (np.nan,) * axes.pop()
+    return np.array([unknown if entry.velocity_m_s is None else entry.velocity_m_s for entry in entries])
 
 
 def write_boxes(path: Path | str, boxes: Boxes) -> None:
@@ -98,6 +114,9 @@ def write_boxes(path: Path | str, boxes: Boxes) -> None:
     if boxes.track_id is not None:
         columns["track_id"] = boxes.track_id.tolist()
     entries = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    for entry, velocity in zip(entries, [] if boxes.velocity_m_s is None else boxes.velocity_m_s, strict=False):
+        if np.isfinite(velocity).all():  # what is not known is left out
+            entry["velocity_m_s"] = velocity.tolist()
     write_text(path, json.dumps({"boxes": entries}, indent=1) + "\n")
 
 

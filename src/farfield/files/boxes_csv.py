@@ -2,7 +2,8 @@
 
 Columns, in any order: ``sequence`` (may be absent), ``frame``, ``label``, ``x``, ``y``, ``z`` (centre, metres, x
 forward, y left, z up), ``l``, ``w``, ``h`` (full sizes, metres), ``yaw_rad`` (counter-clockwise from +x), ``score``
-(empty or absent for annotated boxes); also ``track_id`` and ``point_count`` (both may be absent).
+(empty or absent for annotated boxes); also ``track_id`` and ``point_count`` (both may be absent), and the velocity over
+ground ``vx_m_s``, ``vy_m_s`` and perhaps ``vz_m_s`` along the same axes (empty in a row where it is not known).
 """
 
 import csv
@@ -23,8 +24,11 @@ MAX_CSV_BYTES = 1 << 28
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
 _LEAST_M, _FARTHEST_M = 1e-4, 1e9  # beyond them volumes and distances lose their meaning in float64
 _NEEDED = ("frame", "label", *_NUMBERS)
-_OPTIONAL = ("sequence", "score", "track_id", "point_count")
-COLUMNS = ("sequence", *_NEEDED, "score", "track_id", "point_count")
+_WORDS = ("sequence", "frame", "label")
+_COUNTS = ("track_id", "point_count")
+_VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
+_OPTIONAL = ("sequence", "score", *_COUNTS)
+COLUMNS = ("sequence", *_NEEDED, "score", *_COUNTS, *_VELOCITY)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,6 +45,8 @@ class BoxRows:
         score: Shape (n,), or None where no row has one.
         track_id: Shape (n,), or None; -1 where a row has none.
         point_count: Shape (n,), or None; -1 where a row has none.
+        velocity_m_s: Velocity over ground, x, y and perhaps z, shape (n, 2) or (n, 3), or None; NaN where a row has
+            none.
     """
 
     frame: Shaped[np.ndarray, " n"]
@@ -52,6 +58,7 @@ class BoxRows:
     score: Float[np.ndarray, " n"] | None = None
     track_id: Int[np.ndarray, " n"] | None = None
     point_count: Int[np.ndarray, " n"] | None = None
+    velocity_m_s: Float[np.ndarray, "n axes"] | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -62,13 +69,13 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
 
     Raises:
         FileFormatError: If the header lacks a column or has an unknown one, or a row holds anything but finite numbers
-            and positive sizes, or only some rows have a score.
+            and positive sizes, or only some rows have a score, or a row has a part of a velocity.
     """
     rows = _csv_rows(path, _text_of(path))
     header = [name.strip() for name in next(rows, (1, []))[1]]
     _check_header(path, header)
-    numbers = {name: array("d") for name in (*_NUMBERS, "score", "track_id", "point_count") if name in header}
-    words: dict[str, list[str]] = {name: [] for name in ("sequence", "frame", "label") if name in header}
+    numbers = {name: array("d") for name in COLUMNS if name in header and name not in _WORDS}
+    words: dict[str, list[str]] = {name: [] for name in _WORDS if name in header}
     known: dict[str, str] = {}  # one string a name, however many rows bear it
     for line, row in rows:
         if len(row) != len(header):
@@ -89,7 +96,9 @@ def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
 
 def format_boxes_csv(rows: BoxRows) -> str:
     """The text that :func:`write_boxes_csv` writes."""
-    names = [name for name in COLUMNS if name in _NEEDED or name == "score" or getattr(rows, name) is not None]
+    velocity = {} if rows.velocity_m_s is None else _velocity_cells(rows.velocity_m_s)
+    present = {name for name in _OPTIONAL if getattr(rows, name) is not None} | velocity.keys()
+    names = [name for name in COLUMNS if name in _NEEDED or name == "score" or name in present]
     table: dict[str, Iterable[object]] = {name: [""] * len(rows) for name in names}
     table |= {"frame": rows.frame.tolist(), "label": rows.label.tolist(), "yaw_rad": rows.yaw_rad.tolist()}
     table |= dict(zip("xyz", rows.centre_m.T.tolist(), strict=True)) if len(rows) else {}
@@ -98,11 +107,19 @@ def format_boxes_csv(rows: BoxRows) -> str:
         values = getattr(rows, name)
         if values is not None:
             table[name] = values.tolist()
+    table |= velocity
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows(zip(*(table[name] for name in names), strict=True))
     return text.getvalue()
+
+
+def _velocity_cells(velocity_m_s: Float[np.ndarray, "n axes"]) -> dict[str, list[object]]:
+    """Columns of velocities, empty where any part of one is not known."""
+    cells = velocity_m_s.astype(object)
+    cells[np.isnan(velocity_m_s).any(axis=1)] = ""
+    return dict(zip(_VELOCITY, cells.T.tolist(), strict=False))
 
 
 def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormatError:
@@ -135,20 +152,24 @@ def _csv_rows(path: Path | str, text: str) -> Iterator[tuple[int, list[str]]]:
 def _check_header(path: Path | str, header: list[str]) -> None:
     missing = [name for name in _NEEDED if name not in header]
     unknown = [name for name in header if name not in COLUMNS]
+    found = f"{', '.join(header)[:200]}" if header else "an empty file"
     if missing or unknown or len(set(header)) < len(header):
-        found = f"{', '.join(header)[:200]}" if header else "an empty file"
+        perhaps = ", ".join((*_OPTIONAL, *_VELOCITY))
         raise FileFormatError(
             path,
             where="line 1",
-            expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {', '.join(_OPTIONAL)})",
+            expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {perhaps})",
             found=found,
             mend=f"Missing: {', '.join(missing)}." if missing else "",
         )
+    axes = [name for name in _VELOCITY if name in header]
+    if axes and axes[:2] != list(_VELOCITY[:2]):
+        raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=found)
 
 
 def _number(path: Path | str, line: int, name: str, text: str) -> float:
-    if not text and name in _OPTIONAL:
-        return math.nan if name == "score" else -1.0
+    if not text and name in (*_OPTIONAL, *_VELOCITY):
+        return -1.0 if name in _COUNTS else math.nan
     try:
         value = float(text)
     except ValueError:
@@ -157,9 +178,9 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
         raise _wrong(path, line, f"a finite number as {name}", repr(text[:40]))
     if name in "lwh" and value < _LEAST_M:
         raise _wrong(path, line, f"a positive size as {name}, {_LEAST_M:g} m or more", text[:40])
-    if name in _NUMBERS and abs(value) > _FARTHEST_M:
+    if name in (*_NUMBERS, *_VELOCITY) and abs(value) > _FARTHEST_M:
         raise _wrong(path, line, f"a number within {_FARTHEST_M:g} as {name}", text[:40])
-    if name not in _NUMBERS and name != "score" and (value != round(value) or abs(value) > 2**53):
+    if name in _COUNTS and (value != round(value) or abs(value) > 2**53):
         raise _wrong(path, line, f"a whole number as {name}", text[:40])
     return value
 
@@ -173,7 +194,7 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
             )
         score = None
     names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in words.items()}
-    counts = {name: numbers[name].astype(np.int64) for name in ("track_id", "point_count") if name in numbers}
+    counts = {name: numbers[name].astype(np.int64) for name in _COUNTS if name in numbers}
     return BoxRows(
         frame=names["frame"],
         label=names["label"],
@@ -184,4 +205,18 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
         score=score,
         track_id=counts.get("track_id"),
         point_count=counts.get("point_count"),
+        velocity_m_s=_velocity(path, numbers),
     )
+
+
+def _velocity(path: Path | str, numbers: dict[str, np.ndarray]) -> Float[np.ndarray, "n axes"] | None:
+    columns = [numbers[name] for name in _VELOCITY if name in numbers]
+    if not columns:
+        return None
+    velocity = np.column_stack(columns)
+    unknown = np.isnan(velocity)
+    torn = np.flatnonzero(unknown.any(axis=1) != unknown.all(axis=1))
+    if len(torn):
+        expected = f"{', '.join(_VELOCITY[: len(columns)])} all with a number or all empty"
+        raise FileFormatError(path, where=f"box {torn[0] + 1}", expected=expected, found="both kinds of cells")
+    return velocity

@@ -28,6 +28,20 @@ def wrap_angle_rad(angle_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, 
     return np.where((angle_rad >= -np.pi) & (angle_rad < np.pi), angle_rad, wrapped)  # those keep every bit
 
 
+def _alike(
+    velocities_m_s: Sequence[Float[np.ndarray, "_ _"] | None], parts: Sequence["Boxes"]
+) -> list[Float[np.ndarray, "_ axes"]] | list[None]:
+    """Velocities of parts with equally many axes, NaN for parts that have none; None for all where no part has any."""
+    widths = [velocity.shape[1] for velocity in velocities_m_s if velocity is not None]
+    if not widths:
+        return [None] * len(parts)
+    axes = min(widths)
+    return [
+        np.full((len(part), axes), np.nan) if velocity is None else velocity[:, :axes]
+        for part, velocity in zip(parts, velocities_m_s, strict=True)
+    ]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Boxes:
     """A set of n oriented 3D boxes with labels and, where known, scores, track ids and point counts.
@@ -41,10 +55,10 @@ class Boxes:
         track_id: Identity over time, shape (n,), or None; -1 marks a box without one.
         point_count: Number of LiDAR points inside, shape (n,), or None; -1 marks an unknown count.
         velocity_m_s: Velocity over ground in the boxes' coordinates, x, y and perhaps z, shape (n, 2) or (n, 3), or
-            None; NaN marks a box whose velocity is not known.
+            None; NaN in any of its numbers marks a box whose velocity is not known.
 
     Raises:
-        ValueError: If shapes disagree, values are not finite or a size is not positive.
+        ValueError: If shapes disagree, values are not finite (but NaN velocities) or a size is not positive.
     """
 
     centre_m: Float[np.ndarray, "n 3"]
@@ -69,21 +83,22 @@ class Boxes:
                 self._store(name, getattr(self, name), dtype, (n,))
         if self.velocity_m_s is not None:
             axes = np.shape(self.velocity_m_s)[-1] if np.ndim(self.velocity_m_s) == 2 else 2
-            self._store("velocity_m_s", self.velocity_m_s, np.float64, (n, 3 if axes == 3 else 2), finite=False)
+            self._store("velocity_m_s", self.velocity_m_s, np.float64, (n, 3 if axes == 3 else 2), nan=True)
         if n and not (self.size_m > 0).all():
             row = int(np.argwhere(~(self.size_m > 0))[0][0])
             raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
 
-    def _store(self, name: str, value: Any, dtype: Any, shape: tuple[int, ...], *, finite: bool = True) -> None:
+    def _store(self, name: str, value: Any, dtype: Any, shape: tuple[int, ...], *, nan: bool = False) -> None:
         given = np.asarray(value)
         if given.shape != shape:
             raise ValueError(f"Boxes.{name}: expected shape {shape}, got {given.shape}")
         if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
             raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
         array = given.astype(dtype, copy=False)
-        if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise ValueError(f"Boxes.{name}: expected finite numbers, got {array[row]} in row {row}")
+        if array.dtype.kind == "f" and not (sound := np.isfinite(array) | (nan & np.isnan(array))).all():
+            row = int(np.argwhere(~sound)[0][0])
+            kind = "finite numbers or NaN" if nan else "finite numbers"
+            raise ValueError(f"Boxes.{name}: expected {kind}, got {array[row]} in row {row}")
         object.__setattr__(self, name, array)
 
     @classmethod
@@ -96,6 +111,9 @@ class Boxes:
     def concatenate(cls, parts: Sequence["Boxes"]) -> "Boxes":
         """Join several sets in order. An optional field must be present in all non-empty parts or in none.
 
+        Velocities are the exception, as NaN says what is not known: parts that lack them get NaN, and where one part
+        knows x and y alone, z is left out of all.
+
         Raises:
             ValueError: If some parts carry a field that others lack.
         """
@@ -105,6 +123,7 @@ class Boxes:
         joined: dict[str, Any] = {}
         for field in fields(cls):
             values = [getattr(part, field.name) for part in filled]
+            values = _alike(values, filled) if field.name == "velocity_m_s" else values
             missing = [value is None for value in values]
             if any(missing) and not all(missing):
                 raise ValueError(f"Boxes.concatenate: {field.name} is present in some parts and absent in others")

@@ -176,6 +176,7 @@ def _read_csv(side: _Collected, path: Path, stem: str) -> None:
         score=side.scores(rows.score, len(rows)),
         track_id=rows.track_id,
         point_count=rows.point_count,
+        velocity_m_s=rows.velocity_m_s,
     )
     sequence = np.full(len(rows), stem) if rows.sequence is None else rows.sequence
     for (name, frame), index in _groups(sequence, rows.frame):

@@ -266,4 +266,5 @@ def box_rows(frames: Iterable[tuple[Frame, Boxes | None]]) -> BoxRows:
         score=together.score,
         track_id=together.track_id,
         point_count=together.point_count,
+        velocity_m_s=together.velocity_m_s,
     )

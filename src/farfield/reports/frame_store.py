@@ -17,7 +17,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 
 _LIMIT_BYTES = 1 << 26
-_BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count")
+_BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count", "velocity_m_s")
 Predictions = Boxes | Mapping[str, Boxes] | None
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from farfield.geometry.boxes import Boxes
 from farfield.simulation.bodies.actors import Actor
@@ -20,6 +20,8 @@ MIN_POINTS_GAUSSIAN = 3
 MARGIN_M = 0.05
 MIN_SIZE_M = {"vehicle": 0.3, "large_vehicle": 0.3, "trailer": 0.3}
 _MIN_OTHER_M = 0.2
+MOVING_M_S = 0.5
+"""Speed over ground above which a road user is annotated as moving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +45,16 @@ def full_boxes(
     actors: Sequence[Actor],
     bottom_m: Float[np.ndarray, "n 3"],
     yaw_rad: Float[np.ndarray, " n"],
+    velocity_m_s: Float[np.ndarray, "n 3"],
     lidar_T_world: Float[np.ndarray, "4 4"],
 ) -> Boxes:
-    """Boxes around the whole bodies, in the sensor's frame.
+    """Boxes around the whole bodies, in the sensor's frame, with their velocities over ground.
 
     Args:
         actors: n road users.
         bottom_m: Middle of their bottoms in the world, shape (n, 3).
         yaw_rad: Their headings in the world, shape (n,).
+        velocity_m_s: Their velocities in the world, shape (n, 3).
         lidar_T_world: Pose of the world in the sensor's frame.
     """
     size = np.array([actor.size_m for actor in actors]).reshape(-1, 3)
@@ -61,8 +65,16 @@ def full_boxes(
         yaw_rad=yaw_rad,
         label=[actor.label for actor in actors],
         track_id=np.array([actor.track_id for actor in actors], dtype=np.int64),
+        velocity_m_s=velocity_m_s,
     )
     return boxes.transform(lidar_T_world)
+
+
+def moving(boxes: Boxes) -> Bool[np.ndarray, " n"]:
+    """Which boxes move: faster over ground than ``MOVING_M_S``; those of unknown velocity do not."""
+    if boxes.velocity_m_s is None:
+        return np.zeros(len(boxes), dtype=np.bool_)
+    return np.asarray(np.linalg.norm(boxes.velocity_m_s, axis=1) > MOVING_M_S)
 
 
 def mean_times_s(time_s: Float[np.ndarray, " p"], actor: Int[np.ndarray, " p"], count: int) -> Float[np.ndarray, " n"]:

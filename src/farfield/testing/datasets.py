@@ -152,6 +152,7 @@ def check_annotation(frame: Frame) -> None:
 def check_moving(frame: Frame) -> None:
     """What is moved there and back is the same; ``reference`` names no sensor that stands elsewhere."""
     away = moved(frame, AWAY)
+    check_velocities(frame, away)
     assert away.reference == frame.reference + "'", f"{frame.key}: reference must name a sensor, without a '"
     assert away.reference_kind == frame.reference_kind, f"{frame.key}: reference must name one of the sensors"
     back = moved(away, invert(AWAY), reference=frame.reference)
@@ -170,6 +171,30 @@ def check_moving(frame: Frame) -> None:
         assert away.boxes is not None, f"{frame.key}: lost its boxes when it moved"
         here = frame.boxes.transform(frame.world_T_frame).centre_m
         assert_same(away.boxes.transform(away.world_T_frame).centre_m, here, atol=1e-3, where="boxes in the world")
+
+
+def check_velocities(frame: Frame, away: Frame) -> None:
+    """Velocities turn with their boxes: along and across each heading they are the same wherever the frame stands.
+
+    Args:
+        frame: The frame.
+        away: The frame in coordinates that stand level to its own.
+    """
+    if frame.annotation is None:
+        return
+    assert away.annotation is not None, f"{frame.key}: lost its annotation when it moved"
+    for name in ("boxes", "full_boxes"):
+        own, other = getattr(frame.annotation, name), getattr(away.annotation, name)
+        assert_same(_driven(own), _driven(other), atol=1e-6, where=f"{frame.key}: velocities of {name}, moved")
+
+
+def _driven(boxes: Boxes | None) -> np.ndarray:
+    """Velocities along and across the headings, and up where they are known so, shape (n, 2 or 3)."""
+    if boxes is None or boxes.velocity_m_s is None:
+        return np.zeros((0, 2))
+    x, y, *up = boxes.velocity_m_s.T
+    cos, sin = np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)
+    return np.stack([x * cos + y * sin, y * cos - x * sin, *up], axis=1)
 
 
 def _seen(boxes: Boxes | None, frame_T_sensor: np.ndarray) -> np.ndarray:

@@ -73,15 +73,8 @@ class ObjectBank:
                     continue
                 keep[points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]] = False
                 added.append(new_points)
-                boxes = _together(boxes, new_box)
+                boxes = Boxes.concatenate([boxes, new_box])
         return np.concatenate([points[keep], *added]), boxes
-
-
-def _together(boxes: Boxes, pasted: Boxes) -> Boxes:
-    """Both; velocities are kept where both have them."""
-    if (boxes.velocity_m_s is None) != (pasted.velocity_m_s is None):
-        boxes, pasted = boxes.plain(), pasted.plain()
-    return Boxes.concatenate([boxes, pasted])
 
 
 def draw(

@@ -90,7 +90,7 @@ def readings(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     changes = (
         [ballot for ballot, _ in changes_asked_for(points, boxes)] if any(b.wins for b in by_name.values()) else []
     )
-    together = Boxes.concatenate([b.replace(score=None, track_id=None, point_count=None) for b in boxes])
+    together = Boxes.concatenate([b.plain() for b in boxes])
     yield from _size_order(found, by_name, changes, together, facts)
     headings = counts[:, [0, *range(1 + len(READINGS), counts.shape[1])]]
     yield from _heading(by_name, changes, together, misfit_share(headings, together.size_m), facts)

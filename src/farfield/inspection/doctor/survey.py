@@ -60,7 +60,7 @@ class Survey:
 
     def all_boxes(self) -> Boxes:
         """All annotated boxes of all frames."""
-        return Boxes.concatenate([_bare(boxes) for boxes in self.boxes]) if self.boxes else Boxes.empty()
+        return Boxes.concatenate([boxes.plain() for boxes in self.boxes]) if self.boxes else Boxes.empty()
 
     def annotated_samples(self) -> Iterator[tuple[Sample, Boxes]]:
         """Samples with a LiDAR's cloud and at least one box."""
@@ -137,7 +137,3 @@ def _clouds(found: Survey, frame: Frame) -> dict[str, Cloud]:
         except (FarfieldError, OSError, ValueError) as error:
             found.damaged.append(str(error))
     return clouds
-
-
-def _bare(boxes: Boxes) -> Boxes:
-    return boxes.replace(score=None, track_id=None, point_count=None)

@@ -238,7 +238,7 @@ def _census_of_frames(dataset: Dataset, progress: Progress | None) -> Census:
             progress(index + 1, len(dataset))
     counts = np.array(objects, dtype=np.int64)
     tracked = bool(parts) and all(part.track_id is not None for part in parts if len(part))
-    together = Boxes.concatenate([part.replace(score=None, track_id=None, point_count=None) for part in parts])
+    together = Boxes.concatenate([part.plain() for part in parts])
     ids = [part.track_id for part in parts if part.track_id is not None and len(part)]
     return Census(
         sequence=np.array(dataset.sequences, dtype=np.str_),

@@ -103,7 +103,9 @@ class CirrusMoment(Moment):
     def annotation(self) -> labels.Annotation:
         """Boxes of the road users that the two patterns see, where the Gaussian pattern's points show them."""
         window = self.window
-        full = labels.full_boxes(window.actors, window.bottom_m, window.yaw_rad, invert(self.world_T_lidar))
+        full = labels.full_boxes(
+            window.actors, window.bottom_m, window.yaw_rad, window.velocity_m_s, invert(self.world_T_lidar)
+        )
         owner = self._owners()
         counts = {name: np.bincount(rows[rows >= 0], minlength=len(full)) for name, rows in owner.items()}
         both = counts["gaussian"] + counts["uniform"]

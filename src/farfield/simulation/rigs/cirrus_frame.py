@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
+from farfield.simulation import labels
 from farfield.simulation.camera.rig import cirrus_camera
 from farfield.simulation.rigs.drive import Drive, Planned
 from farfield.vocabulary.patterns import PATTERNS
@@ -34,6 +35,7 @@ class PlannedCirrus(Planned):
         drawn = self.moment.annotation
         return Annotation(
             boxes=drawn.visible,
+            moving=labels.moving(drawn.visible),
             extent="visible",
             full_boxes=drawn.full,
             details={"point_count_gaussian": drawn.gaussian_points, "point_count_uniform": drawn.uniform_points},

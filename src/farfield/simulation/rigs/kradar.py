@@ -120,7 +120,9 @@ class KRadarMoment(Moment):
         They stand where the spinning LiDAR shows them.
         """
         window = self.window
-        full = labels.full_boxes(window.actors, window.bottom_m, window.yaw_rad, invert(self.world_T_lidar))
+        full = labels.full_boxes(
+            window.actors, window.bottom_m, window.yaw_rad, window.velocity_m_s, invert(self.world_T_lidar)
+        )
         swept = self.sweep("os2-64")
         owner = swept.actor
         seen_s = labels.mean_times_s(swept.cloud.extra["time_ns"].astype(np.float64) * 1e-9, owner, len(full))

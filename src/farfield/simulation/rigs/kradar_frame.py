@@ -8,6 +8,7 @@ from jaxtyping import Shaped, UInt8
 
 from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
 from farfield.radar.cells import RadarCells
+from farfield.simulation import labels
 from farfield.simulation.camera.rig import kradar_cameras
 from farfield.simulation.rigs.drive import Drive, Planned
 from farfield.vocabulary.kradar import OUSTER_LINES
@@ -42,7 +43,12 @@ class PlannedKRadar(Planned):
     def annotation(self) -> Annotation:
         """Full boxes, which sensor sees each, and how strongly the radar does."""
         drawn = self.moment.annotation
-        return Annotation(boxes=drawn.boxes, visibility=drawn.availability, details={"snr_db": drawn.snr_db})
+        return Annotation(
+            boxes=drawn.boxes,
+            visibility=drawn.availability,
+            moving=labels.moving(drawn.boxes),
+            details={"snr_db": drawn.snr_db},
+        )
 
 
 def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
