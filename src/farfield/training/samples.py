@@ -19,7 +19,7 @@ from farfield.datasets.base import Dataset
 from farfield.detectors.contract import Assigner
 from farfield.detectors.inputs import CloudInput, cloud_tensor
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Frame
+from farfield.frame import Annotation, Frame, Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.training.augmentation import augment
@@ -155,7 +155,7 @@ class TrainingSamples(TorchDataset[Sample]):
         )
         if not self.labelled:
             return points, Boxes.empty()
-        boxes = self._wanted(frame)
+        boxes = self._wanted(frame.annotation, frame.key)
         if self.min_points and len(boxes):
             present = points[points[:, LAG] == 0, :3]
             boxes = boxes[count_points_in_boxes(present, boxes, margin_m=BOX_MARGIN_M) >= self.min_points]
@@ -170,19 +170,18 @@ class TrainingSamples(TorchDataset[Sample]):
         table[:, -1] = part
         return table
 
-    def _wanted(self, frame: Frame) -> Boxes:
-        """The frame's boxes of the classes that are trained.
+    def _wanted(self, annotation: Annotation | None, key: Key) -> Boxes:
+        """A frame's boxes of the classes that are trained.
 
         Raises:
             DatasetError: If the frame was not annotated: it would train as background.
         """
-        boxes = frame.boxes
-        if boxes is None:
+        if annotation is None:
             raise DatasetError(
-                f"{self.data.root}: expected annotated frames to train on; frame {frame.key} is not annotated and "
-                "would count as empty. Leave such frames out (training.unannotated: skip)."
+                f"{self.data.root}: expected annotated frames to train on; frame {key} is not annotated and would count "
+                "as empty. Leave such frames out (training.unannotated: skip)."
             )
-        boxes = boxes.relabel(self.aliases)
+        boxes = annotation.boxes.relabel(self.aliases)
         return boxes[np.isin(boxes.label, self.classes)]
 
     def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
@@ -209,7 +208,7 @@ class TrainingSamples(TorchDataset[Sample]):
         if self._weights is None and self.far_sampling > 0:
             far = np.zeros(len(self.data), dtype=np.float64)
             for index in progress(range(len(self.data))):
-                boxes = self._wanted(self.data[index])
+                boxes = self._wanted(self.data.annotation(index), self.data.keys[index])  # no frame is built
                 far[index] = np.count_nonzero(np.hypot(*boxes.centre_m[:, :2].T) >= self.far_from_m)
             weight = 1 + self.far_sampling * far / max(float(far.mean()), 1e-9)
             self._weights = np.repeat(weight, len(self.bindings))
