@@ -178,8 +178,8 @@ class TrainingSamples(TorchDataset[Sample]):
         """
         if annotation is None:
             raise DatasetError(
-                f"{self.data.root}: expected annotated frames to train on; frame {key} is not annotated and would count "
-                "as empty. Leave such frames out (training.unannotated: skip)."
+                f"{self.data.root}: expected annotated frames to train on; frame {key} is not annotated and would "
+                "count as empty. Leave such frames out (training.unannotated: skip)."
             )
         boxes = annotation.boxes.relabel(self.aliases)
         return boxes[np.isin(boxes.label, self.classes)]
