@@ -122,7 +122,7 @@ class Boxes:
             return parts[0] if parts else cls.empty()
         joined: dict[str, Any] = {}
         for field in fields(cls):
-            values = [getattr(part, field.name) for part in filled]
+            values: list[Any] = [getattr(part, field.name) for part in filled]
             values = _alike(values, filled) if field.name == "velocity_m_s" else values
             missing = [value is None for value in values]
             if any(missing) and not all(missing):
