@@ -122,8 +122,8 @@ class Boxes:
             return parts[0] if parts else cls.empty()
         joined: dict[str, Any] = {}
         for field in fields(cls):
-            values: list[Any] = [getattr(part, field.name) for part in filled]
-            values = _alike(values, filled) if field.name == "velocity_m_s" else values
+            each = [getattr(part, field.name) for part in filled]
+            values: list[Any] = list(_alike(each, filled)) if field.name == "velocity_m_s" else each
             missing = [value is None for value in values]
             if any(missing) and not all(missing):
                 raise ValueError(f"Boxes.concatenate: {field.name} is present in some parts and absent in others")
