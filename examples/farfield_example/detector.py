@@ -45,8 +45,9 @@ class MeanPillars(MapDetector):
         norms = [nn.BatchNorm2d(config.width) for _ in strides]
         pairs = zip(layers, norms, strict=True)
         self.trunk = nn.Sequential(*(part for layer, norm in pairs for part in (layer, norm, nn.ReLU())))
-        cells = {"nx": self.nx // STRIDE, "ny": self.ny // STRIDE, "cell_m": self.cell_m * STRIDE}
-        self.head = AnchorHead(config, config.width, AnchorGrid(config.anchors, **cells, y_min_m=self.y_min_m))
+        nx, ny, cell_m = self.nx // STRIDE, self.ny // STRIDE, self.cell_m * STRIDE
+        anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, y_min_m=self.y_min_m)
+        self.head = AnchorHead(config, config.width, anchors)
         self.assigner, self.channels = self.head.assigner, config.width
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
