@@ -73,6 +73,13 @@ def test_a_registered_protocol_is_found_and_holds_it_too(registered: None) -> No
         score(boxes, annotations, protocol="recall", far_m=3)
 
 
+def test_whole_numbers_and_lists_are_taken_as_edges() -> None:
+    found = example()
+    one = found.score("dds", range_bins_m=[0, 70, 150], epsilons=(0,)).to_json()
+    assert one == found.score("dds", range_bins_m=(0.0, 70.0, 150.0), epsilons=(0.0,)).to_json()
+    assert [type(edge) for edge in one["settings"]["range_bins_m"]] == [float] * 3
+
+
 def test_what_is_no_protocol_is_refused(without_shape_checks: None) -> None:
     with pytest.raises(ConfigError, match="built in"):
         protocol("dds")(Recall)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
 
 P = TypeVar("P", bound="type[Protocol]")
+_NUMBERS = ("range_bins_m", "epsilons")
+"""Settings that are numbers: whole ones and lists are taken too, and give the same JSON."""
 
 
 class Protocol(ABC):
@@ -74,6 +76,8 @@ class Protocol(ABC):
         if unknown:
             expected = ", ".join(self.options())
             raise ConfigError(f"{self}: expected options among {expected}; got {', '.join(unknown)}")
+        edges_and_weights = {name: given[name] for name in _NUMBERS if given.get(name) is not None}
+        given |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
         if "label" in self.options() and given.get("label") is None:
             given = {name: value for name, value in given.items() if name != "label"}
             present = self.labels(found.annotated, **given)
