@@ -51,10 +51,8 @@ def test_train_leaves_a_run_that_explains_itself(home):
 
 
 def test_evaluate_scores_each_pattern_and_writes_a_page(home, capsys):
-    assert (
-        main(["evaluate", "runs/tiny", "data", "--range-bins-m", "0,30,60", "--out", "eval", "--shown-frames", "1"])
-        == 0
-    )
+    words = ["--range-bins-m", "0,30,60", "--replicates", "3", "--out", "eval", "--shown-frames", "1"]
+    assert main(["evaluate", "runs/tiny", "data", *words]) == 0
     shown = capsys.readouterr().out
     assert "gaussian" in shown
     assert "report:" in shown
@@ -77,7 +75,8 @@ def test_predict_writes_boxes_that_score_reads(home, capsys):
     assert len(rows) > 0
     assert (home / "a.png").stat().st_size > 5_000
     assert main(["convert", "data", "labels.csv", "--to", "boxes-csv"]) == 0
-    assert main(["score", "boxes.csv", "labels.csv", "--format", "boxes-csv", "--json", "scores.json"]) == 0
+    words = ["--format", "boxes-csv", "--json", "scores.json", "--replicates", "3"]
+    assert main(["score", "boxes.csv", "labels.csv", *words]) == 0
     assert json.loads((home / "scores.json").read_text())["protocol"] == "dds"
     capsys.readouterr()
     cloud = next((home / "data").rglob("*.xyz"))
@@ -110,7 +109,7 @@ def test_mistakes_are_named_and_exit_with_1(arguments, words, capsys):
 
 
 def test_demo_ends_with_the_path_of_a_report(home, capsys):
-    assert main(["demo", "--frames", "2", "--sequences", "1", "--out", "demo"]) == 0
+    assert main(["demo", "--frames", "1", "--sequences", "1", "--out", "demo"]) == 0
     last = capsys.readouterr().out.strip().splitlines()[-1]
     assert last.startswith("report: ")
     assert (home / "demo" / "evaluation" / "report.html").is_file()

@@ -18,10 +18,12 @@ from farfield.datasets.maps import Coordinates
 from farfield.detection import as_trained
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.frame import Annotation, Boxes
+from farfield.metrics import Bootstrap
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import zyx_cube
 
+FEW = Bootstrap(replicates=3)
 EXPERIMENT = """
 name: tiny
 data:
@@ -63,7 +65,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_evaluate_scores_by_weather(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.chdir(home)
-    assert main(["evaluate", "runs/tiny", "data", "--region", "narrow", "--out", "eval", "--shown-frames", "1"]) == 0
+    words = ["--region", "narrow", "--replicates", "3", "--out", "eval", "--shown-frames", "1"]
+    assert main(["evaluate", "runs/tiny", "data", *words]) == 0
     evaluation = json.loads((home / "eval" / "evaluation.json").read_text())
     assert set(evaluation["results"]) == {"radar"}  # the LiDARs' clouds are none of its kind
     result = evaluation["results"]["radar"]
@@ -89,11 +92,12 @@ def test_the_one_line_evaluation_knows_where_the_boxes_are(home: Path) -> None:
     data = open_dataset(home / "data")
     for given in (data, data.mapped(Coordinates("radar"))):
         found = {frame.key: frame.boxes.replace(score=np.ones(1)) for frame in (given[i] for i in range(4))}
-        result = evaluate(found, given, protocol="kradar", region=(19.0, 21.0, 0.5, 1.5, -1.0, 1.0)).to_json()
+        narrow = (19.0, 21.0, 0.5, 1.5, -1.0, 1.0)
+        result = evaluate(found, given, protocol="kradar", region=narrow, bootstrap=FEW).to_json()
         assert result["ap"]["vehicle"]["3d"]["0.7"] == 1
         assert result["counts"]["classes"]["vehicle"]["annotated"] == 4
         assert result["conditions"]["weather"]["fog"]["ap"]["vehicle"]["3d"]["0.7"] == 1
-    detected = evaluate(load_detector(home / "runs" / "tiny"), data, protocol="kradar").to_json()
+    detected = evaluate(load_detector(home / "runs" / "tiny"), data, protocol="kradar", bootstrap=FEW).to_json()
     assert detected["settings"]["boxes_in"] == "radar"  # as the detector learnt
 
 
