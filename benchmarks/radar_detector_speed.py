@@ -6,7 +6,7 @@ From a cloud in memory to boxes after suppression. RTNH in both forms, at 1 and 
 and as it chooses itself. The share is that of the corridor's cells, as in the released clouds of benchmark v1.0, or of
 the whole cube's, as in those of v2.0, which keeps more of a region. Then RTN-50, RTN-X101 and PointPillars in the
 narrow region. A run below --runs that bears an experiment's name gives its weights; other networks are untrained, and
-softmax heads are told to see background almost everywhere, as a trained one does. All take turns, so that a noisy
+softmax heads are biased to background almost everywhere, as a trained one is. All take turns, so that a noisy
 moment meets all of them. Peak memory is that of a process of its own while it detects in three clouds, weights
 included, beside what it held before it had a network.
 """
@@ -108,8 +108,8 @@ def densities(shown: list[Frame], runs: Path, rounds: int) -> Iterator[str]:
             cells = " ".join(str(len(cloud)) for cloud in clouds)
             form = built["auto"][0].config.form
             whole = "corridor" if over == "region" else "cube"
-            told = f"{form:<10}{region:<7}{100 * rate:4.0f} % of {whole:<9}"
-            yield f"{told} {per_way}   auto by frame {each}; cells {cells}"
+            what = f"{form:<10}{region:<7}{100 * rate:4.0f} % of {whole:<9}"
+            yield f"{what} {per_way}   auto by frame {each}; cells {cells}"
 
 
 def comparison(shown: list[Frame], runs: Path, rounds: int, memory: bool) -> Iterator[str]:
@@ -125,8 +125,8 @@ def comparison(shown: list[Frame], runs: Path, rounds: int, memory: bool) -> Ite
         bf16, fp32 = (taken[f"{experiment} {precision}"] for precision in ("bf16", "fp32"))
         size = sum(p.numel() for p in built[f"{experiment} bf16"][0].network.parameters()) / 1e6
         peaks = [peak_of(experiment, precision) for precision in ("bf16", "fp32")] if memory else []
-        told = " / ".join(f"{peak['peak_mb']:.0f} ({peak['before_mb']:.0f})" for peak in peaks)
-        yield f"{title:<22}{size:8.2f} M  {np.median(bf16):7.0f}  {np.median(fp32):7.0f}  {told}"
+        memory_mb = " / ".join(f"{peak['peak_mb']:.0f} ({peak['before_mb']:.0f})" for peak in peaks)
+        yield f"{title:<22}{size:8.2f} M  {np.median(bf16):7.0f}  {np.median(fp32):7.0f}  {memory_mb}"
 
 
 def peak_of(experiment: str, precision: str) -> dict[str, float]:

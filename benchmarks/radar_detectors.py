@@ -139,11 +139,11 @@ def schedule(provenance: dict[str, Any]) -> str:
     """What a run was trained with, in one line."""
     experiment = provenance["experiment"]
     training, data = experiment["training"], experiment["data"]
-    told = {key: experiment["detector"][key] for key in SETTINGS if key in experiment["detector"]}
+    settings = {key: experiment["detector"][key] for key in SETTINGS if key in experiment["detector"]}
     return (
         f"{training['steps']} steps of {training['batch_size']}, peak {training['learning_rate']}, seed "
         f"{training['seed']}, {provenance['frames']} frames, cloud {' and '.join(data['clouds'])}, reader "
-        f"{data['options']}, {told}, {provenance.get('precision')}"
+        f"{data['options']}, {settings}, {provenance.get('precision')}"
     )
 
 

@@ -165,7 +165,7 @@ def theirs(training: bool, dtype: str) -> Any:
 
     if dtype != "float32":
         raise ValueError("spconv has no bfloat16 on the CPU")
-    ops.get_current_stream = lambda: 0  # it asks for a CUDA stream without CUDA
+    ops.get_current_stream = lambda: 0  # it takes a CUDA stream, though there is no CUDA
     convs, biases, norms = nn.ModuleList(), [], nn.ModuleList()
     for layer, (kernel, bias) in zip(BACKBONE, weights(), strict=True):
         kind = spconv.SubMConv3d if layer.stride is None else spconv.SparseConv3d

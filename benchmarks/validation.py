@@ -498,7 +498,7 @@ def overall_dds(text: str) -> dict[tuple[str, str], float]:
 
 
 def detectors() -> Rows:
-    """What trained detectors show: one seed, not the sign test over three that the full proof asks for."""
+    """What trained detectors show: one seed, not the sign test over three that a full proof needs."""
     dds = overall_dds(DETECTORS.read_text()) if DETECTORS.exists() else {}
     one = f"{DETECTORS.name}, one seed"
     for what, better, worse, published in (

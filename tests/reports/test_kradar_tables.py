@@ -9,7 +9,6 @@ from farfield.reports.kradar_tables import (
     PUBLISHED_TABLE_4,
     conditional_markdown,
     conditional_rows,
-    conditional_table,
 )
 
 
@@ -36,20 +35,20 @@ def test_rows_are_detectors_and_columns_weathers() -> None:
     assert all(len(values) == 8 for values in PUBLISHED_TABLE_4.values())
 
 
-def test_text_and_markdown_name_the_convention() -> None:
+def test_markdown_names_the_convention() -> None:
     results = {"RTNH": result(0.4741, 0.528)}
-    for text in (conditional_table(results), conditional_markdown(results)):
-        assert "AP3D of 'vehicle' at IoU 0.3" in text
-        assert "score_cut=0; " in text or "score_cut=0\n" in text
-    assert "| RTNH | 47.4 |" in conditional_markdown(results)
+    text = conditional_markdown(results)
+    assert "AP3D of 'vehicle' at IoU 0.3" in text
+    assert "score_cut=0; " in text or "score_cut=0\n" in text
+    assert "| RTNH | 47.4 |" in text
     assert conditional_rows(results, measure="bev")[1][0][1] == "-"
 
 
 def test_different_conventions_and_protocols_do_not_share_a_column() -> None:
     with pytest.raises(ConfigError, match=r"a and b .* score_cut \(0.0 and 0.3\)"):
-        conditional_table({"a": result(0.5, 0.5), "b": result(0.5, 0.5, score_cut=0.3)})
+        conditional_markdown({"a": result(0.5, 0.5), "b": result(0.5, 0.5, score_cut=0.3)})
     with pytest.raises(ConfigError, match="kradar"):
-        conditional_table({"a": result(0.5, 0.5) | {"protocol": "dds"}})
+        conditional_markdown({"a": result(0.5, 0.5) | {"protocol": "dds"}})
     for results, options in (
         ({}, {}),
         ({"a": result(0.5, None)}, {"label": "bus"}),

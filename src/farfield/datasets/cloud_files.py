@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import DatasetError, FileFormatError
-from farfield.files.clouds import read_bin, read_cache, write_cache
+from farfield.files.clouds import CACHE_SUFFIX, read_bin, read_cache, write_cache
 from farfield.files.pcd import read_pcd
 from farfield.files.xyz import read_xyz
 from farfield.frame import Cloud
 
 CACHE_FOLDER = ".farfield_cache"
-CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", ".ffcloud")
+CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", CACHE_SUFFIX)
 
 Columns = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
@@ -30,7 +30,7 @@ def cache_path(source: Path, root: Path) -> Path:
     'd/.farfield_cache/dataset1_gaussian/1.xyz.ffcloud'
     """
     relative = source.relative_to(root)
-    return root / CACHE_FOLDER / relative.with_name(relative.name + ".ffcloud")
+    return root / CACHE_FOLDER / relative.with_name(relative.name + CACHE_SUFFIX)
 
 
 def is_fresh(cached: Path, source: Path) -> bool:
@@ -71,7 +71,7 @@ def read_rows(
 def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, delimiter: str = "auto") -> Path:
     """Parse an ASCII cloud and write its cache; returns the cache's path.
 
-    Columns are float32, except where numbers above 100,000 (times, identities) ask for float64.
+    Columns are float32, except where numbers above 100,000 (times, identities) need float64.
     """
     rows = read_xyz(source, columns=columns, delimiter=delimiter)
     cached = cache_path(source, root)
@@ -101,7 +101,7 @@ def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | Non
     """
     if path.suffix == ".pcd":
         return _from_named(path, read_pcd(path), intensity_scale)
-    if path.suffix == ".ffcloud":
+    if path.suffix == CACHE_SUFFIX:
         return _from_named(path, read_cache(path), intensity_scale)
     if path.suffix == ".bin":
         rows = read_bin(path, columns=bin_columns)

@@ -39,7 +39,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
 
     Raises:
         ConfigError: If the paths do not pair, or predictions lie in sequences or frames that have no labels.
-        FileFormatError: If a file is not what its format asks for.
+        FileFormatError: If a file does not have its format.
     """
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")

@@ -31,7 +31,7 @@ def sampled_precision(
 
     With 41 annotated boxes or more these are the values of KITTI's own code. With fewer it leaves samples at zero
     that it never reaches for want of thresholds, so that a perfect detector falls short of 100; here they take the
-    best precision at that recall, unless ``gaps`` asks for those of KITTI's code.
+    best precision at that recall, unless ``gaps`` is set for those of KITTI's code.
     """
     by_place = np.zeros(SAMPLES)
     by_place[: len(precision)] = precision

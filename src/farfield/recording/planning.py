@@ -52,7 +52,7 @@ def spread(total: int, longest: list[int]) -> list[int]:
     """
     if total > sum(longest):
         raise ConfigError(
-            f"--frames: {len(longest)} sequences have room for {sum(longest)} frames, got {total}. Ask for more "
+            f"--frames: {len(longest)} sequences have room for {sum(longest)} frames, got {total}. Take more "
             "--sequences or a smaller --stride-s."
         )
     plan = [0] * len(longest)

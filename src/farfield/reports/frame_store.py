@@ -10,7 +10,7 @@ import numpy as np
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
-from farfield.files.clouds import read_cache, write_cache
+from farfield.files.clouds import CACHE_SUFFIX, read_cache, write_cache
 from farfield.files.images import read_image, write_image
 from farfield.frame import Annotation, Cloud, Frame, Given, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
@@ -45,7 +45,7 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
         arrays |= {f"boxes/{set_name}/{part}": array for part, array in present.items() if array is not None}
     for camera, image in frame.images.items():
         write_image(folder / f"{name}_{_plain(camera)}.jpg", image, quality=85)
-    write_cache(folder / f"{name}.ffcloud", arrays)
+    write_cache(folder / (name + CACHE_SUFFIX), arrays)
     content = {
         "title": title,
         "sequence": frame.sequence,
@@ -74,7 +74,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
     path = folder / f"{name}.json"
     try:
         content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
-        arrays = read_cache(folder / f"{name}.ffcloud")
+        arrays = read_cache(folder / (name + CACHE_SUFFIX))
         sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
         clouds = {
             part: Cloud(arrays[f"cloud/{part}/points_m"], arrays.get(f"cloud/{part}/intensity"))

@@ -5,7 +5,7 @@ from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
-from farfield.metrics.result import table, value_at
+from farfield.metrics.result import value_at
 from farfield.vocabulary.conditions import CONDITIONS
 
 Results = Mapping[str, Mapping[str, Any]]
@@ -52,14 +52,6 @@ def conditional_rows(
             raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")
         rows.append([name, *("-" if value is None else f"{100 * value:.1f}" for value in cells)])
     return ["", "total", *(value.replace("_", " ") for value in values)], rows
-
-
-def conditional_table(
-    results: Results, *, label: str = "vehicle", measure: str = "3d", iou: float = 0.3, kind: str = "weather"
-) -> str:
-    """The table as text with its convention; arguments and errors as of :func:`conditional_rows`."""
-    head, rows = conditional_rows(results, label=label, measure=measure, iou=iou, kind=kind)
-    return f"{_title(label, measure, iou)}\n\n{table(head, rows)}\n\n{_convention(results)}"
 
 
 def conditional_markdown(

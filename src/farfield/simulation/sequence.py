@@ -81,7 +81,7 @@ def simulate_frame(
         lasts = chosen.segment(max(sequence, 0)).duration_s
         raise ConfigError(
             f"simulate: expected sequence >= 0 and a frame within 0..{lasts:g} s, got sequence {sequence}, frame "
-            f"{index} at {index * chosen.stride_s:g} s. Ask for fewer frames or a smaller stride_s."
+            f"{index} at {index * chosen.stride_s:g} s. Take fewer frames or a smaller stride_s."
         )
     used = chosen.seed if seed is None else seed
     named = check_sensors(chosen, chosen.sensors if sensors is None else sensors)

@@ -10,7 +10,7 @@ from farfield.simulation.world.motion import STEP_S, Motion, in_conflict
 def _motion(x_m: list[float], yaw_rad: list[float]) -> Motion:
     position = np.zeros((1, len(x_m), 3))
     position[0, :, 0] = x_m
-    return Motion.on_flat(position, np.array([yaw_rad]))
+    return Motion(position, np.unwrap(np.array([yaw_rad]), axis=1), np.zeros((1, len(yaw_rad), 2)))
 
 
 def test_uniform_motion_stays_uniform_and_angles_turn_the_short_way() -> None:

@@ -127,7 +127,7 @@ class Splits(_Strict):
 
 
 class Segments(_Strict):
-    """How drives are told apart: a pause longer than ``gap_s`` begins a new segment."""
+    """How drives are separated: a pause longer than ``gap_s`` begins a new segment."""
 
     gap_s: float = Field(1.0, gt=0)
 

@@ -132,10 +132,6 @@ class Cirrus(Dataset):
             raise KeyError(f"frame {entry.key.stem} has no {pattern} sweep")
         return Sweep(path, entry.part.root, pattern, self.mapping.xyz, self._scale)
 
-    def cloud_columns(self, index: int, pattern: str) -> dict[str, np.ndarray]:
-        """Columns of a cloud by the mapping's names, in the file's own units."""
-        return self._sweep(index, pattern).columns()
-
     def cloud(self, index: int, pattern: str) -> Cloud:
         """Read one sweep of frame ``index``; intensity is brought to 0..1.
 

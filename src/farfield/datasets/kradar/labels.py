@@ -90,7 +90,7 @@ class LabelLine:
 
 @dataclass(frozen=True, kw_only=True)
 class LabelText:
-    """One annotation file as it is written; ``usual_header`` and ``merged_header`` tell of its first line."""
+    """One annotation file as it is written; ``usual_header`` and ``merged_header`` describe its first line."""
 
     indices: Mapping[str, int]
     time_ns: int | None

@@ -19,7 +19,7 @@ PUBLISHED_BYTES = {name: round(gb * 1e9 * _ANNOTATED / _LARGEST) for name, gb in
     "polar3d": 16_207_920 * _ANNOTATED,
     "labels": round(0.5e6 * _ANNOTATED / _LARGEST),
 }
-"""Bytes of a modality in the whole published set, about; what nobody has told the size of is absent."""
+"""Bytes of a modality in the whole published set, about; a modality of unknown size is absent."""
 
 # Every entry is a choice: the first alternative that a tree holds is enough.
 TASKS: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -1,6 +1,6 @@
 """What K-Radar's own files cannot hold of a frame: one JSON file a frame beside them, which other readers ignore.
 
-``<sequence>/frame_record/00033_00001.json``. The files that tell of a whole sequence (description, times, odometry,
+``<sequence>/frame_record/00033_00001.json``. The files of a whole sequence (description, times, odometry,
 calibrations, splits) are made from these records, whichever process wrote them in whatever order.
 """
 

@@ -45,7 +45,7 @@ class KRadarWriter:
     - an annotation: full boxes, with ``visibility`` (``R``, ``L`` or ``L1`` of each); ``time_ns``, ``world_T_frame``.
 
     A frame is complete when its record (``<sequence>/frame_record``) is there: it goes last. :meth:`finish` then writes
-    what tells of whole sequences.
+    the files of whole sequences.
 
     Args:
         root: Folder of the data set; made when a frame is written.
@@ -115,7 +115,7 @@ class KRadarWriter:
         return paths
 
     def finish(self) -> list[Path]:
-        """Write what tells of whole sequences, from the records of all frames that stand in the root.
+        """Write the files of whole sequences, from the records of all frames that stand in the root.
 
         That is description.txt, info_calib, time_info, camera calibrations, odometry, K-Radar's train and test lists,
         and a split that keeps sequences whole. Call it once, when all frames are written.

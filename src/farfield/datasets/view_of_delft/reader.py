@@ -69,7 +69,7 @@ class ViewOfDelft(Dataset):
 
     - ``rcs_dbsm``, the radar cross section,
     - ``v_r_m_s``, radial velocity relative to the radar, positive away from it; once more as ``doppler_m_s``, the name
-      that detectors of radar cells ask for,
+      by which detectors of radar cells read it,
     - ``v_r_compensated_m_s``, the same over ground, without the ego vehicle's motion,
     - ``scan``, 0 for the newest, -1, -2...; ``lag_s`` is its age at :data:`RADAR_RATE_HZ`.
 

@@ -106,7 +106,7 @@ class Census:
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Which of the conditions and of visibility the data set tells of any frame or object."""
+        """Which of the conditions, and whether visibility, are known of any frame or object."""
         kinds = [kind for kind in CONDITIONS if (self.conditions[kind] != UNKNOWN).any()]
         return (*kinds, "visibility") if (self.visibility != UNKNOWN).any() else tuple(kinds)
 

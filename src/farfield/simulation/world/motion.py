@@ -46,11 +46,6 @@ class Motion:
     yaw_rad: Float[np.ndarray, "n steps"]
     slope: Float[np.ndarray, "n steps 2"]
 
-    @classmethod
-    def on_flat(cls, position_m: Float[np.ndarray, "n steps 3"], yaw_rad: Float[np.ndarray, "n steps"]) -> "Motion":
-        """Paths on level ground."""
-        return cls(position_m, np.unwrap(yaw_rad, axis=1), np.zeros((*yaw_rad.shape, 2)))
-
     def at(
         self, time_s: float, *, rows: slice | Int[np.ndarray, " m"] = slice(None)
     ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:

@@ -1,6 +1,6 @@
 """Collects a scene's road users: lanes of car-following traffic, parked vehicles, walkers and crossers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,6 @@ from farfield.simulation.world.motion import STEP_S, Motion, in_conflict
 from farfield.simulation.world.road import RoadLine
 from farfield.simulation.world.traffic import Drivers, LaneChange, Signal, drive
 
-KindChoice = Callable[[np.random.Generator], str]
 _EGO_SIZE_M = np.array([4.8, 1.9, 1.6])
 _TRUCKS = ("box", "semi", "flatbed", "tanker", "tipper")
 _HITCH_M, _MARGIN_M = 0.5, 0.25
