@@ -1,7 +1,11 @@
 """What README and docs show is run, and is true."""
 
+import ast
+import inspect
 import math
 import re
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -10,6 +14,7 @@ from farfield.cli import VERBS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md")), ROOT / "examples" / "README.md"]
 IMAGE_LIMIT = 500_000
 
 
@@ -30,6 +35,91 @@ def test_readme_python_runs(
     assert "Boxes(" in shown
     assert "wDDS" in shown
     assert (tmp_path / "frame.png").stat().st_size > 10_000
+
+
+def test_readme_is_short() -> None:
+    assert len(README.splitlines()) < 150
+
+
+@pytest.fixture
+def registered_here() -> Iterator[None]:
+    """Forget afterwards what a page registers."""
+    from farfield.datasets import DATASETS
+    from farfield.detectors import DETECTORS
+    from farfield.metrics import PROTOCOLS
+
+    registries = [DATASETS, DETECTORS, PROTOCOLS, import_module("farfield.training.method").METHODS]
+    before = [dict(registry._registered) for registry in registries]
+    yield
+    for registry, names in zip(registries, before, strict=True):
+        registry._registered.clear()
+        registry._registered.update(names)
+
+
+def _run(page: str, *, given: dict[str, object] | None = None, blocks: slice = slice(None)) -> dict[str, object]:
+    """Run the blocks of a page, one after the other, and give the names that they define."""
+    names: dict[str, object] = {"__name__": "page", **(given or {})}
+    for block in _blocks((ROOT / "docs" / page).read_text(encoding="utf-8"), "python")[blocks]:
+        exec(compile(block, page, "exec"), names)
+    return names
+
+
+def test_contracts_run_from_top_to_bottom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, registered_here: None
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    names = _run("contracts.md")
+    assert names["result"].to_json()["dds"]["0"]["dds"] == 1.0
+    assert names["behind"].recipe["maps"][0]["name"] == "move"
+    assert len(names["boxes"]) == 2
+    assert names["METHODS"].origin("self-training") == "registered here"
+    assert not (tmp_path / "runs").exists()
+
+
+def test_conventions_run() -> None:
+    pytest.importorskip("embreex")
+    names = _run("conventions.md")
+    assert len(names["both"]) == sum(len(names["frame"].cloud(name)) for name in ("gaussian", "uniform"))
+    assert names["back"].reference == names["frame"].reference + "'"
+
+
+def test_the_detector_and_the_protocol_of_the_pages_run(registered_here: None) -> None:
+    pytest.importorskip("torch")
+    from farfield.detectors import DETECTORS
+    from farfield.testing import check_protocol
+
+    _run("detectors.md", blocks=slice(1, 2))
+    assert DETECTORS["wide-pillars"].config_class().name == "wide-pillars"
+    _run("metrics.md", blocks=slice(1, 2))
+    check_protocol("recall")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_pages_import_exists(page: Path) -> None:
+    pytest.importorskip("torch")
+    for block in _blocks(page.read_text(encoding="utf-8"), "python"):
+        tree = ast.parse(block)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("farfield."):
+                module = import_module(node.module)
+                assert not [alias.name for alias in node.names if not hasattr(module, alias.name)], block
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "ff":
+                assert hasattr(import_module("farfield"), node.attr), f"ff.{node.attr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_and_paths_of_pages_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    commands = "\n".join(_blocks(text, "bash")) + "\n" + "\n".join(re.findall(r"`(farfield [^`]+)`", text))
+    for verb, rest in re.findall(r"\bfarfield ([a-z][a-z-]+)\b([^\n#|>]*)", commands):
+        assert verb in VERBS, f"farfield {verb}"
+        known = inspect.signature(import_module(f"farfield.cli.{verb.replace('-', '_')}").run).parameters
+        flags = [flag.replace("-", "_") for flag in re.findall(r"--([a-z][a-z-]+)", rest)]
+        assert set(flags) <= {*known, "help"}, f"farfield {verb}{rest}"
+    named = re.findall(r"`((?:benchmarks|docs|examples|src|tests)/[\w./-]+\.\w+)", text)
+    named += [f"benchmarks/results/{name}" for name in re.findall(r"`(\w+\.txt)`", text) if "_" in name]
+    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 def test_readme_commands_exist() -> None:

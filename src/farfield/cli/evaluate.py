@@ -58,7 +58,7 @@ def run(
         label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle), or with
             K-Radar's protocols every class that the detector knows.
         range_bins_m: Edges of the range bins; 0,70,150,250 or K-Radar's 0,20,40,60,80 unless given.
-        epsilons: wDDS weights; 0,0.003,0.006,0.009 unless given.
+        epsilons: wDDS weights; for dds 0,0.003,0.006,0.009 unless given, for nuscenes 0.
         epsilon: The old name of epsilons.
         region: For dds window (x 0..250, |y| <= 50 m, the default), range, or none; for nuscenes and kitti none is the
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.

@@ -39,7 +39,7 @@ def run(
         detector: A bundled detector's name, a run's folder, or a weights file.
         files: Clouds (.pcd, .bin, .npy, .xyz, .ffcloud), or one data set's folder.
         out: The CSV file; printed unless given.
-        cloud: Which of a data set's clouds; its first unless given.
+        cloud: Which of a data set's clouds; the first that suits the detector unless given.
         score_threshold: Boxes below this score are left out.
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector

@@ -55,8 +55,9 @@ def run(
             rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide. A protocol of an installed package by its name.
         format: Format of both.
         label: The class that is scored; without it every class is, each for itself, the most annotated one first.
-        range_bins_m: Edges of the range bins; without it 0,70,150,250, for kradar 0,20,40,60,80.
-        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; 0,0.003,0.006,0.009 unless given.
+        range_bins_m: Edges of the range bins; without it the protocol's own: 0,70,150,250, for kradar 0,20,40,60,80.
+        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; for dds
+            0,0.003,0.006,0.009 unless given, for nuscenes 0.
         epsilon: The old name of epsilons.
         region: window: x 0..250, |y| <= 50 and the outermost bin edges; range: the outermost bin edges; none: all.
             Without it: window for dds on boxes-csv, none otherwise. For kradar: wide (without it), narrow, none or
