@@ -29,7 +29,14 @@ def pytest_collection_finish() -> None:
     """Leave what was collected out of all searches for garbage; these go on as often as ever."""
     gc.collect()
     gc.freeze()
+    gc.collect()  # counts what is left: the next whole search comes when there is a quarter more of that
     gc.enable()
+
+
+def pytest_runtest_teardown() -> None:
+    """Give back the threads that a test's training took: they would quarrel with the other workers ever after."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 @pytest.fixture

@@ -92,3 +92,14 @@ def test_interval_of_a_mean_has_the_known_width() -> None:
 def test_one_group_has_no_interval() -> None:
     assert intervals(lambda w: {"a": 1.0}, 1, Bootstrap()) == {"a": None}
     assert intervals(lambda w: {"a": 1.0}, 5, Bootstrap(replicates=0)) == {"a": None}
+
+
+def test_equal_draws_are_scored_once() -> None:
+    asked: list[bytes] = []
+
+    def first(weight: np.ndarray) -> dict[str, float | None]:
+        asked.append(weight.tobytes())
+        return {"a": float(weight[0])}
+
+    assert intervals(first, 2, Bootstrap(replicates=200)) == {"a": [0.0, 2.0]}
+    assert len(asked) == len(set(asked)) == 3

@@ -50,8 +50,12 @@ def intervals(
         return dict.fromkeys(statistics(np.ones(groups)))
     weights = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
     drawn: dict[str, list[float]] = {}
+    known: dict[bytes, Statistics] = {}  # few groups are drawn alike again and again: of two in three ways only
     for weight in weights:
-        for name, value in statistics(weight).items():
+        key = weight.tobytes()
+        if key not in known:
+            known[key] = statistics(weight)
+        for name, value in known[key].items():
             drawn.setdefault(name, []).extend([] if value is None else [value])
     tail = (1.0 - settings.level) / 2
     return {
