@@ -57,10 +57,10 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 test: lint
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -n $(WORKERS) $(SHAPES) $(PYTEST_FLAGS) tests
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(SHAPES) $(PYTEST_FLAGS) tests
 
 test-slow: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) $(SHAPES) $(PYTEST_FLAGS) tests
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(SHAPES) $(PYTEST_FLAGS) tests
 
 # The tests that need no torch, on any Python:  make test-core PYTHON=python3.13
 test-core:

@@ -2,14 +2,21 @@
 
 import gc
 import os
+import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import settings
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 # The same examples at every run, so that a red run is the change's own. To explore:  HYPOTHESIS_PROFILE=explore
 settings.register_profile("repeatable", derandomize=True, deadline=None)
@@ -51,6 +58,40 @@ def shared_real() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data beside the project")
     return folder
+
+
+def _made_once(home: Path, name: str, make: Callable[[Path], object]) -> Path:
+    home.mkdir(exist_ok=True)
+    with (home / f"{name}.lock").open("w") as lock:
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # let go when the file is closed, or its process killed
+        if not (home / f"{name}.made").exists():
+            shutil.rmtree(home / name, ignore_errors=True)
+            make(home / name)
+            (home / f"{name}.made").touch()
+    return home / name
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Gives a folder by its name, made by whichever worker asks first; the others wait, and nobody writes into it."""
+    base = tmp_path_factory.getbasetemp()
+    return partial(_made_once, (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared")
+
+
+def _three_frames(root: Path) -> None:
+    from farfield.datasets.cirrus import CirrusWriter
+    from farfield.simulation import simulate_sequence
+
+    for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=3):
+        CirrusWriter(root).write(frame)
+
+
+@pytest.fixture(scope="session")
+def simulated_cirrus(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+    """Three simulated frames of one drive in the Cirrus layout; read only."""
+    pytest.importorskip("embreex")
+    return made_once("cirrus", _three_frames)
 
 
 @pytest.fixture

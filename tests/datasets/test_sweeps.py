@@ -106,17 +106,13 @@ def test_sweeps_of_sweeps_name_all_files():
     np.testing.assert_allclose(lag_s, np.repeat([0.0, 0.1, 0.1, 0.2], 4), atol=1e-7)
 
 
-def test_simulated_sweeps_line_up(tmp_path):
+def test_simulated_sweeps_line_up(simulated_cirrus):
     """Cirrus' layout keeps the poses: what an earlier sweep saw of a parked car lies in that car's present box."""
-    pytest.importorskip("embreex")
     from farfield.datasets import open_dataset
-    from farfield.datasets.cirrus import CirrusWriter
-    from farfield.simulation import simulate_sequence
 
-    for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=2):
-        CirrusWriter(tmp_path).write(frame)
-    first, second = open_dataset(tmp_path)
-    cloud = open_dataset(tmp_path).mapped(Sweeps(2))[1].cloud("gaussian")
+    data = open_dataset(simulated_cirrus)
+    first, second, _ = data
+    cloud = data.mapped(Sweeps(2))[1].cloud("gaussian")
     earlier = cloud[cloud.extra["lag_s"] > 0]
     then, now = first.annotation.full_boxes, second.annotation.full_boxes
     second_T_first = invert(second.world_T_frame) @ first.world_T_frame

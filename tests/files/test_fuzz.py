@@ -62,7 +62,11 @@ def test_the_fuzzer_notices_what_it_is_there_for(fuzzer: ModuleType, tmp_path: P
 
 
 @pytest.mark.slow
-def test_twenty_thousand_damaged_files_a_reader(tmp_path: Path) -> None:
-    command = [sys.executable, str(SCRIPT), "--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
+@pytest.mark.parametrize("reader", READERS)
+def test_twenty_thousand_damaged_files_a_reader(tmp_path: Path, reader: str) -> None:
+    """In a process of its own, whose memory is limited, as the script does with one reader after the other."""
+    command = [sys.executable, str(SCRIPT), "--only", reader, "--files", "20000"]
+    command += ["--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert finished.returncode == 0, finished.stdout
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    assert finished.stdout.startswith(f"{reader:20}{20000:8}")

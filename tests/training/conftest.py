@@ -19,17 +19,10 @@ training:
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(simulated_cirrus: Path) -> Path:
     """Three mini frames in the Cirrus layout."""
     pytest.importorskip("torch")
-    pytest.importorskip("embreex")
-    from farfield.datasets.cirrus import CirrusWriter
-    from farfield.simulation import simulate_sequence
-
-    root = tmp_path_factory.mktemp("data")
-    for frame in simulate_sequence("cirrus-sim-mini", seed=5, sequence=1, frames=3):
-        CirrusWriter(root).write(frame)
-    return root
+    return simulated_cirrus
 
 
 @pytest.fixture

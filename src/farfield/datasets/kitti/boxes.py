@@ -116,6 +116,6 @@ def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | Non
         boxes=boxes,
         original_label=tuple(kept.type.tolist()),
         details=details,
-        unboxed={"dontcare_px": objects[objects.type == "DontCare"].box_px},
+        unboxed={"dontcare_px": objects.box_px[objects.type == "DontCare"]},
         region=region,
     )
