@@ -1,8 +1,8 @@
 """A small scene, cars as L-shaped walls of points on a flat road, and each small detector trained on it once."""
 
-import copy
 from collections.abc import Callable
-from functools import cache
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,8 +45,7 @@ def scene(rng: np.random.Generator) -> Frame:
     return made_scene(rng)
 
 
-@cache
-def _trained(name: str) -> Network:
+def _train(name: str, folder: Path) -> None:
     scene, network = made_scene(np.random.default_rng(20260101)), small_detector(name)  # as the fixture rng
     cloud, boxes = cloud_of(network, scene.cloud()), scene.boxes
     optimizer = torch.optim.AdamW(network.parameters(), SMALL[name].learning_rate)
@@ -55,10 +54,18 @@ def _trained(name: str) -> Network:
         sum(losses_of(network, [cloud], [boxes]).values()).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
         optimizer.step()
+    folder.mkdir()
+    torch.save(network.state_dict(), folder / "state.pt")
+
+
+def _trained(made_once: Callable[[str, Callable[[Path], object]], Path], name: str) -> Network:
+    folder = made_once(f"trained-{name}", partial(_train, name))
+    network = small_detector(name)
+    network.load_state_dict(torch.load(folder / "state.pt", weights_only=True))
     return network.eval()
 
 
 @pytest.fixture(scope="session")
-def trained() -> Callable[[str], Network]:
-    """Gives a small detector that knows the scene by heart; trained once a session, a copy each time."""
-    return lambda name: copy.deepcopy(_trained(name))
+def trained(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Callable[[str], Network]:
+    """Gives a small detector that knows the scene by heart, trained by whichever worker asks first."""
+    return partial(_trained, made_once)
