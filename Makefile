@@ -26,7 +26,7 @@ PYTEST_FLAGS ?=
 
 # Several test workers or small tensors gain nothing from threads and lose much to their quarrels.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-SHAPES := --jaxtyping-packages=farfield,beartype.beartype
+SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
 .PHONY: help install demo test test-slow test-core lint format bench wheel clean
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
+from _pytest import runner
 from hypothesis import settings
 
 try:
@@ -38,6 +39,21 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.collect()  # counts what is left: the next whole search comes when there is a quarter more of that
     gc.enable()
+
+
+def _roomy(call: Callable[[], object]) -> object:
+    return call()
+
+
+# CPython takes its stack in chunks of 16 kB. The deep calls of the shape checks cross the end of one a million times,
+# and each time memory is mapped and given back; a function that seems to need a lot gets a chunk with room beneath it.
+_roomy.__code__ = _roomy.__code__.replace(co_stacksize=(1 << 17) + 100)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> object:
+    """Run each test in a stack of one piece."""
+    return _roomy(partial(runner.pytest_runtest_protocol, item, nextitem))
 
 
 def pytest_runtest_teardown() -> None:

@@ -5,6 +5,7 @@ right, so that its own direction lies at negative d.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -92,9 +93,16 @@ class RoadLine:
             column -= column[behind]
         return cls(float(-behind), np.stack([*columns, heading, grade, bank, curvature], axis=1))
 
+    @cached_property
+    def _rows(self) -> Float[np.ndarray, " n"]:
+        return np.arange(len(self.table), dtype=np.float64)
+
+    @cached_property
+    def _columns(self) -> Float[np.ndarray, "7 n"]:
+        return np.ascontiguousarray(self.table.T)
+
     def _column(self, s_m: Float[np.ndarray, "*shape"], column: int) -> Float[np.ndarray, "*shape"]:
-        position = (s_m - self.first_s_m) / _STEP_M
-        return np.asarray(np.interp(position, np.arange(len(self.table)), self.table[:, column]))
+        return np.asarray(np.interp((s_m - self.first_s_m) / _STEP_M, self._rows, self._columns[column]))
 
     @property
     def last_s_m(self) -> float:
@@ -119,11 +127,10 @@ class RoadLine:
         self, s_m: Float[np.ndarray, "*shape"], d_m: Float[np.ndarray, "*shape"] | float
     ) -> Float[np.ndarray, "*shape 3"]:
         """World coordinates of a place on the road's surface."""
-        heading = self.heading_rad(s_m)
-        x = self._column(s_m, 0) - d_m * np.sin(heading)
-        y = self._column(s_m, 1) + d_m * np.cos(heading)
-        tilt = -self._column(s_m, 5) * np.clip(d_m, -BANKED_HALF_M, BANKED_HALF_M)
-        return np.stack([x, y, self._column(s_m, 2) + tilt], axis=-1)
+        place = (s_m - self.first_s_m) / _STEP_M
+        x, y, z, heading, bank = (np.interp(place, self._rows, self._columns[number]) for number in (0, 1, 2, 3, 5))
+        tilt = -bank * np.clip(d_m, -BANKED_HALF_M, BANKED_HALF_M)
+        return np.stack([x - d_m * np.sin(heading), y + d_m * np.cos(heading), z + tilt], axis=-1)
 
 
 def ribbon(
