@@ -1,6 +1,9 @@
 """The errors that users meet. Each says what, where, expected, got, and how to mend it."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 
 class FarfieldError(Exception):
@@ -22,6 +25,10 @@ class FileFormatError(FarfieldError):
         self.path, self.where, self.expected, self.found, self.mend = path, where, expected, found, mend
         super().__init__(f"{path}, {where}: expected {expected}, found {found}." + (f" {mend}" if mend else ""))
 
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        known = {"where": self.where, "expected": self.expected, "found": self.found, "mend": self.mend}
+        return partial(FileFormatError, **known), (self.path,)
+
 
 class DatasetError(FarfieldError):
     """A data set's folder does not hold what its layout promises."""
@@ -35,4 +42,8 @@ class MissingExtraError(FarfieldError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
+        self.known = (package, extra, purpose)
         super().__init__(f'{purpose} needs {package}. Install it with: pip install "farfield[{extra}]"')
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return MissingExtraError, self.known

@@ -1,0 +1,50 @@
+"""A unit of work, and what became of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A part of a large work that is done whole or not at all, such as a frame to write.
+
+    Args:
+        name: Tells it from the others of the same work.
+        sources: Files that it is made from; when one of them changes, it is made anew.
+        parameters: What else the work needs to know; it travels to other processes.
+        group: Units that stand beside each other with the same group go to one worker, a few at a time, so that what
+            they share is made once.
+    """
+
+    name: str
+    sources: tuple[Path, ...] = ()
+    parameters: Any = None
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a unit gave.
+
+    Args:
+        files: Files that were written, whole.
+        value: What was computed; where a journal keeps it, what JSON takes.
+        clock: What the clock measured; it is kept apart from the value, so that equal work gives equal files.
+    """
+
+    files: tuple[Path, ...] = ()
+    value: Any = None
+    clock: Any = None
+
+
+@runtime_checkable
+class Work(Protocol):
+    """What is done with each unit: a function or object that pickles, of a module that can be imported.
+
+    The same unit gives the same files and the same value, whoever does it and whatever was done before. An attribute
+    ``memory_bytes`` says what a worker needs at most.
+    """
+
+    def __call__(self, unit: Unit) -> Done:
+        """Do one unit."""

@@ -1,0 +1,56 @@
+"""Works that the tests of bulk work do, in a module since they travel to other processes."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from farfield.bulk import Done, Unit
+from farfield.errors import FileFormatError
+from farfield.files.atomic import write_text
+
+
+def nothing(unit: Unit) -> Done:
+    return Done()
+
+
+def square(unit: Unit) -> Done:
+    return Done(value=unit.parameters**2, clock=time.time())
+
+
+def slowest_first(unit: Unit) -> Done:
+    time.sleep(0.02 * (unit.parameters % 3))
+    return Done(value=[unit.parameters, os.getpid()])
+
+
+def damaged(unit: Unit) -> Done:
+    if unit.parameters == 3:
+        raise FileFormatError("a.xyz", where="line 3", expected="numbers", found="words", mend="Mend it.")
+    return Done(value=unit.parameters)
+
+
+def kill_at_three(unit: Unit) -> Done:
+    """Dies at unit 3, whoever does it."""
+    if unit.parameters == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Done(value=unit.parameters)
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Writes what stands in a unit's source, with a greeting; the first to come to ``fatal`` is killed."""
+
+    folder: Path
+    fatal: str = ""
+    pause_s: float = 0.0
+
+    def __call__(self, unit: Unit) -> Done:
+        if unit.name == self.fatal and not (self.folder.parent / "died").exists():
+            (self.folder.parent / "died").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(self.pause_s)
+        text = "".join(path.read_text() for path in unit.sources)
+        path = self.folder / f"{unit.name}.txt"
+        write_text(path, f"{unit.parameters} {text}")
+        return Done(files=(path,), value={"length": len(text)}, clock=time.time())
