@@ -10,15 +10,25 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from farfield.cli import main
 from farfield.datasets import open_dataset
+from farfield.recording.frames import JOURNAL_NAME
 from farfield.simulation import simulate_frame
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """The data; the journal is that of one set of settings."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != JOURNAL_NAME]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def still_there(out: Path) -> list[psutil.Process]:
+    """Workers of a command that was killed, as long as they have not noticed."""
+    workers = [process for process in psutil.process_iter(["cmdline", "cwd"]) if process.info["cwd"] == str(out)]
+    return [process for process in workers if "farfield.bulk.worker" in (process.info["cmdline"] or ())]
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +130,7 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
     command += ["--frames", "4", "--workers", "2"]
     quiet, fewer = subprocess.DEVNULL, 0
     for frames in (1, 2, 3):
-        run = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+        run = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True, cwd=tmp_path)
         until = time.monotonic() + 120
         while (
             len(list((out / "Cirrus_dataset1" / "dataset1_annotation").glob("*.json"))) < frames and run.poll() is None
@@ -129,13 +139,16 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
             time.sleep(0.002)
         os.killpg(run.pid, signal.SIGKILL)
         run.wait(30)
+        _, alive = psutil.wait_procs(still_there(tmp_path), timeout=30)
+        assert not alive
         root = out / "Cirrus_dataset1"
         labelled = sorted(path.stem for path in (root / "dataset1_annotation").glob("*.json"))
         fewer += len(labelled) < 4
         assert all((root / "dataset1_gaussian" / f"{stem}.xyz").is_file() for stem in labelled)
         assert len(list((root / "dataset1_uniform").glob("*.xyz"))) >= len(labelled)
         expected = contents(written)
-        now = {name: data for name, data in contents(out).items() if not name.startswith(".unfinished-")}
+        now = contents(out)
+        assert not any("unfinished" in name or name.endswith(".part") for name in now)  # the workers cleaned up
         assert all(data == expected[name] for name, data in now.items() if name != "simulation.json")
     assert fewer >= 1
     assert main(["simulate", "cirrus-sim-mini", str(out), "--frames", "4", "--workers", "1"]) == 0
@@ -144,12 +157,12 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.recording.writing import locked, sweep_out
+    from farfield.bulk.folders import locked, sweep_out
 
     (tmp_path / ".unfinished-1").mkdir()
     code = f"""
 import sys, pathlib
-from farfield.recording.writing import locked
+from farfield.bulk.folders import locked
 with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     print("held", flush=True)
     sys.stdin.read()
@@ -169,14 +182,14 @@ with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.recording import writing
+    from farfield.bulk import folders
 
     def refuse(*_: object) -> None:
         raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")
 
-    monkeypatch.setattr(writing.fcntl, "flock", refuse)
+    monkeypatch.setattr(folders.fcntl, "flock", refuse)
     (tmp_path / ".unfinished-1").mkdir()
-    writing.sweep_out(tmp_path)
+    folders.sweep_out(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,12 +1,16 @@
-"""Which frames of a recording are missing, how much room they need, and simulating them."""
+"""The frames of a recording as units of work: which there are, how much room they need, simulating one."""
 
 import errno
+import json
 import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from farfield.bulk import Done, Journal, Unit
+from farfield.bulk.journal import mark_of, state_of
 from farfield.errors import DatasetError
+from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import writer_for
 from farfield.recording.settings import Recording
 from farfield.recording.writing import write_whole
@@ -16,7 +20,7 @@ from farfield.vocabulary.patterns import PATTERNS
 if TYPE_CHECKING:
     from farfield.frame import Frame
 
-_BLOCK = 10  # frames a job of a worker
+JOURNAL_NAME = ".farfield_simulate.jsonl"
 
 # Bytes a frame by sensor, generously; an Ouster's point takes 80 bytes of ASCII, a Luminar's 70.
 _BYTES = {
@@ -35,25 +39,35 @@ _BYTES_PER_SHOT = {"gaussian": 70, "uniform": 70, "os2-64": 80, "os1-128": 80}
 _CACHED = 1.6  # bytes with the binary cache over bytes without
 
 
-@dataclass(frozen=True)
-class Job:
-    """Frames of one sequence for one worker."""
-
-    recording: Recording
-    sequence: int
-    indices: tuple[int, ...]
+_WORKER_BYTES, _RADAR_WORKER_BYTES = 600_000_000, 1_500_000_000
+_RADAR_SENSORS = {"cells", "sparse", "polar3d", "cube", "tesseract"}
 
 
-def missing_jobs(recording: Recording) -> Iterator[Job]:
-    """Blocks of frames that are not complete yet."""
-    for sequence, frames in enumerate(recording.plan):
-        missing = [index for index in range(frames) if not _complete(recording, sequence, index)]
-        for first in range(0, len(missing), _BLOCK):
-            yield Job(recording, sequence, tuple(missing[first : first + _BLOCK]))
+def units_of(recording: Recording) -> list[Unit]:
+    """One unit a frame; those of a sequence go together, for its road and traffic are made once."""
+    return [
+        Unit(f"{sequence}/{index}", parameters=(sequence, index), group=str(sequence))
+        for sequence, frames in enumerate(recording.plan)
+        for index in range(frames)
+    ]
 
 
-def _complete(recording: Recording, sequence: int, index: int) -> bool:
-    """Whether all files of a frame are there; each appeared whole or not at all."""
+def journal_of(recording: Recording) -> Journal:
+    """What was written before with these very settings; frames of before there was a journal are entered."""
+    setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.cache])
+    path = recording.out / JOURNAL_NAME
+    begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
+    journal = Journal(path, setting)
+    for unit in units_of(recording) if begun else ():
+        if not journal.has(unit) and (paths := _complete(recording, *unit.parameters)):
+            files = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in paths}
+            journal.add(unit, state_of(unit.sources, setting), files)
+    journal.commit()
+    return journal
+
+
+def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
+    """The files of a frame if all are there, each of which appeared whole or not at all; else none."""
     from farfield.simulation.sequence import planned_frame
 
     frame = planned_frame(
@@ -62,12 +76,14 @@ def _complete(recording: Recording, sequence: int, index: int) -> bool:
     writer = writer_for(recording.preset, recording.out)
     paths = writer.paths(frame)
     if not all(path.is_file() for path in paths.values()):
-        return False
+        return []
     if not recording.cache:
-        return True
+        return [*paths.values()]
     from farfield.datasets.cloud_files import cache_path, is_fresh
 
-    return all(is_fresh(cache_path(paths[name], writer.root), paths[name]) for name in frame.clouds if name in paths)
+    cached = {paths[name]: cache_path(paths[name], writer.root) for name in frame.clouds if name in paths}
+    fresh = all(is_fresh(cache, path) for path, cache in cached.items())
+    return [*paths.values(), *cached.values()] if fresh else []
 
 
 def bytes_needed(recording: Recording, count: int) -> float:
@@ -93,21 +109,33 @@ def check_disk(recording: Recording, count: int) -> None:
         )
 
 
-def simulate_job(job: Job) -> Iterator[str]:
-    """Simulate and write the frames of one job; yields what the checksum says of each ("written" if there is none).
+@dataclass(frozen=True)
+class Simulate:
+    """Simulates and writes a frame; its value says what the checksum says of it, if there is one.
 
-    Raises:
-        DatasetError: If the disk is full; what was written stays.
+    Args:
+        recording: What is written where.
     """
-    from farfield.simulation.sequence import simulate_frame
 
-    wanted = job.recording
-    for index in job.indices:
-        frame = simulate_frame(
-            wanted.preset, seed=wanted.seed, sequence=job.sequence, index=index, sensors=wanted.sensors
-        )
+    recording: Recording
+
+    @property
+    def memory_bytes(self) -> int:
+        """What a worker needs at most."""
+        return _RADAR_WORKER_BYTES if _RADAR_SENSORS & {*self.recording.sensors} else _WORKER_BYTES
+
+    def __call__(self, unit: Unit) -> Done:
+        """Simulate one frame.
+
+        Raises:
+            DatasetError: If the disk is full; what was written stays.
+        """
+        from farfield.simulation.sequence import simulate_frame
+
+        wanted, (sequence, index) = self.recording, unit.parameters
+        frame = simulate_frame(wanted.preset, seed=wanted.seed, sequence=sequence, index=index, sensors=wanted.sensors)
         try:
-            write_whole(wanted.preset, frame, wanted.out, cache=wanted.cache)
+            files = write_whole(wanted.preset, frame, wanted.out, cache=wanted.cache)
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):
                 raise
@@ -115,10 +143,10 @@ def simulate_job(job: Job) -> Iterator[str]:
                 f"{wanted.out}: the disk is full. The frames written so far are whole and stay; make room and run the "
                 "same command again to go on."
             ) from error
-        yield _verdict(job, frame, index) if wanted.frozen else "written"
+        return Done(files=files, value=_verdict(wanted, frame, sequence, index) if wanted.frozen else None)
 
 
-def _verdict(job: Job, frame: "Frame", index: int) -> str:
+def _verdict(recording: Recording, frame: "Frame", sequence: int, index: int) -> str:
     from farfield.simulation.frozen import compare, frame_record, frozen_records
 
-    return compare(frame_record(frame), frozen_records(job.recording.preset.name)[job.sequence, index])
+    return compare(frame_record(frame), frozen_records(recording.preset.name)[sequence, index])

@@ -1,25 +1,21 @@
 """Simulate a data set and write it in a real data set's layout: resumable, with several processes."""
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from farfield.bulk import Bulk, run
+from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError
-from farfield.recording.frames import Job, check_disk, missing_jobs, simulate_job
+from farfield.recording.frames import Simulate, check_disk, journal_of, units_of
 from farfield.recording.planning import MAX_STRIDE_S, frames_of_sequences
-from farfield.recording.pool import work
 from farfield.recording.rigs import files_of, writer_for
 from farfield.recording.settings import Recording, claim
 from farfield.recording.words import announced, concluded
-from farfield.recording.writing import sweep_out
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
-
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
-"""Passes through what it iterates over, and may show how far it is; what it gets has a length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +55,7 @@ def record(
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,
     workers: int = 0,
+    engine: str = "local",
     cache: bool = False,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
@@ -79,14 +76,16 @@ def record(
         seed: The preset's own if None.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own if None.
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence.
-        workers: Processes; 0 takes as many as there are cores.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are simulated: a name of ``farfield.bulk.ENGINES``.
         cache: Also write the binary cache that makes reading fast.
-        progress: Called with the frames to write, as they are written.
+        progress: Wraps the numbers of the frames that are left, to show progress.
         report: Called with each line of what is going to be done and what was done.
 
     Raises:
         ConfigError: If there is no such preset, sensor or weather, or the settings do not go together.
-        DatasetError: If the folder holds something else, the disk has no room, or a worker was killed.
+        DatasetError: If the folder holds something else, or the disk has no room.
+        BulkError: If the memory does not suffice for so many workers, or frames killed their workers twice.
     """
     changes: dict[str, Any] = {"weather": weather, "time": time, "stride_s": stride_s}
     if uniform_offset_ms is not None:
@@ -102,7 +101,7 @@ def record(
         cache=cache,
         frozen=frozen,
     )
-    return _run(recording, workers, progress, report or _silent)
+    return _run(recording, Bulk(workers=workers, engine=engine, progress=progress), report or _silent)
 
 
 def _chosen(
@@ -130,34 +129,21 @@ def _sensors(preset: "Preset", sensors: str | Sequence[str] | None) -> tuple[str
     return check_sensors(preset, tuple(sensors) if sensors else preset.sensors)
 
 
-def _run(recording: Recording, workers: int, progress: Progress, report: Callable[[str], object]) -> Recorded:
+def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> Recorded:
     claim(recording)
-    sweep_out(recording.out)
-    jobs = tuple(missing_jobs(recording))
-    left = _Left(jobs, min(workers if workers > 0 else os.cpu_count() or 1, max(len(jobs), 1)))
-    for line in announced(recording, len(left), left.processes):
+    units, journal, work = units_of(recording), journal_of(recording), Simulate(recording)
+    left = sum(not journal.has(unit) for unit in units)
+    for line in announced(recording, left, bulk.hands(work, left)):
         report(line)
-    check_disk(recording, len(left))
-    verdicts = tuple(progress(left))
+    check_disk(recording, left)
+    outcome = run(work, units, bulk, journal=journal)
     if files_of(recording.preset).finishes:  # calibration, times, splits, odometry
         writer_for(recording.preset, recording.out).finish()
+    said = journal.values(units[place].name for place in sorted(outcome.clocks))
+    verdicts = tuple(str(verdict or "written") for verdict in said)
     for line in concluded(recording, verdicts):
         report(line)
     return Recorded(recording=recording, verdicts=verdicts)
-
-
-@dataclass(frozen=True)
-class _Left:
-    """The frames still to write, each written when it is iterated over."""
-
-    jobs: tuple[Job, ...]
-    processes: int
-
-    def __len__(self) -> int:
-        return sum(len(job.indices) for job in self.jobs)
-
-    def __iter__(self) -> Iterator[str]:
-        return work(simulate_job, self.jobs, self.processes)
 
 
 def _silent(line: str) -> None:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from farfield.bulk.runs import Progress
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import files_of
-from farfield.recording.simulated import Progress, Recorded, record
+from farfield.recording.simulated import Recorded, record
 
 
 class SimulationConfig(BaseModel):
