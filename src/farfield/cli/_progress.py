@@ -1,7 +1,11 @@
-"""Progress bars with the time left, on the error stream, so that results can be piped."""
+"""Progress bars with the time left, on the error stream, so that results can be piped, and who does the work."""
 
 from collections.abc import Iterable, Iterator, Sized
-from typing import TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from farfield.bulk import Bulk
 
 T = TypeVar("T")
 
@@ -22,3 +26,10 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=transient) as progress:
         yield from progress.track(listed, total=len(listed), description=what)
+
+
+def hands(workers: int, engine: str, what: str) -> "Bulk":
+    """How a verb does its units: ``--workers``, ``--engine``, and one bar over all workers that is named ``what``."""
+    from farfield.bulk import Bulk
+
+    return Bulk(workers=workers, engine=engine, progress=partial(bar, what=what, transient=True))

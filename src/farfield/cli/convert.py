@@ -5,6 +5,8 @@ from typing import Any, Literal
 
 import tyro
 
+from farfield.cli._progress import hands
+
 
 def run(
     source: tyro.conf.Positional[Path],
@@ -22,7 +24,8 @@ def run(
     rate: float = 1.0,
     over: Literal["all", "valid", "region"] = "all",
     doppler: bool = True,
-    workers: int = 1,
+    workers: int = 0,
+    engine: str = "local",
     verify: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -54,13 +57,11 @@ def run(
         over: Whether that share is of all cells before they are cropped (K-Radar's wide clouds), of the valid ones in
             the field of view, or of the region's (its corridor's clouds).
         doppler: Keep each cell's velocity in a radar store.
-        workers: Processes that write a radar store.
+        workers: Processes; 0 takes as many as there are cores, files and memory for.
+        engine: Where the work is done.
         verify: Only compare a radar store with its checksums and its source.
         overwrite: Write everything anew.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from farfield.datasets import open_dataset
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError
@@ -76,21 +77,17 @@ def run(
     if verify:
         _verify(dataset, target, store)
         return
-    columns = (TextColumn("writing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("writing", total=None)
-        outcome = convert(
-            dataset,
-            target,
-            to=to,
-            boxes=boxes,
-            cloud=cloud,
-            overwrite=overwrite,
-            store=store,
-            workers=workers,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    Console().print(f"{outcome.written} written, {outcome.skipped} were there and intact.", highlight=False)
+    outcome = convert(
+        dataset,
+        target,
+        to=to,
+        boxes=boxes,
+        cloud=cloud,
+        overwrite=overwrite,
+        store=store,
+        bulk=hands(workers, engine, "writing"),
+    )
+    print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
 
 
 def _verify(dataset: Any, target: Path | None, store: Any) -> None:

@@ -23,6 +23,7 @@ def run(
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,
     workers: int = 0,
+    engine: str = "local",
     cache: bool = False,
 ) -> int:
     """Write a simulated data set in the layout of Cirrus or of K-Radar.
@@ -55,7 +56,8 @@ def run(
         seed: Another seed gives another world; the preset's own unless given.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own unless given.
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
-        workers: Processes; 0 takes as many as there are cores.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are simulated.
         cache: Also write the binary cache that makes reading fast (Cirrus).
     """
     from farfield.recording import record
@@ -72,6 +74,7 @@ def run(
         stride_s=stride_s,
         uniform_offset_ms=uniform_offset_ms,
         workers=workers,
+        engine=engine,
         cache=cache,
         progress=partial(bar, what="simulating", transient=True),
         report=print,

@@ -1,20 +1,21 @@
 """Write a data set in another's layout, or its ASCII clouds as a binary cache beside them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, run
+from farfield.bulk.folders import sweep_out
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
-from farfield.datasets.cloud_files import cache_path, is_fresh, write_rows_cache
+from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
-from farfield.datasets.journal import Journal
 from farfield.datasets.kitti.writer import KittiWriter
-from farfield.datasets.kradar.store import StoreSettings, convert_to_store
+from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
@@ -23,17 +24,8 @@ from farfield.frame import Boxes, Frame
 TARGETS = ("kitti", "cirrus", "boxes-csv", "cache", "radar-store")
 Target = Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"]
 BoxSource = Literal["boxes", "full_boxes"]
-Progress = Callable[[int, int], None]
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
 _PAUSE_NS = 10_000_000_000
-
-
-@dataclass
-class Outcome:
-    """How many units (frames, sequences or clouds) were written, and how many stood there intact."""
-
-    written: int = 0
-    skipped: int = 0
 
 
 def convert(
@@ -45,8 +37,7 @@ def convert(
     cloud: str | None = None,
     overwrite: bool = False,
     store: StoreSettings | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
+    bulk: Bulk = HERE,
 ) -> Outcome:
     """Convert a data set. What was written before from unchanged sources, and is intact, is skipped.
 
@@ -58,45 +49,46 @@ def convert(
         cloud: Which cloud KITTI's velodyne and Cirrus's Gaussian files get; None takes the first.
         overwrite: Write everything anew.
         store: What a radar store keeps.
-        workers: Processes that convert, for ``radar-store``.
-        progress: Called with the number of units done and the number of all.
+        bulk: How: workers, engine, progress.
+
+    Returns:
+        How many units (frames, sequences or clouds) were written, and how many stood there intact.
 
     Raises:
         ConfigError: If target and ``to`` do not fit.
         DatasetError: If the source lacks what the target needs.
+        BulkError: If units killed their workers twice.
     """
-    step = progress or (lambda _done, _all: None)
     if to == "cache":
         if target is not None and Path(target).resolve() != dataset.root.resolve():
             raise ConfigError("convert: a cache stands beside its source; leave the target out with to='cache'")
-        return _to_cache(dataset, overwrite, step)
+        return _to_cache(dataset, overwrite, bulk)
     if target is None:
         raise ConfigError(f"convert: expected a target folder with to={to!r}, got none")
+    target = Path(target)
     if to == "boxes-csv":
-        return _to_csv(dataset, Path(target), boxes, overwrite, step)
+        return _to_csv(dataset, target, boxes, overwrite, bulk)
     if to == "kitti":
-        return _to_kitti(dataset, Path(target), boxes, cloud, overwrite, step)
+        return _to_kitti(_ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud), overwrite, bulk)
     if to == "cirrus":
-        return _to_cirrus(dataset, Path(target), boxes, cloud, overwrite, step)
+        return _to_cirrus(_ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud), overwrite, bulk)
     if to == "radar-store":
         if dataset.name != "kradar":
             raise DatasetError(f"{dataset.root}: expected K-Radar with to='radar-store', got {dataset.name}")
-        return Outcome(
-            *convert_to_store(dataset, Path(target), store, overwrite=overwrite, workers=workers, progress=step)
-        )
+        return convert_to_store(dataset, target, store, overwrite=overwrite, bulk=bulk)
     raise ConfigError(f"convert: expected to to be one of {', '.join(TARGETS)}; got {to!r}")
 
 
-def _to_cache(dataset: Dataset, overwrite: bool, step: Progress) -> Outcome:
+def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
     reader = dataset.unwrapped
     if isinstance(reader, Cirrus):
+        columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
         sources = [
-            (getattr(entry, pattern), entry.part.root, len(getattr(reader.mapping.xyz.columns, pattern)))
+            (getattr(entry, pattern), entry.part.root, len(getattr(columns, pattern)))
             for entry in (reader.entries[index] for index in dataset.origins)
             for pattern in ("gaussian", "uniform")
             if getattr(entry, pattern) is not None
         ]
-        delimiter = reader.mapping.xyz.delimiter
     elif isinstance(reader, Folder):
         clouds = (reader.clouds[index] for index in dataset.origins)
         sources = [(path, dataset.root, 5) for path in clouds if path.suffix == ".xyz"]
@@ -107,15 +99,25 @@ def _to_cache(dataset: Dataset, overwrite: bool, step: Progress) -> Outcome:
     if not sources:
         raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
     sources = list(dict.fromkeys(sources))
-    outcome = Outcome()
-    for number, (source, root, count) in enumerate(sources, start=1):
-        if is_fresh(cache_path(source, root), source) and not overwrite:
-            outcome.skipped += 1
-        else:
-            write_rows_cache(source, root, columns=None if count in (5, 8) else count, delimiter=delimiter)
-            outcome.written += 1
-        step(number, len(sources))
-    return outcome
+    missing = [each for each in sources if overwrite or not is_fresh(cache_path(each[0], each[1]), each[0])]
+    for folder in {root / CACHE_FOLDER for _, root, _ in missing}:
+        if folder.is_dir():
+            sweep_out(folder)
+    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
+    done = run(_Cache(delimiter), units, bulk)
+    return Outcome(written=done.written, skipped=len(sources) - done.written)
+
+
+@dataclass(frozen=True)
+class _Cache:
+    """Writes the cache of one cloud."""
+
+    delimiter: str
+
+    def __call__(self, unit: Unit) -> Done:
+        root, count = unit.parameters
+        columns = None if count in (5, 8) else count
+        return Done(files=(write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter),))
 
 
 def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
@@ -126,43 +128,52 @@ def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
     return frame.annotation.full_boxes
 
 
-def _each(
-    units: Iterable[tuple[str, Sequence[Path], Callable[[], Sequence[Path]]]],
-    total: int,
-    journal: Journal,
-    setting: str,
-    step: Progress,
-) -> Outcome:
-    """Write units that the journal does not have."""
-    outcome = Outcome()
-    for number, (unit, sources, write) in enumerate(units, start=1):
-        if journal.has(unit, sources, setting):
-            outcome.skipped += 1
-        else:
-            journal.add(unit, sources, setting, write())
-            outcome.written += 1
-        step(number, total)
-    return outcome
+@dataclass(frozen=True, kw_only=True)
+class _Frames:
+    """Writes frames of a data set in another layout; the unit's parameters are the frame's index.
+
+    Args:
+        dataset: The frames.
+        target: Folder to write into.
+        boxes: Which boxes to label.
+        cloud: Which cloud to write.
+    """
+
+    dataset: Dataset
+    target: Path
+    boxes: BoxSource
+    cloud: str | None
+    memory_bytes = 500_000_000
+
+    def units(self) -> list[Unit]:
+        """One a frame."""
+        keys = enumerate(self.dataset.keys)
+        return [Unit("/".join(key), tuple(self.dataset.files(index)), index) for index, key in keys]
+
+    def setting(self, to: str) -> str:
+        """What decides the files besides their sources."""
+        return f"{to} {self.boxes} {self.cloud} {self.dataset.name}"
 
 
-def _to_kitti(
-    dataset: Dataset, target: Path, boxes: BoxSource, cloud: str | None, overwrite: bool, step: Progress
-) -> Outcome:
-    writer, journal = KittiWriter(target), Journal(target, overwrite=overwrite)
-    write = partial(_write_kitti, writer, dataset, boxes, cloud)
-    units = (("/".join(key), dataset.files(index), partial(write, index)) for index, key in enumerate(dataset.keys))
-    outcome = _each(units, len(dataset), journal, f"kitti {boxes} {cloud} {dataset.name}", step)
+class _ToKitti(_Frames):
+    def units(self) -> list[Unit]:
+        """One a frame; the number names its files."""
+        return [replace(unit, name=f"{unit.parameters:06d}/{unit.name}") for unit in super().units()]
+
+    def __call__(self, unit: Unit) -> Done:
+        index, frame = unit.parameters, self.dataset[unit.parameters]
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=_boxes_of(frame, self.boxes))
+        return Done(files=tuple(paths.values()))
+
+
+def _to_kitti(work: _ToKitti, overwrite: bool, bulk: Bulk) -> Outcome:
+    dataset, target = work.dataset, work.target
+    journal = Journal(target / JOURNAL_NAME, work.setting("kitti"), overwrite=overwrite)
+    outcome = run(work, work.units(), bulk, journal=journal)
     lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
     write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
     _write_image_sets(dataset, target)
     return outcome
-
-
-def _write_kitti(
-    writer: KittiWriter, dataset: Dataset, boxes: BoxSource, cloud: str | None, index: int
-) -> Sequence[Path]:
-    frame = dataset[index]
-    return list(writer.write(index, frame, cloud=cloud, boxes=_boxes_of(frame, boxes)).values())
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
@@ -176,20 +187,19 @@ def _write_image_sets(dataset: Dataset, target: Path) -> None:
         write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
 
 
-def _to_cirrus(
-    dataset: Dataset, target: Path, boxes: BoxSource, cloud: str | None, overwrite: bool, step: Progress
-) -> Outcome:
-    writer, journal = CirrusWriter(target), Journal(target, overwrite=overwrite)
-    write = partial(_write_cirrus, writer, dataset, _times(dataset), boxes, cloud)
-    units = (("/".join(key), dataset.files(index), partial(write, index)) for index, key in enumerate(dataset.keys))
-    return _each(units, len(dataset), journal, f"cirrus {boxes} {cloud} {dataset.name}", step)
+class _ToCirrus(_Frames):
+    @cached_property
+    def times(self) -> list[int]:
+        return _times(self.dataset)
+
+    def __call__(self, unit: Unit) -> Done:
+        frame = _as_cirrus(self.dataset[unit.parameters], self.times[unit.parameters], self.cloud)
+        return Done(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
 
 
-def _write_cirrus(
-    writer: CirrusWriter, dataset: Dataset, times: Sequence[int], boxes: BoxSource, cloud: str | None, index: int
-) -> Sequence[Path]:
-    frame = _as_cirrus(dataset[index], times[index], cloud)
-    return list(writer.write(frame, box_label_source=boxes).values())
+def _to_cirrus(work: _ToCirrus, overwrite: bool, bulk: Bulk) -> Outcome:
+    journal = Journal(work.target / JOURNAL_NAME, work.setting("cirrus"), overwrite=overwrite)
+    return run(work, work.units(), bulk, journal=journal)
 
 
 def _times(dataset: Dataset) -> list[int]:
@@ -219,31 +229,39 @@ def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
     )
 
 
-def _to_csv(dataset: Dataset, target: Path, boxes: BoxSource, overwrite: bool, step: Progress) -> Outcome:
-    write = partial(_write_csv, dataset, boxes)
+@dataclass(frozen=True)
+class _ToCsv:
+    """Writes the boxes of some frames into one file; the unit's parameters are its name and the frames' indices."""
+
+    dataset: Dataset
+    target: Path
+    boxes: BoxSource
+
+    def __call__(self, unit: Unit) -> Done:
+        name, indices = unit.parameters
+        frames = (self.dataset.frame(index) for index in indices)
+        write_boxes_csv(self.target / name, box_rows((frame, _boxes_of(frame, self.boxes)) for frame in frames))
+        return Done(files=(self.target / name,))
+
+
+def _to_csv(dataset: Dataset, target: Path, boxes: BoxSource, overwrite: bool, bulk: Bulk) -> Outcome:
     if target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         target.parent.mkdir(parents=True, exist_ok=True)
-        write(target, range(len(dataset)))
-        step(1, 1)
-        return Outcome(written=1)
+        unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
+        return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
     groups: dict[str, list[int]] = {}
     for index, sequence in enumerate(dataset.sequences):
         groups.setdefault(sequence, []).append(index)
     units = [
-        (
+        Unit(
             name,
-            list(dict.fromkeys(file for index in indices for file in dataset.files(index))),
-            partial(write, target / f"{_file_name(name)}.csv", indices),
+            tuple(dict.fromkeys(file for index in indices for file in dataset.files(index))),
+            (f"{_file_name(name)}.csv", indices),
         )
         for name, indices in groups.items()
     ]
-    return _each(units, len(units), Journal(target, overwrite=overwrite), f"boxes-csv {boxes} {dataset.name}", step)
-
-
-def _write_csv(dataset: Dataset, boxes: BoxSource, path: Path, indices: Sequence[int]) -> Sequence[Path]:
-    frames = (dataset.frame(index) for index in indices)
-    write_boxes_csv(path, box_rows((frame, _boxes_of(frame, boxes)) for frame in frames))
-    return [path]
+    journal = Journal(target / JOURNAL_NAME, f"boxes-csv {boxes} {dataset.name}", overwrite=overwrite)
+    return run(_ToCsv(dataset, target, boxes), units, bulk, journal=journal)
 
 
 def _file_name(sequence: str) -> str:

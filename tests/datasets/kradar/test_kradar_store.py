@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from drive import frame
 
+from farfield.bulk import Bulk, Outcome
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
@@ -32,6 +33,10 @@ def tensor(rng: np.random.Generator) -> np.ndarray:
     return whole
 
 
+def counts(outcome: Outcome) -> tuple[int, int]:
+    return outcome.written, outcome.skipped
+
+
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Frame 1 has a tesseract, 2 a cube, 3 a polar map, 4 none of them."""
@@ -53,7 +58,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def store(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     target = tmp_path_factory.mktemp("store")
-    assert convert_to_store(KRadar(tree), target, NARROW) == (3, 0)
+    assert counts(convert_to_store(KRadar(tree), target, NARROW)) == (3, 0)
     return target
 
 
@@ -121,15 +126,16 @@ def test_a_polar_map_stands_in_for_the_tensor(store: Path) -> None:
 def test_conversion_goes_on_mends_and_verifies(tree: Path, store: Path, tmp_path: Path) -> None:
     target, data = tmp_path / "store", KRadar(tree)
     shutil.copytree(store, target)
-    assert convert_to_store(data, target, NARROW) == (0, 3)
+    assert counts(convert_to_store(data, target, NARROW)) == (0, 3)
     assert verify_store(data, target, NARROW) == []
     broken = target / "radar_cells" / "1" / "cells_00034.h5"
     whole = broken.read_bytes()
     broken.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert verify_store(data, target, NARROW) == ["1/00034: damaged or missing: radar_cells/1/cells_00034.h5"]
-    steps: list[tuple[int, int]] = []
-    assert convert_to_store(data, target, NARROW, progress=lambda *step: steps.append(step)) == (1, 2)
-    assert steps == [(2, 3), (3, 3)]
+    left: list[int] = []
+    watched = Bulk(progress=lambda numbers: (left.append(number) or number for number in numbers))
+    assert counts(convert_to_store(data, target, NARROW, bulk=watched)) == (1, 2)
+    assert left == [0]
     assert broken.read_bytes() == whole
     faults = verify_store(data, target, StoreSettings(region="narrow", rate=0.1))
     assert len(faults) == 3
@@ -164,7 +170,7 @@ def test_several_workers_and_the_command_write_the_same_store(tree: Path, store:
 
 def test_polar_maps_are_written_from_tesseracts_alone(tree: Path, tmp_path: Path) -> None:
     settings = StoreSettings(products=("polar3d",))
-    assert convert_to_store(KRadar(tree), tmp_path, settings) == (1, 0)
+    assert counts(convert_to_store(KRadar(tree), tmp_path, settings)) == (1, 0)
     stored = np.asarray(KRadar(tmp_path)[0].radar["polar3d"])
     np.testing.assert_allclose(stored, polar3d(np.asarray(KRadar(tree)[0].radar["tesseract"])), rtol=1e-6, atol=1e-7)
 

@@ -4,16 +4,14 @@ The store stands in K-Radar's layout (``radar_cells/<sequence>/cells_00033.h5``,
 ``KRadar(data, roots=[store])`` reads it. A conversion that was broken off goes on where it stopped, by the journal.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
+from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, run
 from farfield.datasets.base import Dataset
-from farfield.datasets.journal import JOURNAL_NAME, Journal
 from farfield.datasets.kradar.layout import product_path
 from farfield.datasets.kradar.manifest import write_manifest
 from farfield.datasets.kradar.products import read_radar, write_radar
@@ -26,7 +24,7 @@ from farfield.radar.products import Moments, doppler_cube, polar3d_from_moments,
 
 STORED = ("cells", "polar3d")
 SOURCES = ("tesseract", "cube", "polar3d")  # what cells are made of, the best first
-Progress = Callable[[int, int], None]
+JOURNAL_NAME = ".farfield_convert.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +72,8 @@ def convert_to_store(
     settings: StoreSettings | None = None,
     *,
     overwrite: bool = False,
-    workers: int = 1,
-    progress: Progress | None = None,
-) -> tuple[int, int]:
+    bulk: Bulk = HERE,
+) -> Outcome:
     """Write the store of a K-Radar tree, or go on with it; what stands there intact is skipped.
 
     Args:
@@ -84,8 +81,7 @@ def convert_to_store(
         target: Folder of the store.
         settings: What to keep.
         overwrite: Write everything anew.
-        workers: Processes that convert; each takes about half a gigabyte and, from packed tesseracts, two cores.
-        progress: Called with the number of frames done and the number of all.
+        bulk: How; a worker takes about half a gigabyte and, from packed tesseracts, two cores.
 
     Returns:
         How many frames were written, and how many stood there.
@@ -94,20 +90,14 @@ def convert_to_store(
         DatasetError: If no frame has a product that the store can be made from.
     """
     settings = settings or StoreSettings()
-    step = progress or (lambda _done, _all: None)
-    journal = Journal(target, overwrite=overwrite)
-    jobs = [job for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
-    if not jobs:
+    units = _units(dataset, settings)
+    if not units:
         wanted = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
         raise DatasetError(f"{dataset.root}: expected frames with {wanted} files to convert, found none")
-    open_jobs = [job for job in jobs if not journal.has(job.unit, [job.path], settings.text)]
-    skipped = len(jobs) - len(open_jobs)
-    step(skipped, len(jobs))
-    for number, (job, written) in enumerate(_run(open_jobs, target, settings, workers), start=skipped + 1):
-        journal.add(job.unit, [job.path], settings.text, written)
-        step(number, len(jobs))
+    journal = Journal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
+    outcome = run(Convert(target, settings), units, bulk, journal=journal)
     write_manifest(dataset, target, settings.text)
-    return len(open_jobs), skipped
+    return outcome
 
 
 @dataclass(frozen=True)
@@ -127,9 +117,13 @@ class Job:
     path: Path
 
     @property
-    def unit(self) -> str:
-        """Name in the journal."""
-        return f"{self.sequence}/{self.index:05d}"
+    def unit(self) -> Unit:
+        """The same as a unit of work."""
+        return Unit(f"{self.sequence}/{self.index:05d}", (self.path,), self)
+
+
+def _units(dataset: Dataset, settings: StoreSettings) -> list[Unit]:
+    return [job.unit for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
 
 
 def _job(dataset: Dataset, index: int, settings: StoreSettings) -> Job | None:
@@ -144,28 +138,22 @@ def _job(dataset: Dataset, index: int, settings: StoreSettings) -> Job | None:
     return None
 
 
-def _run(jobs: Sequence[Job], target: Path, settings: StoreSettings, workers: int) -> Iterator[tuple[Job, list[Path]]]:
-    """Convert frames, in this process or in several; each is yielded when its files stand."""
-    if workers <= 1:
-        for job in jobs:
-            yield job, convert_frame(job, target, settings)
-        return
-    from multiprocessing import get_context
+@dataclass(frozen=True)
+class Convert:
+    """Converts one frame.
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        queue, waiting = iter(jobs), dict[Future, Job]()
-        try:
-            while True:
-                for job in queue:
-                    waiting[pool.submit(convert_frame, job, target, settings)] = job
-                    if len(waiting) >= 2 * workers:
-                        break
-                if not waiting:
-                    return
-                for done in wait(waiting, return_when=FIRST_COMPLETED).done:
-                    yield waiting.pop(done), done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    Args:
+        target: Folder of the store.
+        settings: What to keep.
+    """
+
+    target: Path
+    settings: StoreSettings
+    memory_bytes = 900_000_000
+
+    def __call__(self, unit: Unit) -> Done:
+        """Write the frame's files."""
+        return Done(files=tuple(convert_frame(unit.parameters, self.target, self.settings)))
 
 
 def convert_frame(job: Job, target: Path, settings: StoreSettings) -> list[Path]:
@@ -247,8 +235,9 @@ def verify_store(dataset: Dataset, target: Path, settings: StoreSettings | None 
         DatasetError: If there is no store.
     """
     settings = settings or StoreSettings()
-    if not (target / JOURNAL_NAME).is_file():
+    path = target / JOURNAL_NAME
+    if not path.is_file():
         raise DatasetError(f"{target}: expected a radar store, found no {JOURNAL_NAME}")
-    journal = Journal(target)
-    jobs = [job for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
-    return [f"{job.unit}: {fault}" for job in jobs if (fault := journal.fault(job.unit, [job.path], settings.text))]
+    journal = Journal(path, settings.text)
+    found = ((unit, journal.fault(unit, every_byte=True)) for unit in _units(dataset, settings))
+    return [f"{unit.name}: {fault}" for unit, fault in found if fault]
