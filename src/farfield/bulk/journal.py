@@ -36,14 +36,16 @@ class Journal:
         path: The journal's file; its folder is made if it is missing.
         setting: All that decides the result besides the sources: with another one, every unit is done anew.
         overwrite: Forget what was done before.
+        files: Whether the units write files into the journal's folder, which is then theirs: what killed workers left
+            there unfinished is swept out.
 
     Raises:
         FileFormatError: If the file is no journal.
     """
 
-    def __init__(self, path: Path, setting: str = "", *, overwrite: bool = False) -> None:
+    def __init__(self, path: Path, setting: str = "", *, overwrite: bool = False, files: bool = True) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.path, self.folder, self.setting = path, path.parent, setting
+        self.path, self.folder, self.setting, self.files = path, path.parent, setting, files
         self._entries: dict[str, _Entry] = {}
         self._waiting: list[tuple[str, str, dict[str, Mark], bytes]] = []
         self._lock = Lock()

@@ -89,7 +89,8 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
         for index, done in _work(work, units, bulk, ordered=False):
             outcome.written, outcome.clocks[index] = outcome.written + 1, done.clock
         return outcome
-    sweep_out(journal.folder)
+    if journal.files:
+        sweep_out(journal.folder)
     places = [place for place, unit in enumerate(units) if not journal.has(unit)]
     outcome = Outcome(skipped=len(units) - len(places))
     marking = _Marking(work, journal.folder, journal.setting)

@@ -7,10 +7,16 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._progress import bar
+from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
-    from farfield.frame import Boxes, Frame
+    from collections.abc import Iterator
+
+    from farfield.datasets import Dataset
+    from farfield.datasets.cloud_files import CloudFiles
+    from farfield.detection import Search
+    from farfield.files.boxes_csv import BoxRows
+    from farfield.frame import Boxes
 
 
 def run(
@@ -24,6 +30,8 @@ def run(
     reference: str = "",
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
+    workers: int = 0,
+    engine: str = "local",
     picture: Path | None = None,
 ) -> int:
     """Detect objects in clouds or in a whole data set, and write the boxes as CSV.
@@ -33,7 +41,8 @@ def run(
       farfield predict runs/pointpillars-cirrus-sim a.xyz b.bin --out boxes.csv
       farfield predict pointpillars-cirrus-sim Cirrus_dataset1 --cloud uniform --out uniform.csv --picture first.png
 
-    The columns are those that `farfield score --format boxes-csv` reads.
+    The columns are those that `farfield score --format boxes-csv` reads. Interrupted with --out, the same command goes
+    on where it stopped.
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
@@ -46,49 +55,71 @@ def run(
             sees the frames, such as radar.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
+        engine: Where the work is done.
         picture: Draw the first frame from above into this file.
     """
     from farfield.api import load_detector, show
-    from farfield.detection import as_trained, back_in_own, detect
+    from farfield.detection import search
     from farfield.errors import ConfigError
-    from farfield.files.boxes_csv import format_boxes_csv, write_boxes_csv
-    from farfield.frame import Frame
-    from farfield.recording.convert import box_rows
+    from farfield.files.boxes_csv import format_boxes_csv_parts, write_boxes_csv_parts
 
     frames = _frames(files, rotate_deg)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud)
-    seen = as_trained(frames, loaded)
-    found = detect(loaded, frames, cloud=cloud, progress=partial(bar, what="detecting"))
-    found = found.replaced({key: _sure(boxes, score_threshold) for key, boxes in found.boxes.items()})
-    known = (frames[0].reference, found.reference)
-    if reference and reference not in known:
-        raise ConfigError(f"--reference: expected {' or '.join(dict.fromkeys(known))}, got {reference!r}")
-    written = found if reference == found.reference else back_in_own(found, frames, seen)
-    rows = box_rows((Frame(sequence=key[0], frame_id=key[1]), boxes) for key, boxes in written.boxes.items())
-    if out is not None:
+    journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
+    bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
+    chosen = partial(search, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
+    prepared = chosen()
+    own, seen = frames[0], prepared.work.seen[0]
+    if reference and reference not in (own.reference, seen.reference):
+        known = " or ".join(dict.fromkeys((own.reference, seen.reference)))
+        raise ConfigError(f"--reference: expected {known}, got {reference!r}")
+    shown = seen if reference == seen.reference else own
+    prepared = prepared if shown is seen else chosen(in_own=True)
+    found = _Sure(frames, prepared, score_threshold)
+    if out is not None and journal is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_boxes_csv(out, rows)
-        print(f"{len(rows)} boxes in {len(frames)} frames: {out}")
+        write_boxes_csv_parts(out, found.rows())
+        journal.unlink(missing_ok=True)
+        print(f"{found.count} boxes in {len(frames)} frames: {out}")
     else:
-        sys.stdout.write(format_boxes_csv(rows))
+        for text in format_boxes_csv_parts(found.rows()):
+            sys.stdout.write(text)
     if picture is not None:
-        show(seen[0], found.boxes[seen[0].key]).savefig(picture, dpi=120)
+        show(shown, found.first).savefig(picture, dpi=120)
         print(f"picture: {picture}")
     return 0
 
 
-def _sure(boxes: "Boxes", score_threshold: float) -> "Boxes":
-    return boxes if boxes.score is None else boxes[boxes.score >= score_threshold]
+class _Sure:
+    """The boxes above a score, frame by frame; only those of the first frame are kept."""
+
+    def __init__(self, frames: "Dataset | CloudFiles", prepared: "Search", score_threshold: float) -> None:
+        self.frames, self.prepared, self.threshold = frames, prepared, score_threshold
+        self.count = 0
+        self.first: Boxes | None = None
+
+    def rows(self) -> "Iterator[BoxRows]":
+        """Rows of the CSV file, one frame at a time."""
+        from farfield.recording.convert import box_rows
+
+        for key, found in zip(self.frames.keys, self.prepared.found({}), strict=True):
+            if found is None:
+                continue
+            boxes = found.boxes
+            boxes = boxes if boxes.score is None else boxes[boxes.score >= self.threshold]
+            self.first = boxes if self.first is None else self.first
+            self.count += len(boxes)
+            yield box_rows([(key, boxes)])
 
 
-def _frames(files: tuple[Path, ...], rotate_deg: float) -> "list[Frame]":
+def _frames(files: tuple[Path, ...], rotate_deg: float) -> "Dataset | CloudFiles":
     from farfield.datasets import open_dataset
-    from farfield.datasets.cloud_files import read_cloud
+    from farfield.datasets.cloud_files import CloudFiles
     from farfield.errors import DatasetError
-    from farfield.frame import Frame
 
     if len(files) == 1 and files[0].is_dir():
-        return open_dataset(files[0], rotate_deg=rotate_deg)  # type: ignore[return-value]
+        return open_dataset(files[0], rotate_deg=rotate_deg)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:
         raise DatasetError(
@@ -96,4 +127,4 @@ def _frames(files: tuple[Path, ...], rotate_deg: float) -> "list[Frame]":
         )
     if rotate_deg:
         raise DatasetError("--rotate-deg turns the frames of a data set; put the clouds into a folder and name that.")
-    return [Frame.of(read_cloud(path), sequence="files", frame_id=path.stem) for path in files]
+    return CloudFiles(files)

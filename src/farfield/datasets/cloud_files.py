@@ -5,7 +5,7 @@ fraction of the time of parsing text.
 """
 
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,40 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.clouds import CACHE_SUFFIX, read_bin, read_cache, write_cache
 from farfield.files.pcd import read_pcd
 from farfield.files.xyz import read_xyz
-from farfield.frame import Cloud
+from farfield.frame import Cloud, Frame, Key
 
 CACHE_FOLDER = ".farfield_cache"
 CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", CACHE_SUFFIX)
 
 Columns = Mapping[str, Shaped[np.ndarray, "n *rest"]]
+
+
+class CloudFiles(Sequence[Frame]):
+    """Single clouds as frames, each read when it is asked for and not kept.
+
+    Args:
+        paths: The files; a file's name is its frame's.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.paths = tuple(paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> Frame:  # type: ignore[override]
+        path = self.paths[index]
+        sequence, frame_id = self.keys[index]
+        return Frame.of(read_cloud(path), sequence=sequence, frame_id=frame_id)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """(sequence, frame) of all frames."""
+        return tuple(("files", path.stem) for path in self.paths)
+
+    def files(self, index: int) -> tuple[Path, ...]:
+        """The file of a frame."""
+        return (self.paths[index],)
 
 
 def cache_path(source: Path, root: Path) -> Path:

@@ -2,6 +2,8 @@
 
 import copy
 import ctypes
+import hashlib
+import json
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -128,6 +130,15 @@ class Detector:
         data: dict[str, Any] = self.provenance.get("experiment", {}).get("data", {})
         several = bool(data) and "path" not in data and all(isinstance(group, dict) for group in data.values())
         return next(iter(data.values())) if several else data
+
+    def digest(self) -> str:
+        """SHA-256 of all that decides its boxes: weights, settings, precision, and the kind of its device."""
+        said = [type(self.network).__name__, self.config.model_dump(mode="json"), self.precision, self.device.type]
+        digest = hashlib.sha256(json.dumps([*said, self.cloud], sort_keys=True, default=str).encode())
+        for name, values in self.network.state_dict().items():
+            digest.update(f"\0{name}\0{values.dtype}\0{tuple(values.shape)}".encode())
+            digest.update(values.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+        return digest.hexdigest()
 
     def with_cloud(self, cloud: str | Mapping[str, str] | None) -> "Detector":
         """The same detector reading another of a frame's clouds; weights are shared."""

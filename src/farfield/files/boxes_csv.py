@@ -10,7 +10,7 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from farfield.errors import FileFormatError
-from farfield.files.atomic import read_bytes, write_text
+from farfield.files.atomic import open_atomic, read_bytes
 
 MAX_CSV_BYTES = 1 << 28
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
@@ -91,14 +91,48 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
 
 def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
     """Write boxes with full precision; columns that are None are left out, except ``score``, which is left empty."""
-    write_text(path, format_boxes_csv(rows))
+    write_boxes_csv_parts(path, [rows])
+
+
+def write_boxes_csv_parts(path: Path | str, parts: Iterable[BoxRows]) -> None:
+    """Write boxes part by part, such as one frame each, so that all need never be in memory.
+
+    Raises:
+        ValueError: If a part lacks a column that the first part with boxes has.
+    """
+    with open_atomic(path) as handle:
+        for text in format_boxes_csv_parts(parts):
+            handle.write(text.encode())
 
 
 def format_boxes_csv(rows: BoxRows) -> str:
     """The text that :func:`write_boxes_csv` writes."""
+    return "".join(format_boxes_csv_parts([rows]))
+
+
+def format_boxes_csv_parts(parts: Iterable[BoxRows]) -> Iterator[str]:
+    """The text that :func:`write_boxes_csv_parts` writes, piece by piece; errors are the same."""
+    names, begun = [*_NEEDED, "score"], False
+    for part in parts:
+        names = names if begun else _columns(part)
+        missing = set(names) - {*_columns(part)} if len(part) else set()
+        if missing:
+            raise ValueError(f"write_boxes_csv: {', '.join(sorted(missing))} present in some parts only")
+        if len(part):
+            yield _text(None if begun else names, _cells(part, names))
+            begun = True
+    if not begun:
+        yield _text(names, [])
+
+
+def _columns(rows: BoxRows) -> list[str]:
+    velocity = 0 if rows.velocity_m_s is None else rows.velocity_m_s.shape[1]
+    present = {name for name in _OPTIONAL if getattr(rows, name) is not None} | {*_VELOCITY[:velocity]}
+    return [name for name in COLUMNS if name in _NEEDED or name == "score" or name in present]
+
+
+def _cells(rows: BoxRows, names: Sequence[str]) -> Iterable[Sequence[object]]:
     velocity = {} if rows.velocity_m_s is None else _velocity_cells(rows.velocity_m_s)
-    present = {name for name in _OPTIONAL if getattr(rows, name) is not None} | velocity.keys()
-    names = [name for name in COLUMNS if name in _NEEDED or name == "score" or name in present]
     table: dict[str, Iterable[object]] = {name: [""] * len(rows) for name in names}
     table |= {"frame": rows.frame.tolist(), "label": rows.label.tolist(), "yaw_rad": rows.yaw_rad.tolist()}
     table |= dict(zip("xyz", rows.centre_m.T.tolist(), strict=True)) if len(rows) else {}
@@ -108,10 +142,15 @@ def format_boxes_csv(rows: BoxRows) -> str:
         if values is not None:
             table[name] = values.tolist()
     table |= velocity
+    return zip(*(table[name] for name in names), strict=True)
+
+
+def _text(header: Sequence[str] | None, cells: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(zip(*(table[name] for name in names), strict=True))
+    if header is not None:
+        writer.writerow(header)
+    writer.writerows(cells)
     return text.getvalue()
 
 

@@ -19,7 +19,7 @@ from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
-from farfield.frame import Boxes, Frame
+from farfield.frame import Boxes, Frame, Key
 
 TARGETS = ("kitti", "cirrus", "boxes-csv", "cache", "radar-store")
 Target = Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"]
@@ -240,7 +240,7 @@ class _ToCsv:
     def __call__(self, unit: Unit) -> Done:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
-        write_boxes_csv(self.target / name, box_rows((frame, _boxes_of(frame, self.boxes)) for frame in frames))
+        write_boxes_csv(self.target / name, box_rows((frame.key, _boxes_of(frame, self.boxes)) for frame in frames))
         return Done(files=(self.target / name,))
 
 
@@ -268,12 +268,12 @@ def _file_name(sequence: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in sequence).lstrip(".") or "_"
 
 
-def box_rows(frames: Iterable[tuple[Frame, Boxes | None]]) -> BoxRows:
-    """Join the boxes of frames to the rows of a CSV file; a frame without boxes leaves no row."""
-    filled = [(frame, boxes) for frame, boxes in frames if boxes is not None and len(boxes)]
+def box_rows(frames: Iterable[tuple[Key, Boxes | None]]) -> BoxRows:
+    """Join the boxes of frames, by (sequence, frame), to the rows of a CSV file; one without boxes leaves no row."""
+    filled = [(key, boxes) for key, boxes in frames if boxes is not None and len(boxes)]
     together = Boxes.concatenate([boxes for _, boxes in filled]) if filled else Boxes.empty()
     counts = [len(boxes) for _, boxes in filled]
-    sequences, frame_ids = ([frame.key[place] for frame, _ in filled] for place in (0, 1))
+    sequences, frame_ids = ([key[place] for key, _ in filled] for place in (0, 1))
     return BoxRows(
         sequence=np.repeat(np.array(sequences, dtype=np.str_), counts),
         frame=np.repeat(np.array(frame_ids, dtype=np.str_), counts),

@@ -1,11 +1,12 @@
 """A detector over a data set, cloud by cloud: scores, found objects and a few frames to look at, ready for a report."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from farfield.bulk import Bulk
 from farfield.datasets.base import Dataset
 from farfield.detection import as_trained, detect, median_ms, suitable_clouds
 from farfield.frame import Boxes, Key
@@ -17,20 +18,6 @@ if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
 
 
-@runtime_checkable
-class Progress(Protocol):
-    """Wraps frame numbers, to show how far a cloud's frames are."""
-
-    def __call__(self, items: Iterable[int], what: str) -> Iterable[int]:
-        """The same numbers; ``what`` names the cloud."""
-
-
-def no_progress(items: Iterable[int], what: str) -> Iterable[int]:
-    """Show nothing."""
-    del what
-    return items
-
-
 def evaluate_clouds(
     detector: "Detector",
     data: Dataset,
@@ -40,7 +27,10 @@ def evaluate_clouds(
     protocol: str = "dds",
     title: str = "Farfield evaluation",
     provenance: Mapping[str, Any] | None = None,
-    progress: Progress = no_progress,
+    bulk: Bulk | None = None,
+    kept: Path | None = None,
+    overwrite: bool = False,
+    clocks: dict[str, dict[str, float]] | None = None,
     **options: Any,
 ) -> Evaluation:
     """Score a detector on each cloud of a data set; a cloud's result is that of :func:`farfield.evaluate`.
@@ -53,7 +43,12 @@ def evaluate_clouds(
         protocol: The metric.
         title: Title of the report.
         provenance: What is known of the data beyond their fingerprint.
-        progress: Wraps frame numbers and the cloud's name, to show progress.
+        bulk: Who detects; this process with all its threads unless given.
+        kept: Folder that keeps what was found, so that an interrupted evaluation goes on and one with other settings
+            of the protocol detects nothing anew; None keeps nothing.
+        overwrite: Detect anew what is kept.
+        clocks: Is filled with what the clock measured, by cloud: ``frames`` that were searched now and their
+            ``median_ms``. It stands apart from the evaluation, so that two equal ones are equal.
         **options: Settings of the protocol.
 
     Returns:
@@ -64,13 +59,23 @@ def evaluate_clouds(
         ConfigError: If a cloud is missing or does not suit.
     """
     seen: Dataset = as_trained(data, detector)
-    results, objects, predicted, speed_ms = {}, {}, {}, {}
+    results, objects, predicted = {}, {}, {}
     for name in clouds or suitable_clouds(detector, seen[0]):
-        found = detect(detector, data, cloud=name, annotated_only=True, progress=partial(progress, what=name))
+        found = detect(
+            detector,
+            data,
+            cloud=name,
+            annotated_only=True,
+            bulk=bulk,
+            journal=None if kept is None else kept / f".found-{name}.jsonl",
+            overwrite=overwrite,
+        )
         results[name] = found.score(protocol, **options).to_json()
         annotated = {key: annotation.boxes for key, annotation in found.annotations.items()}
         objects[name] = annotated_objects(found.boxes, annotated)
-        predicted[name], speed_ms[name] = found.boxes, round(median_ms(found), 1)
+        predicted[name] = found.boxes
+        if clocks is not None and found.ms:
+            clocks[name] = {"frames": len(found.ms), "median_ms": round(median_ms(found), 1)}
     return Evaluation(
         title=title,
         results=results,
@@ -83,7 +88,6 @@ def evaluate_clouds(
             "precision": detector.precision,
             "score_threshold": detector.config.score_threshold,
             "nms_iou": detector.config.nms_iou,
-            "median_frame_ms": speed_ms,
         },
         provenance={
             **environment(),

@@ -1,0 +1,225 @@
+"""From a detector and frames to what was found, ready to be scored."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.bulk import Bulk, Done, Journal, run, values
+from farfield.datasets.base import Dataset
+from farfield.detection.seeing import Frames, as_trained, suitable_clouds
+from farfield.detection.work import AnyDetector, Detecting, Found, points_in
+from farfield.errors import DatasetError
+from farfield.frame import Annotation, Boxes, Key
+from farfield.metrics.detections import Detections
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """A detector and frames that it is going to see.
+
+    Args:
+        work: Detects in one frame.
+        bulk: Who does it; None for this process with all its threads.
+        journal: A file that keeps what was found, so that the search resumes, and memory does not grow with it; None
+            keeps nothing. A plain function that detects has no identity: for it nothing is kept.
+        overwrite: Search again what the journal has.
+    """
+
+    work: Detecting
+    bulk: Bulk | None = None
+    journal: Path | None = None
+    overwrite: bool = False
+
+    def found(self, clocks: dict[int, float]) -> Iterator[Found | None]:
+        """What was found in each frame, in their order; None where a frame does not count.
+
+        With a journal everything is searched before this returns, else while it is iterated over.
+
+        Args:
+            clocks: Is filled with the milliseconds that the frames took that were searched now.
+        """
+        units, setting = self.work.units(), self.work.setting
+        if self.journal is None or setting is None:
+            results = map(self.work, units) if self.bulk is None else values(self.work, units, self.bulk)
+            return _timed(results, clocks)
+        journal = Journal(self.journal, setting, overwrite=self.overwrite, files=False)
+        outcome = run(replace(self.work, packed=True), units, self.bulk or Bulk(), journal=journal)
+        clocks.update({place: ms for place, ms in outcome.clocks.items() if ms is not None})
+        kept = journal.values(unit.name for unit in units)
+        return (None if value is None else Found.from_json(value) for value in kept)
+
+
+def _timed(results: Iterable[Done], clocks: dict[int, float]) -> Iterator[Found | None]:
+    for place, done in enumerate(results):
+        if done.clock is not None:
+            clocks[place] = done.clock
+        yield done.value
+
+
+def search(
+    detector: "Detector | AnyDetector",
+    data: Frames,
+    *,
+    cloud: str | None = None,
+    annotated_only: bool = False,
+    in_own: bool = False,
+    bulk: Bulk | None = None,
+    journal: Path | None = None,
+    overwrite: bool = False,
+) -> Search:
+    """Prepare a search; nothing is detected before :meth:`Search.found` is iterated over.
+
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        data: A data set, or frames in memory.
+        cloud: Which of the frames' clouds to read; by default the first of :func:`suitable_clouds`.
+        annotated_only: Leave out frames without annotation, which no score counts.
+        in_own: Give the boxes in the coordinates of ``data`` instead of those in which the detector sees them.
+        bulk: As of :class:`Search`.
+        journal: As of :class:`Search`.
+        overwrite: As of :class:`Search`.
+
+    Raises:
+        ConfigError: If a frame has no cloud that suits the detector.
+        DatasetError: If there is no frame.
+    """
+    seen = as_trained(data, detector)
+    if not len(seen):
+        raise DatasetError("detect: expected at least one frame, found none.")
+    first = seen[0]
+    name = cloud or next(iter(suitable_clouds(detector, first)), None)
+    work = Detecting(
+        detector=detector.with_cloud(name) if hasattr(detector, "with_cloud") else detector,
+        seen=seen,
+        cloud=name,
+        annotated_only=annotated_only,
+        own=data if in_own and data[0].reference != first.reference else None,
+    )
+    return Search(work=work, bulk=bulk, journal=journal, overwrite=overwrite)
+
+
+def detect(
+    detector: "Detector | AnyDetector",
+    data: Frames,
+    *,
+    cloud: str | None = None,
+    annotated_only: bool = False,
+    bulk: Bulk | None = None,
+    journal: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress = iter,
+) -> Detections:
+    """Detect objects in every frame.
+
+    The frames are seen as the detector learnt to see them (:func:`as_trained`); its boxes, the annotated ones and
+    ``reference`` are in those coordinates. The annotated boxes carry the number of points that the cloud has inside
+    them.
+
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        data: A data set, or frames in memory.
+        cloud: Which of the frames' clouds to read; by default the first of :func:`suitable_clouds`.
+        annotated_only: Leave out frames without annotation, which no score counts.
+        bulk: As of :class:`Search`.
+        journal: As of :class:`Search`.
+        overwrite: As of :class:`Search`.
+        progress: Wraps the frame numbers, to show progress; with ``bulk`` its own does.
+
+    Raises:
+        ConfigError: If a frame has no cloud that suits the detector, or not the one asked for.
+        DatasetError: If there is no frame, or none is annotated though only such count.
+    """
+    prepared = search(
+        detector,
+        data,
+        cloud=cloud,
+        annotated_only=annotated_only,
+        bulk=bulk,
+        journal=journal,
+        overwrite=overwrite,
+    )
+    seen, clocks = prepared.work.seen, dict[int, float]()
+    boxes: dict[Key, Boxes] = {}
+    annotations: dict[Key, Annotation] = {}
+    conditions: dict[Key, Mapping[str, str]] = {}
+    numbers = range(len(seen))
+    for index, found in zip(progress(numbers) if bulk is None else numbers, prepared.found(clocks), strict=True):
+        if found is None:
+            continue
+        frame = seen[index]
+        boxes[frame.key], conditions[frame.key] = found.boxes, frame.conditions
+        if frame.annotation is not None:
+            annotations[frame.key] = _with_counts(frame.annotation, found.point_count)
+    if annotated_only and not annotations:
+        raise DatasetError(f"{_where(data)}: expected annotated frames, found none with boxes.")
+    return Detections(
+        reference=seen[0].reference,
+        cloud=prepared.work.cloud,
+        classes=tuple(getattr(detector, "class_names", ())),
+        drives=seen.drives() if isinstance(seen, Dataset) else (),
+        boxes=boxes,
+        annotations=annotations,
+        conditions=conditions,
+        facts=_facts(annotations),
+        reach_m=getattr(getattr(detector, "config", None), "reach_m", None),
+        ms=tuple(clocks[place] for place in sorted(clocks)),
+    )
+
+
+def _with_counts(annotation: Annotation, point_count: Any) -> Annotation:
+    if point_count is None:
+        return annotation
+    return annotation.replaced(annotation.boxes.replace(point_count=point_count))
+
+
+def given(
+    boxes: Mapping[Key, Boxes], data: Frames, *, cloud: str | None = None, progress: Progress = iter
+) -> Detections:
+    """Predictions made elsewhere, with what was annotated in the frames of ``data``.
+
+    Args:
+        boxes: Scored boxes by (sequence, frame), in the coordinates of ``data``.
+        data: Frames; those without annotation are left out.
+        cloud: A cloud whose points in the annotated boxes are counted; without one their own counts stay.
+        progress: Wraps the frame numbers, to show progress.
+    """
+    annotations: dict[Key, Annotation] = {}
+    conditions: dict[Key, Mapping[str, str]] = {}
+    reference = ""
+    for index in progress(range(len(data))):
+        frame = data[index]
+        if frame.annotation is not None:
+            counts = None if cloud is None else points_in(frame.annotation, frame.cloud(cloud))
+            annotations[frame.key] = _with_counts(frame.annotation, counts)
+            conditions[frame.key], reference = frame.conditions, frame.reference
+    return Detections(
+        reference=reference,
+        cloud=cloud,
+        drives=data.drives() if isinstance(data, Dataset) else (),
+        boxes={key: each for key, each in boxes.items() if key in annotations},
+        annotations=annotations,
+        conditions=conditions,
+        facts=_facts(annotations),
+    )
+
+
+def _facts(annotations: Mapping[Key, Annotation]) -> dict[str, str]:
+    versions = sorted({annotation.version for annotation in annotations.values()} - {""})
+    return {"label_version": " and ".join(versions)} if versions else {}
+
+
+def _where(data: Any) -> str:
+    return str(getattr(data, "root", "detect"))
+
+
+def median_ms(found: Detections) -> float:
+    """Median time that a frame took from points to boxes, milliseconds; NaN without frames."""
+    return float(np.median(found.ms)) if found.ms else float("nan")
