@@ -3,7 +3,7 @@
 from farfield.bulk.engines import ENGINES, BulkError, Engine, Lost
 from farfield.bulk.journal import Journal
 from farfield.bulk.runs import HERE, Bulk, Outcome, run, values
-from farfield.bulk.units import Done, Unit, Work
+from farfield.bulk.units import Done, Unit, Work, blocks
 
 __all__ = [
     "ENGINES",
@@ -17,6 +17,7 @@ __all__ = [
     "Outcome",
     "Unit",
     "Work",
+    "blocks",
     "run",
     "values",
 ]

@@ -2,13 +2,12 @@
 
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from farfield.cli._progress import bar
+from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -24,6 +23,8 @@ def run(
     names: str = "",
     vehicle_labels: str = "vehicle",
     focus_deg: float = -2.0,
+    workers: int = 0,
+    engine: str = "local",
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
     out: Path | None = None,
@@ -44,6 +45,8 @@ def run(
         names: What to call them, separated by a comma; their folders' names unless given.
         vehicle_labels: Classes that count as vehicles, separated by commas.
         focus_deg: Elevation about which shares of returns are also counted.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are read.
         mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
         mapping_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
@@ -60,7 +63,7 @@ def run(
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
     sides = [
-        side_of(data, name, frames, progress=partial(bar, what=name), vehicle_labels=labels, focus_deg=focus_deg)
+        side_of(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")

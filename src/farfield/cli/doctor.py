@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from farfield.cli._progress import hands
+
 if TYPE_CHECKING:
     from farfield.inspection.doctor import Report
 
@@ -22,6 +24,8 @@ def run(
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
     clouds: int = 20,
+    workers: int = 0,
+    engine: str = "local",
     json: bool = False,
 ) -> int:
     """Say what a data set holds, what is missing and how to mend it.
@@ -42,20 +46,16 @@ def run(
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are read.
         json: Print the report as JSON instead of a table.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from farfield.datasets import open_dataset
     from farfield.inspection.doctor import examine
 
     given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
     dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
-    columns = (TextColumn("reading"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=len(dataset))
-        report = examine(dataset, max_clouds=clouds, progress=lambda done, _: bar.update(task, completed=done))
+    report = examine(dataset, max_clouds=clouds, bulk=hands(workers, engine, "reading"))
     if json:
         sys.stdout.write(json_text.dumps(report.to_json(), indent=1) + "\n")
     else:

@@ -1,13 +1,12 @@
 """``farfield stats``: the figures and tables of one data set."""
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from farfield.cli._progress import bar
+from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -21,6 +20,8 @@ def run(
     out: Path | None = None,
     name: str = "",
     sweeps: int = 20,
+    workers: int = 0,
+    engine: str = "local",
     format: str | None = None,
     mapping: Path | None = None,
     labels: str | None = None,
@@ -41,6 +42,8 @@ def run(
         out: Folder to write into; runs/stats-NAME unless given.
         name: What to call the data set; its folder's name unless given.
         sweeps: Number of frames whose clouds and radar are read, spread evenly; 0 reads annotations alone.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are read.
         format: Format, if it is not to be recognised.
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
@@ -55,7 +58,7 @@ def run(
     given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
     dataset = open_dataset(path, format=format, **{key: value for key, value in given.items() if value})
     called = name or path.resolve().name
-    found = _count(dataset, called, path, sweeps)
+    found = _count(dataset, called, path, sweeps, workers, engine)
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
     page = write_statistics(folder, found)
     _print(found)
@@ -63,22 +66,16 @@ def run(
     return 0
 
 
-def _count(dataset: "Dataset", called: str, path: Path, sweeps: int) -> "DatasetFigures":
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
+def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: int, engine: str) -> "DatasetFigures":
     from farfield.inspection.side import has_sensors, side_of
     from farfield.inspection.statistics.census import take_census
     from farfield.inspection.statistics.notes import notes_of
     from farfield.reports.statistics import DatasetFigures
 
-    columns = (TextColumn("annotations"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as counting:
-        task = counting.add_task("annotations", total=len(dataset))
-        census = take_census(dataset, progress=lambda done, _: counting.update(task, completed=done))
+    census = take_census(dataset, hands(workers, engine, "annotations"))
     sensors = None
     if sweeps and has_sensors(dataset):
-        sensors = side_of(dataset, called, sweeps, progress=partial(bar, what=called))
+        sensors = side_of(dataset, called, sweeps, hands(workers, engine, called))
     return DatasetFigures(
         name=called,
         format=dataset.name,

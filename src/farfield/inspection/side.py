@@ -1,19 +1,22 @@
 """One of two data sets that are set side by side: its statistics as plain data, and how they are counted."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.inspection.statistics import Statistics
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
+
+_BLOCK = 1  # frame that is counted at a time: sums are those of one frame after the other, whoever counts
 
 
 @dataclass(frozen=True)
@@ -43,22 +46,37 @@ class Side:
         return f"{self.name} (simulated)" if self.simulated else self.name
 
 
-def side_of(
-    data: Dataset, name: str, frames: int = 0, *, progress: Callable[[range], Iterable[int]] = iter, **settings: Any
-) -> Side:
+@dataclass(frozen=True)
+class _Counting:
+    """Counts a block of frames, of ``count`` that are spread evenly over the data."""
+
+    data: Dataset
+    count: int
+    settings: Mapping[str, Any]
+    memory_bytes = 800_000_000
+
+    def __call__(self, unit: Unit) -> Done:
+        statistics = Statistics(**self.settings)
+        for place in unit.parameters:
+            statistics.add(self.data[place * len(self.data) // self.count])
+        return Done(value=statistics)
+
+
+def side_of(data: Dataset, name: str, frames: int = 0, bulk: Bulk = HERE, **settings: Any) -> Side:
     """Count the clouds, boxes and radar of a data set.
 
     Args:
         data: The data set.
         name: What figures and table call it.
         frames: Frames to read, spread evenly; 0 reads all.
-        progress: Wraps the frames' places, to show how far it is.
+        bulk: Who counts.
         **settings: Of :class:`~farfield.inspection.statistics.Statistics`.
     """
     count = len(data) if frames == 0 else min(frames, len(data))
-    statistics = Statistics(shots=shots_of(data.root), **settings)
-    for place in progress(range(count)):
-        statistics.add(data[place * len(data) // count])
+    settings = {"shots": shots_of(data.root), **settings}
+    statistics = Statistics(**settings)
+    for done in values(_Counting(data, count, settings), blocks(count, _BLOCK), bulk):
+        statistics.merge(done.value)
     summary = statistics.summary()
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True

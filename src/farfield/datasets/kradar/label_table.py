@@ -6,13 +6,14 @@ others take the tolerant way of :func:`~farfield.datasets.kradar.labels.parse_te
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
 from farfield.datasets.kradar.index import Entry
 from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
 from farfield.datasets.kradar.layout import INDEX_NAMES
@@ -35,6 +36,7 @@ _LINE = (
 )
 _FILE_RE = re.compile(f"{_HEADER}((?:{re.sub(r'[(](?![?])', '(?:', _LINE)})*+)\n?", re.ASCII)
 _LINE_RE = re.compile(_LINE, re.ASCII)
+_BLOCK = 500  # files that a worker reads at a time
 _SHORTEST_M = {"vehicle": 1.5, "large_vehicle": 2.5}
 _SMALLEST_M, _TALLEST_M, _LONGEST_M = 0.2, 6.0, 30.0
 
@@ -140,27 +142,42 @@ class _Rows:
     defects: Counter[str] = field(default_factory=Counter)
     damaged: list[str] = field(default_factory=list)
 
+    def extend(self, others: "_Rows") -> None:
+        """Append the rows of further frames."""
+        self.frames += others.frames
+        self.headers += others.headers
+        self.counts += others.counts
+        self.lines += others.lines
+        self.defects.update(others.defects)
+        self.damaged += others.damaged
 
-def read_label_table(entries: Iterable[Entry], *, progress: Callable[[int], None] | None = None) -> LabelTable:
+
+def read_label_table(entries: Iterable[Entry], bulk: Bulk = HERE) -> LabelTable:
     """Read the annotations of many frames; those without any are left out.
 
     Args:
         entries: Frames, such as those of :attr:`~farfield.datasets.kradar.reader.KRadar.entries`.
-        progress: Called with the number of files read, now and then.
+        bulk: Who reads.
 
     Returns:
         The table. A damaged file is named in ``damaged`` and left out.
     """
+    rows, labelled = _Rows(), [entry for entry in entries if entry.label is not None]
+    places = blocks(len(labelled), _BLOCK)
+    units = [replace(each, parameters=labelled[each.parameters.start : each.parameters.stop]) for each in places]
+    for done in values(_read_block, units, bulk):
+        rows.extend(done.value)
+    return _table(rows)
+
+
+def _read_block(unit: Unit) -> Done:
     rows = _Rows()
-    labelled = [(entry, entry.label) for entry in entries if entry.label is not None]
-    for number, (entry, path) in enumerate(labelled, start=1):
+    for entry in unit.parameters:
         try:
-            _read(entry, path, rows)
+            _read(entry, entry.label, rows)
         except (FarfieldError, OSError) as error:
             rows.damaged.append(str(error))
-        if progress is not None and (number % 500 == 0 or number == len(labelled)):
-            progress(number)
-    return _table(rows)
+    return Done(value=rows)
 
 
 def _read(entry: Entry, path: Path, rows: _Rows) -> None:

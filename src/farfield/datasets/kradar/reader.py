@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from farfield.bulk import HERE, Bulk
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.datasets.kradar.index import Entry, Files, find_sequences, index_sequence, radar_geometry
@@ -142,9 +143,9 @@ class KRadar(Dataset):
         """Whether there is a label file of frame ``index``."""
         return self.entries[index].label is not None
 
-    def label_table(self, *, progress: Callable[[int], None] | None = None) -> LabelTable:
+    def label_table(self, bulk: Bulk = HERE) -> LabelTable:
         """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
-        return read_label_table(self.entries, progress=progress)
+        return read_label_table(self.entries, bulk)
 
     def of_sequence(self, sequence: str) -> SequenceFacts:
         """What the frames of a sequence share, read at the first access.

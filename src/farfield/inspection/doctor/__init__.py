@@ -2,11 +2,12 @@
 
 from typing import Any
 
+from farfield.bulk import HERE, Bulk
 from farfield.datasets.base import Dataset
 from farfield.inspection.doctor import content, conventions, inventory
 from farfield.inspection.doctor.findings import Finding, Report
 from farfield.inspection.doctor.kradar import kradar
-from farfield.inspection.doctor.survey import Progress, survey
+from farfield.inspection.doctor.survey import survey
 
 __all__ = ["Finding", "Report", "examine"]
 
@@ -23,18 +24,18 @@ _CHECKS = (
 )
 
 
-def examine(dataset: Dataset, *, max_clouds: int = 20, progress: Progress | None = None) -> Report:
+def examine(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Report:
     """Examine a data set.
 
     Args:
         dataset: What :func:`farfield.datasets.open_dataset` gave.
         max_clouds: Number of frames whose clouds are read, spread evenly; 0 reads all. Annotations are all read.
-        progress: Called with the number of frames done and the number of all.
+        bulk: Who reads the frames.
 
     Returns:
         Findings; ``report.failed`` tells whether training would fail or score zero.
     """
-    found = survey(dataset, max_clouds=max_clouds, progress=progress)
+    found = survey(dataset, max_clouds=max_clouds, bulk=bulk)
     facts: dict[str, Any] = {}
     findings = [finding for check in _CHECKS for finding in check(found, facts)]
     return Report(path=str(dataset.root), format=dataset.name, findings=tuple(findings), facts=facts)

@@ -1,16 +1,17 @@
 """Read a data set once and keep what the examination needs."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud, Frame
 
-Progress = Callable[[int, int], None]
+_BLOCK = 10  # frames that a worker reads at a time
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,11 +30,10 @@ class Sample:
 
 
 @dataclass(kw_only=True)
-class Survey:
-    """What was read.
+class Reading:
+    """What some frames hold.
 
     Args:
-        dataset: The data set.
         sensors: Number of frames with each cloud, by name.
         images: Number of frames with each image.
         cameras: Names of calibrated cameras.
@@ -46,7 +46,6 @@ class Survey:
         damaged: Errors met, one a frame or cloud.
     """
 
-    dataset: Dataset
     sensors: dict[str, int] = field(default_factory=dict)
     images: dict[str, int] = field(default_factory=dict)
     cameras: set[str] = field(default_factory=set)
@@ -57,6 +56,32 @@ class Survey:
     unlabelled: int = 0
     samples: list[Sample] = field(default_factory=list)
     damaged: list[str] = field(default_factory=list)
+
+    def extend(self, others: "Reading") -> None:
+        """Append what further frames hold."""
+        for mine, theirs in ((self.sensors, others.sensors), (self.images, others.images)):
+            for name, count in theirs.items():
+                mine[name] = mine.get(name, 0) + count
+        for name, count in others.raw_labels.items():
+            self.raw_labels[name] = self.raw_labels.get(name, 0) + count
+        self.cameras |= others.cameras
+        self.times_ns += others.times_ns
+        self.pair_dt_ms += others.pair_dt_ms
+        self.boxes += others.boxes
+        self.unlabelled += others.unlabelled
+        self.samples += others.samples
+        self.damaged += others.damaged
+
+
+@dataclass(kw_only=True)
+class Survey(Reading):
+    """What was read of a whole data set.
+
+    Args:
+        dataset: The data set.
+    """
+
+    dataset: Dataset
 
     def all_boxes(self) -> Boxes:
         """All annotated boxes of all frames."""
@@ -73,35 +98,47 @@ class Survey:
                 yield sample, sample.boxes
 
 
-def survey(dataset: Dataset, *, max_clouds: int = 20, progress: Progress | None = None) -> Survey:
+@dataclass(frozen=True)
+class _Surveying:
+    """Reads a block of frames, the clouds of some of them."""
+
+    dataset: Dataset
+    chosen: frozenset[int]
+    memory_bytes = 800_000_000
+
+    def __call__(self, unit: Unit) -> Done:
+        found = Reading()
+        for index in unit.parameters:
+            try:
+                frame = self.dataset[index]
+            except (FarfieldError, OSError, ValueError) as error:
+                found.damaged.append(str(error))
+                found.times_ns.append(None)
+                continue
+            _note(found, frame)
+            boxes = _boxes(found, frame)
+            if index in self.chosen:
+                found.samples.append(Sample(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
+        return Done(value=found)
+
+
+def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Survey:
     """Read all annotations and the clouds of some frames, spread evenly.
 
     Args:
         dataset: The data set.
         max_clouds: Number of frames whose clouds are read; 0 reads all.
-        progress: Called with the number of frames done and the number of all.
+        bulk: Who reads.
     """
-    found = Survey(dataset=dataset)
-    count = len(dataset)
+    found, count = Survey(dataset=dataset), len(dataset)
     spread = np.linspace(0, count - 1, min(count, max_clouds or count))
-    chosen = set(spread.round().astype(int).tolist())
-    for index in range(count):
-        try:
-            frame = dataset[index]
-        except (FarfieldError, OSError, ValueError) as error:
-            found.damaged.append(str(error))
-            found.times_ns.append(None)
-            continue
-        _note(found, frame)
-        boxes = _boxes(found, frame)
-        if index in chosen:
-            found.samples.append(Sample(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
-        if progress is not None:
-            progress(index + 1, count)
+    chosen = frozenset(spread.round().astype(int).tolist())
+    for done in values(_Surveying(dataset, chosen), blocks(count, _BLOCK), bulk):
+        found.extend(done.value)
     return found
 
 
-def _note(found: Survey, frame: Frame) -> None:
+def _note(found: Reading, frame: Frame) -> None:
     for name in frame.clouds:
         found.sensors[name] = found.sensors.get(name, 0) + 1
     for name in frame.images:
@@ -113,7 +150,7 @@ def _note(found: Survey, frame: Frame) -> None:
         found.pair_dt_ms.append((times[1] - times[0]) / 1e6)
 
 
-def _boxes(found: Survey, frame: Frame) -> Boxes | None:
+def _boxes(found: Reading, frame: Frame) -> Boxes | None:
     try:
         annotation = frame.annotation
         if annotation is None:
@@ -129,7 +166,7 @@ def _boxes(found: Survey, frame: Frame) -> Boxes | None:
     return boxes
 
 
-def _clouds(found: Survey, frame: Frame) -> dict[str, Cloud]:
+def _clouds(found: Reading, frame: Frame) -> dict[str, Cloud]:
     clouds: dict[str, Cloud] = {}
     for name in frame.clouds:
         try:

@@ -5,7 +5,7 @@ read all at once.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
@@ -20,8 +21,7 @@ from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN
 
-Progress = Callable[[int, int], None]
-
+_BLOCK = 50  # frames that a worker reads at a time
 RANGE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0, 200.0, np.inf)
 _KRADAR_SIGHT = {"R": "seen by the radar", "L": "by the LiDAR only", "L1": "not matched", "": UNKNOWN}
 _KITTI_SIGHT = ("fully visible", "partly hidden", "largely hidden", UNKNOWN)
@@ -159,25 +159,25 @@ def range_names() -> list[str]:
     return [*inner, f"{RANGE_EDGES_M[-2]:g} m and more"]
 
 
-def take_census(dataset: Dataset, *, progress: Progress | None = None) -> Census:
+def take_census(dataset: Dataset, bulk: Bulk = HERE) -> Census:
     """Count the annotations of every frame.
 
     Args:
         dataset: What :func:`farfield.datasets.open_dataset` gave.
-        progress: Called with the number of frames done and the number of all.
+        bulk: Who reads them.
     """
     reader = dataset.unwrapped
     as_written = all(getattr(function, "keeps_annotation", False) for function in dataset.maps)
     if isinstance(reader, KRadar) and as_written and len(set(dataset.keys)) == len(dataset):
-        return _census_of_kradar(dataset, reader, progress)
-    return _census_of_frames(dataset, progress)
+        return _census_of_kradar(dataset, reader, bulk)
+    return _census_of_frames(dataset, bulk)
 
 
-def _census_of_kradar(dataset: Dataset, reader: KRadar, progress: Progress | None) -> Census:
+def _census_of_kradar(dataset: Dataset, reader: KRadar, bulk: Bulk) -> Census:
     """The same counts as over its frames, from the table of all annotations."""
     count = len(dataset)
     entries = [reader.entries[index] for index in dataset.origins]
-    table = read_label_table(entries, progress=None if progress is None else lambda done: progress(done, count))
+    table = read_label_table(entries, bulk)
     keys = list(zip(table.sequence.tolist(), table.stem.tolist(), strict=True))
     row_of = {key: row for row, key in enumerate(dataset.keys)}
     rows = np.array([row_of[key] for key in keys], dtype=np.int64)
@@ -215,27 +215,53 @@ def _conditions(rows: Sequence[Mapping[str, str]]) -> dict[str, Shaped[np.ndarra
     return {kind: np.array([str(row.get(kind, UNKNOWN)) for row in rows], dtype=np.str_) for kind in CONDITIONS}
 
 
-def _census_of_frames(dataset: Dataset, progress: Progress | None) -> Census:
-    said: list[Mapping[str, str]] = []
-    parts: list[Boxes] = []
-    names, sight, objects, damaged = [], [], [], []
-    for index in range(len(dataset)):
+@dataclass(kw_only=True)
+class _Rows:
+    """What some frames say."""
+
+    said: list[Mapping[str, str]] = field(default_factory=list)
+    objects: list[int] = field(default_factory=list)
+    parts: list[Boxes] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    sight: list[str] = field(default_factory=list)
+    damaged: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Counting:
+    """Reads the annotations of a block of frames."""
+
+    dataset: Dataset
+
+    def __call__(self, unit: Unit) -> Done:
+        rows = _Rows()
+        for index in unit.parameters:
+            self._count(index, rows)
+        return Done(value=rows)
+
+    def _count(self, index: int, rows: _Rows) -> None:
         boxes, conditions = None, {}
         try:
-            frame = dataset[index]
+            frame = self.dataset[index]
             boxes, conditions = frame.boxes, dict(frame.conditions)
             if boxes is not None:
                 called, seen = class_names(frame, boxes), visibility(frame, boxes)
-                names += called
-                sight += seen
+                rows.names += called
+                rows.sight += seen
         except (FarfieldError, OSError, ValueError) as error:
-            damaged.append(str(error))
+            rows.damaged.append(str(error))
             boxes = None
-        said.append(conditions)
-        objects.append(-1 if boxes is None else len(boxes))
-        parts += [] if boxes is None else [boxes]
-        if progress is not None:
-            progress(index + 1, len(dataset))
+        rows.said.append(conditions)
+        rows.objects.append(-1 if boxes is None else len(boxes))
+        rows.parts += [] if boxes is None else [boxes]
+
+
+def _census_of_frames(dataset: Dataset, bulk: Bulk) -> Census:
+    rows = _Rows()
+    for done in values(_Counting(dataset), blocks(len(dataset), _BLOCK), bulk):
+        for name, mine in vars(rows).items():
+            mine += getattr(done.value, name)
+    said, parts, names, sight, objects = rows.said, rows.parts, rows.names, rows.sight, rows.objects
     counts = np.array(objects, dtype=np.int64)
     tracked = bool(parts) and all(part.track_id is not None for part in parts if len(part))
     together = Boxes.concatenate([part.plain() for part in parts])
@@ -251,7 +277,7 @@ def _census_of_frames(dataset: Dataset, progress: Progress | None) -> Census:
         visibility=np.array(sight, dtype=np.str_),
         track=np.concatenate(ids) if tracked and ids else None,
         farfield_class=dict(zip(names, np.asarray(together.label).tolist(), strict=True)),
-        damaged=tuple(damaged),
+        damaged=tuple(rows.damaged),
     )
 
 
