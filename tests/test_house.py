@@ -223,6 +223,18 @@ def _tracked_texts() -> Iterator[tuple[Path, str]]:
             yield path, content.decode("utf-8", errors="replace")
 
 
+def test_only_bulk_starts_workers() -> None:
+    """No second mechanism for work over many frames: no pool, and no process but those named here."""
+    words = re.compile(r"ProcessPool|ThreadPool|multiprocessing|Popen|os\.fork|joblib")
+    known = {
+        "bulk/local.py",
+        "testing/processes.py",  # two processes of one training step
+        "files/mat_stream.py",  # one thread that reads ahead within a file
+        "datasets/kradar/tesseract.py",  # one that makes a table meanwhile
+    }
+    assert {name for name, text in sources().items() if words.search(text)} == known
+
+
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")
 def test_no_machine_paths_in_tracked_files() -> None:
     machine = re.compile(r"(?<![\w.])/(?:work|home|root|Users)/\w|/tmp/\w|\.pyenv")

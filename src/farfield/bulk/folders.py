@@ -1,6 +1,7 @@
 """Folders that several commands write into: held while something is written, swept of what killed ones left."""
 
 import contextlib
+import glob
 import os
 import re
 import shutil
@@ -50,3 +51,10 @@ def sweep_out(folder: Path) -> None:
             for name in files:
                 if _PARTIAL.fullmatch(name):
                     Path(here, name).unlink(missing_ok=True)
+
+
+def sweep_out_file(path: Path) -> None:
+    """Remove what killed commands left of one file that they wrote."""
+    for left in path.parent.glob(f".{glob.escape(path.name[:100])}.*.part"):
+        if _PARTIAL.fullmatch(left.name):
+            left.unlink(missing_ok=True)

@@ -1,9 +1,13 @@
 """The ``farfield`` command: one file a verb. Only the chosen verb's module is imported."""
 
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 from farfield.errors import FarfieldError
 
@@ -43,7 +47,7 @@ def overview() -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage."""
+    """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage, 130 after Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(overview(), end="")
@@ -58,7 +62,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
         return 2
     try:
-        return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
+        with _ended_by_sigterm():
+            return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
     except FarfieldError as error:
         print(f"farfield {verb}: {error}", file=sys.stderr)
         return 1
@@ -67,6 +72,24 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 141
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM unwind the work as Ctrl-C does, so that nothing is left half-written, with exit status 143."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _terminated)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminated(number: int, frame: FrameType | None) -> NoReturn:
+    del frame
+    raise SystemExit(128 + number)
 
 
 def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:

@@ -10,13 +10,13 @@ from tyro.conf import Positional
 from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from farfield.datasets import Dataset
     from farfield.datasets.cloud_files import CloudFiles
-    from farfield.detection import Search
+    from farfield.detection import Found
     from farfield.files.boxes_csv import BoxRows
-    from farfield.frame import Boxes
+    from farfield.frame import Boxes, Key
 
 
 def run(
@@ -60,6 +60,7 @@ def run(
         picture: Draw the first frame from above into this file.
     """
     from farfield.api import load_detector, show
+    from farfield.bulk.folders import sweep_out_file
     from farfield.detection import search
     from farfield.errors import ConfigError
     from farfield.files.boxes_csv import format_boxes_csv_parts, write_boxes_csv_parts
@@ -76,9 +77,11 @@ def run(
         raise ConfigError(f"--reference: expected {known}, got {reference!r}")
     shown = seen if reference == seen.reference else own
     prepared = prepared if shown is seen else chosen(in_own=True)
-    found = _Sure(frames, prepared, score_threshold)
-    if out is not None and journal is not None:
+    if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
+        sweep_out_file(out)
+    found = _Sure(frames.keys, prepared.found({}), score_threshold)
+    if out is not None and journal is not None:
         write_boxes_csv_parts(out, found.rows())
         journal.unlink(missing_ok=True)
         print(f"{found.count} boxes in {len(frames)} frames: {out}")
@@ -94,8 +97,8 @@ def run(
 class _Sure:
     """The boxes above a score, frame by frame; only those of the first frame are kept."""
 
-    def __init__(self, frames: "Dataset | CloudFiles", prepared: "Search", score_threshold: float) -> None:
-        self.frames, self.prepared, self.threshold = frames, prepared, score_threshold
+    def __init__(self, keys: "Sequence[Key]", found: "Iterator[Found | None]", score_threshold: float) -> None:
+        self.keys, self.found, self.threshold = keys, found, score_threshold
         self.count = 0
         self.first: Boxes | None = None
 
@@ -103,7 +106,7 @@ class _Sure:
         """Rows of the CSV file, one frame at a time."""
         from farfield.recording.convert import box_rows
 
-        for key, found in zip(self.frames.keys, self.prepared.found({}), strict=True):
+        for key, found in zip(self.keys, self.found, strict=True):
             if found is None:
                 continue
             boxes = found.boxes
