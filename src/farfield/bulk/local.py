@@ -37,11 +37,13 @@ class Local:
             yield from _here(work, units)
             return
         crew = _Crew(_packed(work), units, workers)
+        whole = False
         try:
             crew.start()
             yield from crew.in_order() if ordered else crew.as_done()
+            whole = True
         finally:
-            crew.stop()
+            crew.stop(whole=whole)
 
 
 def _here(work: Work, units: Sequence[Unit]) -> Iterator[tuple[int, Done]]:
@@ -125,12 +127,13 @@ class _Crew:
             raise result
         return index, result
 
-    def stop(self) -> None:
-        """End all workers: they take no further unit, leave what they were at, and are waited for."""
+    def stop(self, *, whole: bool) -> None:
+        """End all workers and wait for them; unless the work is whole, they leave what they are at."""
         self.stopping.set()
         for hand in self.hands:
             self.room.release()
-            hand.end()
+            if not whole:
+                hand.end()
         for hand in self.hands:
             hand.join(_PATIENCE_S)
             hand.kill()

@@ -52,8 +52,11 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints must not stand among the messages
     inbox = _Inbox(FileIO(0, closefd=False))  # the lock of sys.stdin's buffer would be held when the process ends
     inbox.start()
-    with suppress(OSError):  # the command is no more
-        _serve(inbox, outbox)
+    try:
+        with suppress(OSError):  # the command is no more
+            _serve(inbox, outbox)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends by itself now
 
 
 def _serve(inbox: _Inbox, outbox: IO[bytes]) -> None:

@@ -1,0 +1,264 @@
+"""Bulk work: equal bytes, CPU and speed-up of every verb, the cost of the mechanism, memory over many frames.
+
+    python benchmarks/bulk_work.py [--frames 24] [--many 2000] [--output benchmarks/results/bulk_work.txt]
+
+Every verb runs with one process and with two workers on the same simulated frames; the digests of all files that both
+left must be equal (what the clock measured stands in timing.json, apart). Then the mechanism alone: 10,000 units of no
+work, and 35,000 finished units that a rerun finds intact. Then predict and evaluate over many frames with a small
+detector that gives as many boxes as it may: the largest memory of the command and of a worker. Exit status 1 if bytes
+differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes that over a quarter
+of them by more than a tenth.
+"""
+
+import argparse
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+from _report import header
+
+from farfield.bulk import Bulk, Done, Journal, Unit, run, values
+from farfield.files.atomic import write_text
+
+UNIT_MS, RERUN_S, GROWTH = 2.0, 5.0, 1.10
+TINY = """
+name: tiny
+data: {path: DATA, clouds: [gaussian]}
+detector:
+  {grid: {range_m: 64.0, half_width_m: 16.0, cell_m: 0.5}, widths: [8, 16, 16], depths: [0, 0, 0], neck_width: 16,
+   score_threshold: 0.0}
+training: {steps: 2, batch_size: 1, precision: fp32, threads: 1, workers: 0}
+"""
+
+
+@dataclass
+class Cost:
+    """What a command took.
+
+    Args:
+        wall_s: Seconds by the clock.
+        cpu_s: Seconds of CPU of all its processes.
+        command_mb: Largest memory of the command itself.
+        worker_mb: Largest memory of one of its workers.
+    """
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    command_mb: float = 0.0
+    worker_mb: float = 0.0
+
+
+def measured(words: list[str]) -> Cost:
+    """Run a verb and watch it."""
+    cost, began = Cost(), time.perf_counter()
+    running = subprocess.Popen([sys.executable, "-m", "farfield.cli", *words], stdout=subprocess.DEVNULL)
+    process = psutil.Process(running.pid)
+    while True:
+        pid, status, usage = os.wait4(running.pid, os.WNOHANG)
+        if pid:
+            break
+        try:
+            cost.command_mb = max(cost.command_mb, process.memory_info().rss / 1e6)
+            for child in process.children():
+                cost.worker_mb = max(cost.worker_mb, child.memory_info().rss / 1e6)
+        except psutil.Error:
+            pass
+        time.sleep(0.05)
+    if status:
+        raise SystemExit(f"farfield {' '.join(words)}: status {status}")
+    cost.wall_s, cost.cpu_s = time.perf_counter() - began, usage.ru_utime + usage.ru_stime
+    return cost
+
+
+def digest(out: Path) -> tuple[str, int]:
+    """One digest of all files below a path and their number, without what the clock measured."""
+    files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
+    files = [path for path in files if path.name != "timing.json"]
+    whole = hashlib.sha256()
+    for path in files:
+        whole.update(path.relative_to(out.parent).as_posix().encode() + hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()[:16], len(files)
+
+
+def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tuple[list[str], str]]:
+    """Words of each verb, with OUT for what it writes, and what to compare."""
+    few = f"--frames {frames} --sequences 4 --sensors gaussian,uniform"
+    words = {
+        "simulate (Cirrus)": f"simulate cirrus-sim OUT/a {few}",
+        "simulate (K-Radar)": f"simulate kradar-sim-mini OUT/a --frames {max(frames // 2, 6)} --sensors os2-64,cube",
+        "convert --to kitti": f"convert {data} OUT/a --to kitti",
+        "convert --to cirrus": f"convert {data} OUT/a --to cirrus",
+        "convert --to boxes-csv": f"convert {data} OUT/a --to boxes-csv",
+        "convert --to cache": f"convert {cached} --to cache --overwrite",
+        "convert --to radar-store": f"convert {kradar} OUT/a --to radar-store",
+        "predict": f"predict pointpillars-cirrus-sim {data} --cloud gaussian --out OUT/a/boxes.csv",
+        "evaluate": f"evaluate pointpillars-cirrus-sim {data} --clouds gaussian --replicates 20 --out OUT/a",
+        "stats": f"stats {data} --name frames --sweeps {frames} --out OUT/a",
+        "doctor": f"doctor {data} --clouds {frames}",
+    }
+    return {name: (line.split(), str(cached) if "cache" in name else "OUT/a") for name, line in words.items()}
+
+
+def table(folder: Path, frames: int) -> tuple[list[str], bool]:
+    """CPU and speed-up of each verb, and whether both left the same bytes."""
+    data, kradar = folder / "data", folder / "kradar"
+    record = [sys.executable, "-m", "farfield.cli", "simulate"]
+    few = ["--frames", str(frames), "--sequences", "4", "--sensors", "gaussian,uniform"]
+    subprocess.run([*record, "cirrus-sim", str(data), *few], check=True, stdout=subprocess.DEVNULL)
+    cubes = ["--frames", str(max(frames // 2, 6)), "--sensors", "os2-64,cube"]
+    subprocess.run([*record, "kradar-sim-mini", str(kradar), *cubes], check=True, stdout=subprocess.DEVNULL)
+    lines = [f"{'verb':26} {'1: CPU s':>9} {'wall s':>7} {'2: CPU s':>9} {'wall s':>7} {'speed-up':>9}  files, digest"]
+    equal = True
+    for name, (words, compared) in verbs(data, data, kradar, frames).items():
+        costs, digests = [], []
+        for workers in (1, 2):
+            out = folder / f"{name.replace(' ', '-')}-{workers}"
+            out.mkdir()
+            given = [word.replace("OUT", str(out)) for word in words]
+            costs.append(measured([*given, "--workers", str(workers)]))
+            left = Path(compared.replace("OUT", str(out)))
+            digests.append(digest(left) if left.exists() else ("prints only", 0))
+        one, two = costs
+        same = digests[0] == digests[1]
+        equal &= same
+        said = f"{digests[0][1]} {digests[0][0]}" if same else f"DIFFER: {digests}"
+        numbers = (
+            f"{one.cpu_s:9.1f} {one.wall_s:7.1f} {two.cpu_s:9.1f} {two.wall_s:7.1f} {one.wall_s / two.wall_s:9.2f}"
+        )
+        lines.append(f"{name:26} {numbers}  {said}")
+    return lines, equal
+
+
+def nothing(unit: Unit) -> Done:
+    """No work."""
+    return Done()
+
+
+def mechanism(folder: Path) -> tuple[list[str], bool]:
+    """CPU of units without work, and of finding that nothing is left."""
+    from bulk_work import nothing as work
+
+    lines, good = [], True
+    for workers in (1, 2):
+        units = [Unit(str(number), parameters=number) for number in range(10_000)]
+        began = cpu_seconds()
+        count = sum(1 for _ in values(work, units, Bulk(workers=workers)))
+        ms = 1e3 * (cpu_seconds() - began) / count
+        good &= ms <= UNIT_MS
+        lines.append(f"10,000 units of no work, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
+        journal = Journal(folder / f"nothing-{workers}" / "journal.jsonl")
+        began = cpu_seconds()
+        run(work, units, Bulk(workers=workers), journal=journal)
+        ms = 1e3 * (cpu_seconds() - began) / count
+        good &= ms <= UNIT_MS
+        lines.append(f"the same with a journal, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
+    sources, out = folder / "sources", folder / "finished"
+    sources.mkdir()
+    out.mkdir()
+    units = []
+    for number in range(35_000):
+        (sources / f"{number}.in").write_bytes(b"in")
+        units.append(Unit(f"{number:06d}", (sources / f"{number}.in",), out))
+    run(written, units, Bulk(), journal=Journal(out / "journal.jsonl", "s"))
+    began = cpu_seconds()
+    again = run(written, units, Bulk(), journal=Journal(out / "journal.jsonl", "s"))
+    seconds = cpu_seconds() - began
+    good &= seconds <= RERUN_S and (again.written, again.skipped) == (0, 35_000)
+    lines.append(
+        f"35,000 finished units, each of one source and one file: a rerun finds {again.written} left in "
+        f"{seconds:.2f} s of CPU (at most {RERUN_S:g})"
+    )
+    return lines, good
+
+
+def written(unit: Unit) -> Done:
+    """Write a small file."""
+    path = unit.parameters / f"{unit.name}.out"
+    path.write_bytes(b"out")
+    return Done(files=(path,))
+
+
+def cpu_seconds() -> float:
+    """CPU of this process and of those that it waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def memory(folder: Path, many: int) -> tuple[list[str], bool]:
+    """Memory of predict and evaluate over more and more frames."""
+    lines = [f"{'frames':>7} {'verb':9} {'command MB':>11} {'worker MB':>10} {'wall s':>7}"]
+    base = folder / "base"
+    command = [sys.executable, "-m", "farfield.cli"]
+    subprocess.run(
+        [*command, "simulate", "cirrus-sim-mini", str(base), "--frames", "20", "--sequences", "2"],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    (folder / "tiny.yaml").write_text(TINY.replace("DATA", str(base)))
+    subprocess.run(
+        [*command, "train", str(folder / "tiny.yaml"), "--out", str(folder / "runs")],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    subprocess.run([*command, "convert", str(base), str(folder / "kitti"), "--to", "kitti"], check=True)
+    largest: dict[str, list[float]] = {}
+    for count in (many // 4, many // 2, many):
+        data = repeated(folder / "kitti", folder / f"many-{count}", count)
+        for verb, rest in (("predict", ["--out", f"{data}.csv"]), ("evaluate", ["--out", f"{data}-evaluation"])):
+            more = ["--replicates", "20"] if verb == "evaluate" else ["--score-threshold", "0"]
+            cost = measured([verb, str(folder / "runs" / "tiny"), str(data), *rest, *more, "--workers", "2"])
+            largest.setdefault(verb, []).append(cost.command_mb)
+            lines.append(f"{count:7} {verb:9} {cost.command_mb:11.0f} {cost.worker_mb:10.0f} {cost.wall_s:7.0f}")
+    return lines, all(sizes[-1] <= GROWTH * sizes[0] for sizes in largest.values())
+
+
+def repeated(source: Path, target: Path, count: int) -> Path:
+    """KITTI frames again and again under new numbers, as links to the same files."""
+    split = source / "training" if (source / "training").is_dir() else source
+    for kind in sorted(path for path in split.iterdir() if path.is_dir() and path.name != "ImageSets"):
+        files = sorted(path for path in kind.iterdir() if path.stem.isdigit())
+        folder = target / kind.relative_to(source)
+        folder.mkdir(parents=True)
+        for number in range(count if files else 0):
+            path = files[number % len(files)]
+            os.link(path, folder / f"{number:06d}{path.suffix}")
+    return target
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--many", type=int, default=2000)
+    parser.add_argument("--parts", default="verbs,mechanism,memory")
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    parts = options.parts.split(",")
+    lines, good = [header(), ""], True
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for part, made in (
+            ("verbs", lambda: table(folder, options.frames)),
+            ("mechanism", lambda: mechanism(folder)),
+            ("memory", lambda: memory(folder, options.many)),
+        ):
+            if part in parts:
+                more, held = made()
+                print("\n".join(more), flush=True)
+                lines += [*more, ""]
+                good &= held
+    lines.append("all held" if good else "NOT ALL HELD")
+    print(lines[-1])
+    if options.output:
+        write_text(options.output, "\n".join(lines) + "\n")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
