@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -27,10 +28,17 @@ TASKS["voxelnet"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "de
 TASKS["voxelnet-sparse"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "sparse"}, double=False)
 
 
+def take_steps(folder: Path) -> None:
+    folder.mkdir()
+    for name, step in zip(TASKS, steps_of_two(folder, [*TASKS.values()]), strict=True):
+        torch.save(step, folder / f"{name}.pt")
+
+
 @pytest.fixture(scope="module")
-def shared_steps(tmp_path_factory) -> dict[str, dict]:
+def shared_steps(made_once) -> dict[str, dict]:
     """One step of every small detector, shared by one pair of processes."""
-    return dict(zip(TASKS, steps_of_two(tmp_path_factory.mktemp("shared"), [*TASKS.values()]), strict=True))
+    folder = made_once("steps-of-two", take_steps)
+    return {name: torch.load(folder / f"{name}.pt", weights_only=True) for name in TASKS}
 
 
 def close(one, other, tolerance: float) -> bool:
