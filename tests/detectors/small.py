@@ -13,7 +13,7 @@ from farfield.frame import Boxes, Cloud
 
 @dataclass(frozen=True)
 class Small:
-    """Settings of a small network, and what it takes to learn one frame by heart."""
+    """Settings of a small network, and what it takes at most to learn one frame by heart."""
 
     settings: dict[str, Any]
     steps: int = 90
