@@ -74,6 +74,8 @@ def _train(name: str, folder: Path) -> None:
     for step in range(SMALL[name].steps):
         if step >= 35 and step % 5 == 0 and _learnt(network, scene):
             break
+        for group in optimizer.param_groups:
+            group["lr"] = SMALL[name].learning_rate * min(1.0, 1.5 - step / 80)  # falls once most have learnt
         optimizer.zero_grad()
         sum(losses_of(network, [cloud], [boxes]).values()).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
