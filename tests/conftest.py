@@ -1,6 +1,7 @@
 """Fixtures that all tests share."""
 
 import gc
+import importlib.util
 import os
 import shutil
 import sys
@@ -93,6 +94,37 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     """Gives a folder by its name, made by whichever worker asks first; the others wait, and nobody writes into it."""
     base = tmp_path_factory.getbasetemp()
     return partial(_made_once, (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared")
+
+
+class _OneAtATime:
+    """Lets one worker compile while the others wait: what it compiled, they then find in numba's cache."""
+
+    def __init__(self, compiler: Callable[..., object], path: Path) -> None:
+        self.compiler, self.path, self.depth = compiler, path, 0
+
+    def __call__(self, dispatcher: object, signature: object) -> object:
+        with self.path.open("w") as lock:
+            if fcntl is not None and not self.depth:  # one kernel's compilation asks for that of others
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            self.depth += 1
+            try:
+                return self.compiler(dispatcher, signature)
+            finally:
+                self.depth -= 1
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Several workers that compile the same kernels at once took a tenth of the suite's time."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or importlib.util.find_spec("numba") is None:
+        yield
+        return
+    from numba.core.dispatcher import Dispatcher
+
+    with pytest.MonkeyPatch.context() as patch:
+        once = _OneAtATime(Dispatcher.compile, tmp_path_factory.getbasetemp().parent / "compiling.lock")
+        patch.setattr(Dispatcher, "compile", lambda self, signature: once(self, signature))
+        yield
 
 
 def _three_frames(root: Path) -> None:

@@ -1,12 +1,20 @@
-"""The shape checks of the tests: beartype, with each argument checked once a call."""
+"""The shape checks of the tests: jaxtyping and beartype, with what they do at every call done once.
+
+What passes here is what passes there, and whatever does not pass at once is handed to jaxtyping itself: verdicts and
+messages are its own (``test_shapes.py`` compares them).
+"""
 
 import inspect
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 from beartype import beartype
+from jaxtyping import _array_types, _decorator, _storage
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_KINDS = inspect.Parameter
+_jaxtypings_own = _array_types._MetaAbstractArray.__instancecheck__
 
 
 def checked(function: Function) -> Function:
@@ -19,3 +27,129 @@ def checked(function: Function) -> Function:
     if inspect.isfunction(function) and function.__annotations__.get("return", Any) is not Any:
         function.__annotations__ = {"return": function.__annotations__["return"]}
     return beartype(function)
+
+
+class _Bound:
+    """Arguments by name, defaults among them."""
+
+    __slots__ = ("arguments",)
+
+    def __init__(self, arguments: dict[str, Any]) -> None:
+        self.arguments = arguments
+
+    def apply_defaults(self) -> None:
+        pass
+
+
+class QuickSignature(inspect.Signature):
+    """A signature that binds arguments by a call; Python's own takes longer than all checks of the call."""
+
+    __slots__ = ("_taker",)
+
+    def bind(self, /, *args: Any, **kwargs: Any) -> Any:
+        """The arguments by name, defaults included."""
+        try:
+            taker = self._taker
+        except AttributeError:
+            taker = self._taker = _taker(self)
+        try:
+            return _Bound(taker(*args, **kwargs))
+        except TypeError:
+            return super().bind(*args, **kwargs)  # says what is missing or too much
+
+
+def _taker(signature: inspect.Signature) -> Callable[..., dict[str, Any]]:
+    """A function that takes the signature's arguments and returns them by name."""
+    words, last = [], None
+    for number, (name, given) in enumerate(signature.parameters.items()):
+        if last is _KINDS.POSITIONAL_ONLY and given.kind is not last:
+            words.append("/")
+        if given.kind is _KINDS.KEYWORD_ONLY and last not in (_KINDS.KEYWORD_ONLY, _KINDS.VAR_POSITIONAL):
+            words.append("*")
+        star = {_KINDS.VAR_POSITIONAL: "*", _KINDS.VAR_KEYWORD: "**"}.get(given.kind, "")
+        words.append(star + name + ("" if given.default is given.empty else f"=_defaults[{number}]"))
+        last = given.kind
+    if last is _KINDS.POSITIONAL_ONLY:
+        words.append("/")
+    result = ", ".join(f"{name!r}: {name}" for name in signature.parameters)
+    scope = {"_defaults": [given.default for given in signature.parameters.values()]}
+    return eval(f"lambda {', '.join(words)}: {{{result}}}", scope)
+
+
+def _size(size: Any) -> int | str | None:
+    """A size that is a plain number, name or anything.
+
+    Raises:
+        ValueError: If it is of another kind.
+    """
+    if size is _array_types._anonymous_dim:
+        return None
+    if type(size) is _array_types._FixedDim and not size.broadcastable:
+        return size.size
+    if type(size) is _array_types._NamedDim and not (size.broadcastable or size.treepath):
+        return size.name
+    raise ValueError(size)
+
+
+def _plan(annotation: Any) -> tuple[Any, ...] | None:
+    """Class and sizes of an annotation's arrays, the types of numbers that passed, where the one name stands that is
+    for any number of sizes, and that name; None where jaxtyping itself must look."""
+    sizes, place, rest = list(annotation.dims), annotation.index_variadic, None
+    if place is not None:
+        many = sizes.pop(place)
+        rest = "" if many is _array_types._anonymous_variadic_dim else many.name
+    try:
+        plain = [_size(size) for size in sizes]
+    except ValueError:
+        return None
+    if annotation.array_type is Any or (rest and (many.broadcastable or many.treepath)):
+        return None
+    return annotation.array_type, plain, set(), place, rest
+
+
+def _is_array(annotation: Any, value: Any) -> bool:
+    """Whether a value is an array of an annotation; the sizes that it names are noted for the rest of the call."""
+    try:
+        plan = annotation._quick
+    except AttributeError:
+        plan = annotation._quick = _plan(annotation)
+    if plan is None:
+        return _jaxtypings_own(annotation, value)
+    array_type, sizes, passed, place, rest = plan
+    if not isinstance(value, array_type):
+        return annotation._skip_instancecheck
+    if value.dtype in passed and _fits(value.shape, sizes, place, rest):
+        return True
+    right = _jaxtypings_own(annotation, value)
+    if right and type(value.dtype).__module__.partition(".")[0] in ("numpy", "torch"):
+        passed.add(value.dtype)
+    return right
+
+
+def _fits(shape: Any, sizes: list[int | str | None], place: int | None, rest: str | None) -> bool:
+    stack = getattr(_storage._shape_storage, "memo_stack", None)
+    known, known_rests = stack[-1][:2] if stack else ({}, {})
+    if rest is not None:
+        after = len(shape) - len(sizes) + place
+        if after < place:
+            return False
+        shape, several = (*shape[:place], *shape[after:]), (False, tuple(shape[place:after]))
+        if rest and known_rests.get(rest, several) != several:
+            return False
+    elif len(shape) != len(sizes):
+        return False
+    seen: dict[str, int] = {}
+    for size, wanted in zip(shape, sizes, strict=True):
+        if wanted.__class__ is str:
+            if seen.setdefault(wanted, known.get(wanted, size)) != size:
+                return False
+        elif wanted is not None and wanted != size:
+            return False
+    known.update(seen)
+    if rest:
+        known_rests[rest] = several
+    return True
+
+
+_decorator.inspect = SimpleNamespace(**(vars(inspect) | {"signature": QuickSignature.from_callable}))
+_array_types._MetaAbstractArray.__instancecheck__ = _is_array

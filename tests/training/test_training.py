@@ -16,6 +16,7 @@ torch = pytest.importorskip("torch")
 
 from small import SMALL
 
+from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors.inputs import CloudInput
@@ -34,9 +35,12 @@ from farfield.training.loop import lay_out_gradients, one_cycle
 from farfield.training.samples import TrainingSamples
 
 
+def words_of_train(experiment: Path, out: Path, *overrides: str) -> list[str]:
+    return ["train", str(experiment), "--out", str(out), *(word for one in overrides for word in ("-o", one))]
+
+
 def train(experiment: Path, out: Path, *overrides: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "farfield.cli", "train", str(experiment), "--out", str(out)]
-    command += [word for override in overrides for word in ("-o", override)]
+    command = [sys.executable, "-m", "farfield.cli", *words_of_train(experiment, out, *overrides)]
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env={**os.environ, "OMP_NUM_THREADS": "1"})
 
@@ -74,8 +78,7 @@ def test_killed_training_resumes_to_the_same_weights(name, experiment, data, mad
         kradar, seen = made_once("kradar", record_kradar), {"reference": "radar"}
         words.append(f"data={json.dumps({'path': str(kradar), 'clouds': ['radar'], 'options': seen})}")
         opened = partial(open_dataset, kradar, **seen)
-    whole = train(experiment, tmp_path / "whole", *words)
-    assert whole.wait(300) == 0
+    assert main(words_of_train(experiment, tmp_path / "whole", *words)) == 0
     log = tmp_path / "cut" / "tiny" / "log.jsonl"
     cut = train(experiment, tmp_path / "cut", *words)
     until = time.monotonic() + 300
@@ -87,8 +90,7 @@ def test_killed_training_resumes_to_the_same_weights(name, experiment, data, mad
     cut.wait(30)
     reached = load_checkpoint(tmp_path / "cut" / "tiny" / "checkpoint.pt")["step"]
     assert 0 < reached < 12
-    again = train(experiment, tmp_path / "cut", *words)
-    assert again.wait(300) == 0
+    assert main(words_of_train(experiment, tmp_path / "cut", *words)) == 0
     one, other = (
         load_weights(tmp_path / run / "tiny" / "weights.safetensors")[0].state_dict() for run in ("whole", "cut")
     )

@@ -14,7 +14,7 @@ from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.recording import ensure
-from farfield.training.distributed import launch
+from farfield.training.launching import launch
 from farfield.training.loop import Training
 from farfield.training.method import METHODS, Method, Stream
 from farfield.training.report import Report

@@ -20,14 +20,8 @@ from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
 from farfield.training.checkpoints import Run, load_run, save_checkpoint
 from farfield.training.config import TrainingConfig
-from farfield.training.distributed import (
-    average_gradients,
-    average_values,
-    launch,
-    precision_of,
-    spread_state,
-    synchronise_norms,
-)
+from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
+from farfield.training.launching import launch, precision_of
 from farfield.training.method import Batch, Method
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples

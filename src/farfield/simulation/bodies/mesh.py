@@ -119,25 +119,51 @@ def grid(
         closed: Whether the rows are rings.
     """
     k, n = points_m.shape[:2]
-    columns = n if closed else n - 1
-    row, column = np.meshgrid(np.arange(k - 1) * n, np.arange(columns), indexing="ij")
+    each = np.broadcast_to(np.asarray(material, dtype=np.int64), (k - 1, n if closed else n - 1))
+    return Mesh.of(points_m.reshape(-1, 3), _grid_faces(k, n, closed), np.repeat(each.reshape(-1), 2))
+
+
+@cache
+def _grid_faces(k: int, n: int, closed: bool) -> Int[np.ndarray, "f 3"]:
+    row, column = np.meshgrid(np.arange(k - 1) * n, np.arange(n if closed else n - 1), indexing="ij")
     a, b = row + column, row + (column + 1) % n
-    faces = np.stack([np.stack([a, b, b + n], -1), np.stack([a, b + n, a + n], -1)], axis=2).reshape(-1, 3)
-    each = np.broadcast_to(np.asarray(material, dtype=np.int64), (k - 1, columns))
-    return Mesh.of(points_m.reshape(-1, 3), faces, np.repeat(each.reshape(-1), 2))
+    return _kept(np.stack([np.stack([a, b, b + n], -1), np.stack([a, b + n, a + n], -1)], axis=2).reshape(-1, 3))
+
+
+def _kept(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
+    """Faces that many meshes share: nobody may write into them."""
+    faces.flags.writeable = False
+    return faces
 
 
 def fan(ring_m: Float[np.ndarray, "n 3"], material: int) -> Mesh:
     """Close a ring of points with triangles around its middle."""
-    n = len(ring_m)
+    return Mesh.of(np.concatenate([ring_m, ring_m.mean(axis=0)[None]]), _fan_faces(len(ring_m)), material)
+
+
+@cache
+def _fan_faces(n: int) -> Int[np.ndarray, "f 3"]:
     index = np.arange(n)
-    faces = np.stack([index, (index + 1) % n, np.full(n, n)], axis=1)
-    return Mesh.of(np.concatenate([ring_m, ring_m.mean(axis=0)[None]]), faces, material)
+    return _kept(np.stack([index, (index + 1) % n, np.full(n, n)], axis=1))
 
 
 def loft(rings_m: Float[np.ndarray, "k n 3"], material: Int[np.ndarray, "k1 n"] | int, cap: int) -> Mesh:
-    """A closed body through rings of points, with both ends capped."""
-    return Mesh.merge([grid(rings_m, material, closed=True), fan(rings_m[0], cap), fan(rings_m[-1], cap)])
+    """A closed body through rings of points, with both ends capped: a closed grid and two fans."""
+    k, n = rings_m.shape[:2]
+    first, last = rings_m[0], rings_m[-1]
+    ends = [first, first.mean(axis=0)[None], last, last.mean(axis=0)[None]]
+    side = np.broadcast_to(np.asarray(material, dtype=np.int64), (k - 1, n)).reshape(-1)
+    return Mesh.of(
+        np.concatenate([rings_m.reshape(-1, 3), *ends]),
+        _loft_faces(k, n),
+        np.concatenate([np.repeat(side, 2), np.full(2 * n, cap, dtype=np.int64)]),
+    )
+
+
+@cache
+def _loft_faces(k: int, n: int) -> Int[np.ndarray, "f 3"]:
+    fan = _fan_faces(n)
+    return _kept(np.concatenate([_grid_faces(k, n, True), fan + k * n, fan + k * n + n + 1]))
 
 
 def tube(
