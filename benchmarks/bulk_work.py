@@ -137,6 +137,7 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
 
 def nothing(unit: Unit) -> Done:
     """No work."""
+    del unit
     return Done()
 
 
