@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from bulk import works
-from farfield.bulk import HERE, Bulk, BulkError, Unit, values
+from farfield.bulk import ENGINES, HERE, Bulk, BulkError, Journal, Unit, run, values
 from farfield.bulk.local import Local
 from farfield.bulk.memory import available_bytes, fitting
 from farfield.bulk.threads import VARIABLES, one_thread
@@ -147,3 +147,24 @@ def test_as_many_workers_as_there_are_cores_and_work(monkeypatch: pytest.MonkeyP
     automatic = Bulk(workers=0)
     assert [automatic.hands(works.square, count) for count in (1, 7, 8, 1000)] == [1, 1, 2, 6]
     assert Bulk(workers=4).hands(works.square, 2) == 2
+
+
+def test_an_engine_of_another_package_does_the_work_of_any_verb(tmp_path: Path) -> None:
+    """Registered by its name: what a verb gives it is units and work, what it gives back is theirs."""
+    asked: list[tuple[int, int]] = []
+
+    class Backwards:
+        def run(self, work, units, *, workers, ordered):
+            asked.append((len(units), workers))
+            places = range(len(units)) if ordered else reversed(range(len(units)))
+            for place in places:
+                yield place, work(units[place])
+
+    ENGINES.register("backwards")(Backwards)
+    assert [done.value for done in values(works.square, UNITS, Bulk(workers=3, engine="backwards"))][:3] == [0, 1, 4]
+    (tmp_path / "1.in").write_text("x")
+    units = [Unit("1", (tmp_path / "1.in",), 1)]
+    assert run(works.Copy(tmp_path), units, Bulk(engine="backwards"), journal=Journal(tmp_path / ".j")).written == 1
+    assert asked == [(24, 3), (1, 1)]
+    with pytest.raises(ConfigError, match="Expected a bulk engine, one of local"):
+        list(values(works.square, UNITS, Bulk(engine="cluster")))

@@ -1,11 +1,16 @@
+import json
+import os
+
 import numpy as np
 import pytest
 from street import street_frame
 
+from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cloud_files import cache_path
 from farfield.datasets.folder import write_boxes
+from farfield.datasets.kradar.store import JOURNAL_NAME
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.clouds import write_bin
@@ -56,6 +61,23 @@ def test_a_changed_source_is_converted_again(street_root, tmp_path):
     label.write_text(label.read_text().replace('"large_vehicle"', '"trailer"'))
     assert convert(open_dataset(street_root), tmp_path / "out", to="boxes-csv").written == 1
     assert "trailer" in read_boxes_csv(tmp_path / "out/segment_00.csv").label
+
+
+@pytest.mark.parametrize("to", ["kitti", "cirrus", "boxes-csv"])
+def test_what_was_written_can_be_verified_byte_by_byte(to, street_root, tmp_path, capsys):
+    command = ["convert", str(street_root), str(tmp_path / to), "--to", to]
+    assert main([*command, "--workers", "1"]) == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / to).rglob("*")}
+    assert main([*command, "--verify"]) == 0
+    assert "is intact" in capsys.readouterr().out
+    entry = json.loads((tmp_path / to / JOURNAL_NAME).read_text().splitlines()[0])
+    broken = tmp_path / to / max(entry["files"])
+    data = broken.read_bytes()
+    broken.write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+    os.utime(broken, ns=(1, 1))  # as if nothing had been touched
+    assert main([*command, "--verify"]) == 1
+    assert f"damaged or missing: {broken.relative_to(tmp_path / to).as_posix()}" in capsys.readouterr().err
+    assert before.keys() == {*(tmp_path / to).rglob("*")}
 
 
 def test_a_journal_cut_off_by_a_crash_is_no_obstacle_a_damaged_one_is_named(street_root, tmp_path):

@@ -2,7 +2,7 @@
 
 from farfield.bulk.engines import ENGINES, BulkError, Engine, Lost
 from farfield.bulk.journal import Journal
-from farfield.bulk.runs import HERE, Bulk, Outcome, run, values
+from farfield.bulk.runs import HERE, Bulk, Outcome, faults, run, values
 from farfield.bulk.units import Done, Unit, Work, blocks
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Unit",
     "Work",
     "blocks",
+    "faults",
     "run",
     "values",
 ]

@@ -45,5 +45,5 @@ class Engine(Protocol):
         """
 
 
-ENGINES: Registry[type[Engine]] = Registry("farfield.engines", "engine", {"local": "farfield.bulk.local:Local"})
+ENGINES: Registry[type[Engine]] = Registry("farfield.engines", "bulk engine", {"local": "farfield.bulk.local:Local"})
 """Engines by name."""

@@ -105,6 +105,15 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
     return outcome
 
 
+def faults(units: Sequence[Unit], journal: Journal) -> list[str]:
+    """What is wrong with finished units, a line each: not written, of another source or setting, damaged or missing.
+
+    Every byte of their files is read; nothing is written.
+    """
+    found = ((unit, journal.fault(unit, every_byte=True)) for unit in units)
+    return [f"{unit.name}: {fault}" for unit, fault in found if fault]
+
+
 def values(work: Work, units: Sequence[Unit], bulk: Bulk = HERE) -> Iterator[Done]:
     """Do all units and yield what they gave in their order; nothing is kept.
 

@@ -59,23 +59,29 @@ def run(
         doppler: Keep each cell's velocity in a radar store.
         workers: Processes; 0 takes as many as there are cores, files and memory for.
         engine: Where the work is done.
-        verify: Only compare a radar store with its checksums and its source.
+        verify: Only compare what was written with its checksums and its source.
         overwrite: Write everything anew.
     """
     from farfield.datasets import open_dataset
     from farfield.datasets.kradar.store import StoreSettings
-    from farfield.errors import ConfigError
+    from farfield.errors import ConfigError, DatasetError
     from farfield.recording.convert import convert
+    from farfield.recording.convert import verify as verify_all
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
     options |= {"roots": roots} if roots else {}
-    if verify and to != "radar-store":
-        raise ConfigError(f"convert: --verify is for --to radar-store, got --to {to}")
+    if verify and (target is None or to == "cache"):
+        raise ConfigError("convert: expected the folder that was written with --verify, got none")
     dataset = open_dataset(source, **options)
     kept = tuple(name.strip() for name in products.split(","))
     store = StoreSettings(products=kept, region=region, rate=rate, over=over, doppler=doppler)
-    if verify:
-        _verify(dataset, target, store)
+    if verify and target is not None:
+        found = verify_all(dataset, target, to=to, boxes=boxes, cloud=cloud, store=store)
+        if found:
+            shown = "".join(f"\n  {fault}" for fault in found[:20]) + ("\n  ..." if len(found) > 20 else "")
+            mend = "Convert again without --verify to mend them."
+            raise DatasetError(f"{target}: expected all to be intact, found {len(found)} that are not. {mend}{shown}")
+        print(f"{len(dataset)} frames: what was written is intact.")
         return
     outcome = convert(
         dataset,
@@ -88,19 +94,3 @@ def run(
         bulk=hands(workers, engine, "writing"),
     )
     print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
-
-
-def _verify(dataset: Any, target: Path | None, store: Any) -> None:
-    from rich.console import Console
-
-    from farfield.datasets.kradar.store import verify_store
-    from farfield.errors import ConfigError, DatasetError
-
-    if target is None:
-        raise ConfigError("convert: expected the store's folder with --verify, got none")
-    faults = verify_store(dataset, target, store)
-    if faults:
-        shown = "".join(f"\n  {fault}" for fault in faults[:20]) + ("\n  ..." if len(faults) > 20 else "")
-        mend = "Convert again without --verify to mend them."
-        raise DatasetError(f"{target}: expected every frame intact, found {len(faults)} that are not. {mend}{shown}")
-    Console().print(f"{len(dataset)} frames: the store is intact.", highlight=False)

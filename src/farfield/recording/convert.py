@@ -4,18 +4,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, run
+from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
 from farfield.bulk.folders import sweep_out
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
 from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.writer import KittiWriter
-from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store
+from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
@@ -66,17 +66,72 @@ def convert(
     if target is None:
         raise ConfigError(f"convert: expected a target folder with to={to!r}, got none")
     target = Path(target)
-    if to == "boxes-csv":
-        return _to_csv(dataset, target, boxes, overwrite, bulk)
-    if to == "kitti":
-        return _to_kitti(_ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud), overwrite, bulk)
-    if to == "cirrus":
-        return _to_cirrus(_ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud), overwrite, bulk)
     if to == "radar-store":
-        if dataset.name != "kradar":
-            raise DatasetError(f"{dataset.root}: expected K-Radar with to='radar-store', got {dataset.name}")
-        return convert_to_store(dataset, target, store, overwrite=overwrite, bulk=bulk)
-    raise ConfigError(f"convert: expected to to be one of {', '.join(TARGETS)}; got {to!r}")
+        return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+    if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
+        target.parent.mkdir(parents=True, exist_ok=True)
+        unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
+        return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
+    work = _work(dataset, target, to, boxes, cloud)
+    journal = Journal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
+    outcome = run(work, work.units(), bulk, journal=journal)
+    if to == "kitti":
+        _finish_kitti(dataset, target)
+    return outcome
+
+
+def verify(
+    dataset: Dataset,
+    target: Path | str,
+    *,
+    to: Target,
+    boxes: BoxSource = "boxes",
+    cloud: str | None = None,
+    store: StoreSettings | None = None,
+) -> list[str]:
+    """Compare what a conversion wrote with its checksums and its source; nothing is written.
+
+    Args:
+        dataset: The source.
+        target: The folder.
+        to: As of :func:`convert`, and so the others.
+        boxes: Which boxes were labelled.
+        cloud: Which cloud was written.
+        store: What a radar store keeps.
+
+    Returns:
+        What is wrong, one line a unit: not written, damaged or missing, of another source or with other settings.
+
+    Raises:
+        ConfigError: If the target has no journal to compare with.
+        DatasetError: If nothing was converted there.
+    """
+    target = Path(target)
+    if to == "radar-store":
+        return verify_store(_kradar(dataset), target, store)
+    work = _work(dataset, target, to, boxes, cloud)
+    if not (target / JOURNAL_NAME).is_file():
+        raise DatasetError(f"{target}: expected what `farfield convert --to {to}` wrote, found no {JOURNAL_NAME}")
+    return faults(work.units(), Journal(target / JOURNAL_NAME, work.setting))
+
+
+def _kradar(dataset: Dataset) -> Dataset:
+    if dataset.name != "kradar":
+        raise DatasetError(f"{dataset.root}: expected K-Radar with to='radar-store', got {dataset.name}")
+    return dataset
+
+
+def _work(
+    dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
+) -> "_ToKitti | _ToCirrus | _ToCsv":
+    if to == "kitti":
+        return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
+    if to == "cirrus":
+        return _ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
+    if to == "boxes-csv" and target.suffix != ".csv":
+        return _ToCsv(dataset, target, boxes)
+    expected = f"expected to to be one of {', '.join(TARGETS)}"
+    raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
 
 
 def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
@@ -143,6 +198,7 @@ class _Frames:
     target: Path
     boxes: BoxSource
     cloud: str | None
+    to: ClassVar[str]
     memory_bytes = 500_000_000
 
     def units(self) -> list[Unit]:
@@ -150,12 +206,15 @@ class _Frames:
         keys = enumerate(self.dataset.keys)
         return [Unit("/".join(key), tuple(self.dataset.files(index)), index) for index, key in keys]
 
-    def setting(self, to: str) -> str:
+    @property
+    def setting(self) -> str:
         """What decides the files besides their sources."""
-        return f"{to} {self.boxes} {self.cloud} {self.dataset.name}"
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}"
 
 
 class _ToKitti(_Frames):
+    to = "kitti"
+
     def units(self) -> list[Unit]:
         """One a frame; the number names its files."""
         return [replace(unit, name=f"{unit.parameters:06d}/{unit.name}") for unit in super().units()]
@@ -166,14 +225,11 @@ class _ToKitti(_Frames):
         return Done(files=tuple(paths.values()))
 
 
-def _to_kitti(work: _ToKitti, overwrite: bool, bulk: Bulk) -> Outcome:
-    dataset, target = work.dataset, work.target
-    journal = Journal(target / JOURNAL_NAME, work.setting("kitti"), overwrite=overwrite)
-    outcome = run(work, work.units(), bulk, journal=journal)
+def _finish_kitti(dataset: Dataset, target: Path) -> None:
+    """Write what belongs to all frames."""
     lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
     write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
     _write_image_sets(dataset, target)
-    return outcome
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
@@ -188,6 +244,8 @@ def _write_image_sets(dataset: Dataset, target: Path) -> None:
 
 
 class _ToCirrus(_Frames):
+    to = "cirrus"
+
     @cached_property
     def times(self) -> list[int]:
         return _times(self.dataset)
@@ -195,11 +253,6 @@ class _ToCirrus(_Frames):
     def __call__(self, unit: Unit) -> Done:
         frame = _as_cirrus(self.dataset[unit.parameters], self.times[unit.parameters], self.cloud)
         return Done(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
-
-
-def _to_cirrus(work: _ToCirrus, overwrite: bool, bulk: Bulk) -> Outcome:
-    journal = Journal(work.target / JOURNAL_NAME, work.setting("cirrus"), overwrite=overwrite)
-    return run(work, work.units(), bulk, journal=journal)
 
 
 def _times(dataset: Dataset) -> list[int]:
@@ -237,31 +290,31 @@ class _ToCsv:
     target: Path
     boxes: BoxSource
 
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return f"boxes-csv {self.boxes} {self.dataset.name}"
+
+    def units(self) -> list[Unit]:
+        """One a sequence."""
+        groups: dict[str, list[int]] = {}
+        for index, sequence in enumerate(self.dataset.sequences):
+            groups.setdefault(sequence, []).append(index)
+        files = self.dataset.files
+        return [
+            Unit(
+                name,
+                tuple(dict.fromkeys(file for index in indices for file in files(index))),
+                (f"{_file_name(name)}.csv", indices),
+            )
+            for name, indices in groups.items()
+        ]
+
     def __call__(self, unit: Unit) -> Done:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
         write_boxes_csv(self.target / name, box_rows((frame.key, _boxes_of(frame, self.boxes)) for frame in frames))
         return Done(files=(self.target / name,))
-
-
-def _to_csv(dataset: Dataset, target: Path, boxes: BoxSource, overwrite: bool, bulk: Bulk) -> Outcome:
-    if target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
-        target.parent.mkdir(parents=True, exist_ok=True)
-        unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
-        return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
-    groups: dict[str, list[int]] = {}
-    for index, sequence in enumerate(dataset.sequences):
-        groups.setdefault(sequence, []).append(index)
-    units = [
-        Unit(
-            name,
-            tuple(dict.fromkeys(file for index in indices for file in dataset.files(index))),
-            (f"{_file_name(name)}.csv", indices),
-        )
-        for name, indices in groups.items()
-    ]
-    journal = Journal(target / JOURNAL_NAME, f"boxes-csv {boxes} {dataset.name}", overwrite=overwrite)
-    return run(_ToCsv(dataset, target, boxes), units, bulk, journal=journal)
 
 
 def _file_name(sequence: str) -> str:

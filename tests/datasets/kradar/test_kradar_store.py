@@ -228,11 +228,11 @@ def test_a_damaged_source_is_named(tree: Path, tmp_path: Path) -> None:
         convert_to_store(KRadar(copy), tmp_path / "store", NARROW)
 
 
-def test_verify_is_for_stores_alone(tree: Path, tmp_path: Path, capsys) -> None:
+def test_verify_is_for_what_was_converted(tree: Path, tmp_path: Path, capsys) -> None:
     assert main(["convert", str(tree), str(tmp_path), "--to", "kitti", "--verify"]) == 1
-    assert "--verify is for --to radar-store" in capsys.readouterr().err
+    assert "wrote, found no .farfield_convert.jsonl" in capsys.readouterr().err
     assert main(["convert", str(tree), "--to", "radar-store", "--verify"]) == 1
-    assert "expected the store's folder" in capsys.readouterr().err
+    assert "expected the folder that was written" in capsys.readouterr().err
 
 
 def test_a_set_on_several_disks_is_converted_whole(tree: Path, tmp_path: Path, capsys) -> None:

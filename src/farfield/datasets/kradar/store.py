@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, run
+from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.layout import product_path
 from farfield.datasets.kradar.manifest import write_manifest
@@ -239,5 +239,4 @@ def verify_store(dataset: Dataset, target: Path, settings: StoreSettings | None 
     if not path.is_file():
         raise DatasetError(f"{target}: expected a radar store, found no {JOURNAL_NAME}")
     journal = Journal(path, settings.text)
-    found = ((unit, journal.fault(unit, every_byte=True)) for unit in _units(dataset, settings))
-    return [f"{unit.name}: {fault}" for unit, fault in found if fault]
+    return faults(_units(dataset, settings), journal)
