@@ -26,22 +26,22 @@ class SimulatedKittiWriter:
         self.root, self._writer = root, KittiWriter(root)
 
     def paths(self, frame: "Frame") -> dict[str, Path]:
-        """The file of each part of a frame."""
-        kinds = ["velodyne", "calib", *(["image_2"] if "camera" in frame.images else []), "label_2"]
-        return {kind: self._writer.path(kind, int(frame.frame_id)) for kind in kinds}
-
-    def write(self, frame: "Frame") -> dict[str, Path]:
-        """Write a frame; returns what ``paths`` does.
+        """The file of each part of a frame.
 
         Raises:
             ConfigError: If the frame has no cloud.
         """
         if "lidar" not in frame.clouds:
             raise ConfigError("sensors: expected lidar among them, KITTI's layout has no frames without; got camera")
-        annotation = frame.annotation
+        kinds = ["velodyne", "calib", *(["image_2"] if "camera" in frame.images else []), "label_2"]
+        return {kind: self._writer.path(kind, int(frame.frame_id)) for kind in kinds}
+
+    def write(self, frame: "Frame") -> dict[str, Path]:
+        """Write a frame; returns what ``paths`` does, and raises the same."""
+        paths, annotation = self.paths(frame), frame.annotation
         occlusion = None if annotation is None else annotation.details["occlusion"]
         self._writer.write(int(frame.frame_id), frame, cloud="lidar", occlusion=occlusion)
-        return self.paths(frame)
+        return paths
 
     def finish(self) -> None:
         """Write ``ImageSets/train.txt`` and ``val.txt``: the second of every five sequences is held out."""
