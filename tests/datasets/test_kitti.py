@@ -6,12 +6,13 @@ from trees import write_kitti, write_kitti_tracking
 
 from farfield.datasets import open_dataset
 from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.object import Kitti, boxes_from_objects, image_boxes, objects_from_boxes
+from farfield.datasets.kitti.object import Kitti, boxes_from_objects, objects_from_boxes
 from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
+from farfield.geometry.image_boxes import image_boxes
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.geometry.poses import pose, rotation_from_quaternion
 

@@ -71,9 +71,10 @@ def test_sensors_are_names_or_one_text(tmp_path: Path) -> None:
 
 
 def test_every_rig_has_a_writer_and_an_unknown_one_is_named(tmp_path: Path) -> None:
-    for rig, preset in (("cirrus", find_preset("cirrus-sim-mini")), ("kradar", find_preset("kradar-sim-mini"))):
+    for rig in ("cirrus", "kradar", "kitti"):
+        preset = find_preset(f"{rig}-sim-mini")
         assert preset.rig == rig
         assert files_of(preset) is RIGS[rig]
         assert writer_for(preset, tmp_path).root == tmp_path or rig == "cirrus"
-    with pytest.raises(ConfigError, match="one of cirrus, kradar; got drone"):
+    with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti; got drone"):
         files_of(replace(preset, rig="drone"))

@@ -4,7 +4,7 @@ Frames of one drive resemble each other, so whole sequences are drawn with repla
 are drawn only where there is but one. A replicate is a vector of weights, one a group, so nothing is matched again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,22 @@ class Bootstrap:
     replicates: int = 200
     level: float = 0.95
     seed: int = 0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Weighted:
+    """The figures of a protocol as functions of how often each group of frames was drawn.
+
+    Args:
+        parts: By part (``"overall"``, ``"0-70"``, ``"weather/fog"``) what gives its figures under group weights; with
+            every weight 1 they are those of the result, but for rounding.
+        groups: Group of each annotated frame, in the order of :func:`farfield.metrics.frames.frame_order`.
+        grouped_by: ``"sequences"``, or ``"frames"`` where there is only one sequence.
+    """
+
+    parts: Mapping[str, Callable[[Float[np.ndarray, " groups"]], Statistics]]
+    groups: tuple[int, ...]
+    grouped_by: str
 
 
 def replicate_weights(groups: int, replicates: int, rng: np.random.Generator) -> Float[np.ndarray, "replicates groups"]:

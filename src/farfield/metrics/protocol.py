@@ -13,6 +13,7 @@ from farfield.metrics.result import Result, figure_names, value_at
 from farfield.registry import PluginError, Registry
 
 if TYPE_CHECKING:
+    from farfield.metrics.bootstrap import Weighted
     from farfield.metrics.detections import Detections
 
 P = TypeVar("P", bound="type[Protocol]")
@@ -57,6 +58,22 @@ class Protocol(ABC):
     @abstractmethod
     def evaluate(self, found: "Detections", settings: Any) -> Result:
         """Score detections whose every annotated frame has an entry of boxes; settings are a ``Settings``."""
+
+    def weighted(self, found: "Detections", settings: Any) -> "Weighted":
+        """The same figures as functions of group weights, from which differences of results are drawn.
+
+        Args:
+            found: Detections that count, as ``evaluate`` takes them.
+            settings: A ``Settings``.
+
+        Raises:
+            ConfigError: If the protocol does not say how its figures depend on weights.
+        """
+        del found, settings
+        raise ConfigError(
+            f"protocol {self}: expected one whose figures can be resampled, to decide on differences; got one without. "
+            "Give its class a method weighted(found, settings), or choose dds, nuscenes, kitti or kradar"
+        )
 
     def options(self) -> tuple[str, ...]:
         """Names of the settings."""

@@ -35,7 +35,7 @@ _BYTES = {
     "cube": 60_100_000,
     "tesseract": 260_000_000,
 }
-_BYTES_PER_SHOT = {"gaussian": 70, "uniform": 70, "os2-64": 80, "os1-128": 80}
+_BYTES_PER_SHOT = {"gaussian": 70, "uniform": 70, "os2-64": 80, "os1-128": 80, "lidar": 20}
 _CACHED = 1.6  # bytes with the binary cache over bytes without
 
 
@@ -89,7 +89,7 @@ def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
 def bytes_needed(recording: Recording, count: int) -> float:
     """How many bytes so many frames take at most."""
     preset = recording.preset
-    lines = dict.fromkeys(PATTERNS, preset.lines) | OUSTER_LINES
+    lines = dict.fromkeys((*PATTERNS, "lidar"), preset.lines) | OUSTER_LINES
     shots = {name: count * preset.columns for name, count in lines.items()}
     sizes = [_BYTES[name] if name in _BYTES else shots[name] * _BYTES_PER_SHOT[name] for name in recording.sensors]
     return count * (sum(sizes) + 20_000) * (_CACHED if recording.cache else 1.0)

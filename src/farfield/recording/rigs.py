@@ -52,9 +52,16 @@ def _kradar(preset: "Preset", root: Path) -> Writer:
     return KRadarWriter(root, columns=preset.columns)
 
 
+def _kitti(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
+    from farfield.recording.kitti import SimulatedKittiWriter
+
+    return SimulatedKittiWriter(root)
+
+
 RIGS = {
     "cirrus": RigFiles(writer=_cirrus, caches=True),
     "kradar": RigFiles(writer=_kradar, finishes=True),
+    "kitti": RigFiles(writer=_kitti, finishes=True),
 }
 
 

@@ -60,7 +60,7 @@ def record(
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
 ) -> Recorded:
-    """Write a simulated data set in the layout of Cirrus or of K-Radar.
+    """Write a simulated data set in the layout of Cirrus, K-Radar or KITTI.
 
     Called again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
     the number of workers.
@@ -117,7 +117,7 @@ def _chosen(
     if chosen.stride_s > MAX_STRIDE_S or chosen.stride_s <= 0:
         raise ConfigError(f"--stride-s: expected more than 0 and at most {MAX_STRIDE_S:g} s, got {chosen.stride_s:g}")
     if cache and not files_of(chosen).caches:
-        raise ConfigError("--cache: expected a Cirrus preset; K-Radar's files have no such cache")
+        raise ConfigError("--cache: expected a Cirrus preset; files of other layouts have no such cache")
     return chosen, frozen
 
 

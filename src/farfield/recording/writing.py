@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from farfield.frame import Frame
     from farfield.simulation import Preset
 
-_LABELS = ("dataset1_annotation", "info_label", "KRadar_revised_visibility", "frame_record")  # in this order, last
+# Folders whose files are moved last, in this order.
+_LABELS = ("dataset1_annotation", "info_label", "KRadar_revised_visibility", "label_2", "frame_record")
 
 
 def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool = False) -> tuple[Path, ...]:

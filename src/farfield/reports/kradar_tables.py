@@ -7,16 +7,15 @@ from farfield.errors import ConfigError
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.result import value_at
 from farfield.vocabulary.conditions import CONDITIONS
+from farfield.vocabulary.published_tables import KRADAR_TABLES
 
 Results = Mapping[str, Mapping[str, Any]]
 
+_TABLE_4 = KRADAR_TABLES["4"]
 PUBLISHED_TABLE_4: dict[str, tuple[float, ...]] = {
-    "RTNH (4D radar)": (47.4, 49.9, 56.7, 52.8, 42.0, 41.5, 50.6, 44.5),
-    "RTN (4D radar)": (40.1, 45.6, 48.8, 46.9, 32.9, 22.6, 36.8, 36.8),
-    "PointPillars (os2-64)": (45.4, 52.3, 61.0, 42.2, 44.5, 22.7, 40.6, 29.7),
+    name: tuple(part["ap3d"] for part in _TABLE_4.figures[row].values()) for row, name in _TABLE_4.names.items()
 }
-"""AP3D of Sedan at IoU 0.3 in per cent, in total and by weather as in ``CONDITIONS["weather"]``: Paek et al., NeurIPS
-2022, Table 4 (labels v1.0, narrow region, the kit's first evaluation)."""
+"""AP3D of Sedan at IoU 0.3 in per cent, in total and by weather as in ``CONDITIONS["weather"]``, by detector."""
 
 PUBLISHED_BY = "kradar-compat:rtnh_narrow: labels v1.0, narrow region, the development kit's first evaluation"
 """The convention of the published table, which is not that of other results."""

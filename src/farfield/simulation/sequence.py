@@ -30,6 +30,10 @@ def planned_frame(preset: Preset, *, seed: int, sequence: int, index: int, senso
         from farfield.simulation.rigs.cirrus_frame import cirrus_frame
 
         return cirrus_frame(drive, index, sensors, time_ns)
+    if preset.rig == "kitti":
+        from farfield.simulation.rigs.kitti_frame import kitti_frame
+
+        return kitti_frame(drive, index, sensors, time_ns)
     from farfield.simulation.rigs.kradar_frame import kradar_frame
 
     return kradar_frame(drive, index, sensors, time_ns)
@@ -70,7 +74,8 @@ def simulate_frame(
         ground near z = -2), image "camera", and the boxes of the visible parts; the annotation's ``full_boxes`` are
         the whole bodies, its ``details`` ``point_count_gaussian`` and ``point_count_uniform``. The K-Radar rig gives
         clouds "os2-64" (the reference frame) and "os1-128", images "cam-front" and "cam-front-right"..., radar products
-        in the radar's frame, and full boxes.
+        in the radar's frame, and full boxes. The KITTI rig gives cloud "lidar", image "camera", and full boxes of what
+        that camera sees, with ``truncation``, ``occlusion`` and ``box_px`` among the annotation's ``details``.
 
     Raises:
         ConfigError: If the preset is unknown or the frame lies beyond the sequence's duration.

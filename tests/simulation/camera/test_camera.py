@@ -249,7 +249,7 @@ def test_cameras_of_the_rigs_sit_where_their_mounts_say() -> None:
     front = rig_cameras("cirrus", ego_T_lidar)["front"]
     assert (front.width_px, front.height_px) == (CIRRUS_FRONT.width_px, CIRRUS_FRONT.height_px) == (1920, 650)
     with pytest.raises(ConfigError, match="camera rig"):
-        rig_cameras("kitti", ego_T_lidar)
+        rig_cameras("drone", ego_T_lidar)
 
 
 def test_ice_covers_the_asked_share_and_grows_without_uncovering() -> None:

@@ -1,10 +1,11 @@
 """Write frames in KITTI's object layout."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.datasets.kitti.object import objects_from_boxes
 from farfield.errors import DatasetError
@@ -15,6 +16,7 @@ from farfield.files.kitti import write_labels
 from farfield.frame import Boxes, Camera, Frame
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
+_SUFFIXES = {"velodyne": "bin", "calib": "txt", "label_2": "txt", "image_2": "png"}
 # Stands in where a data set has no calibration: the image size of Cirrus, looking along x, 79 degrees wide.
 VIRTUAL_CAMERA = Camera(
     matrix=np.array([[1173.0, 0.0, 959.5], [0.0, 1173.0, 324.5], [0.0, 0.0, 1.0]]), width_px=1920, height_px=650
@@ -37,7 +39,13 @@ class KittiWriter:
         self.root, self.classes = Path(root), classes
 
     def write(
-        self, number: int, frame: Frame, *, cloud: str | None = None, boxes: Boxes | None = None
+        self,
+        number: int,
+        frame: Frame,
+        *,
+        cloud: str | None = None,
+        boxes: Boxes | None = None,
+        occlusion: Int[np.ndarray, " n"] | None = None,
     ) -> dict[str, Path]:
         """Write one frame under a number.
 
@@ -46,6 +54,7 @@ class KittiWriter:
             frame: The frame.
             cloud: Which cloud; None takes the first; it must be one with intensity.
             boxes: Boxes to label instead of the frame's.
+            occlusion: How far each box is hidden: 0 visible, 1 partly, 2 largely occluded, 3 unknown; None: unknown.
 
         Returns:
             The files written, by kind.
@@ -64,21 +73,25 @@ class KittiWriter:
                 f"frame {frame.key}: KITTI's velodyne files hold LiDAR clouds with intensity, got a cloud of "
                 f"{', '.join(points.columns)}. Choose by `cloud` one of {', '.join(frame.clouds)} that has it."
             )
-        paths = {"velodyne": self._path("velodyne", number, "bin"), "calib": self._path("calib", number, "txt")}
+        paths = {"velodyne": self.path("velodyne", number), "calib": self.path("calib", number)}
+        for path in paths.values():
+            path.parent.mkdir(parents=True, exist_ok=True)
         write_bin(paths["velodyne"], np.column_stack([points.points_m, points.intensity]))
         write_text(paths["calib"], calibration_text(camera))
         if boxes is not None:
-            paths["label_2"] = self._path("label_2", number, "txt")
-            write_labels(paths["label_2"], objects_from_boxes(boxes, camera, classes=self.classes))
+            paths["label_2"] = self.path("label_2", number)
+            paths["label_2"].parent.mkdir(parents=True, exist_ok=True)
+            objects = objects_from_boxes(boxes, camera, classes=self.classes)
+            write_labels(paths["label_2"], objects if occlusion is None else replace(objects, occlusion=occlusion))
         if name is not None:
-            paths["image_2"] = self._path("image_2", number, "png")
+            paths["image_2"] = self.path("image_2", number)
+            paths["image_2"].parent.mkdir(parents=True, exist_ok=True)
             write_image(paths["image_2"], frame.images[name])
         return paths
 
-    def _path(self, kind: str, number: int, suffix: str) -> Path:
-        folder = self.root / "training" / kind
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder / f"{number:06d}.{suffix}"
+    def path(self, kind: str, number: int) -> Path:
+        """The file of a number: ``velodyne``, ``calib``, ``label_2`` or ``image_2``."""
+        return self.root / "training" / kind / f"{number:06d}.{_SUFFIXES[kind]}"
 
 
 def calibration_text(camera: Camera) -> str:

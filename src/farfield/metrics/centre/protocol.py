@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from farfield.frame.drive import Drive
-from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.bootstrap import Statistics, Weighted, intervals
 from farfield.metrics.centre.evaluation import (
     Part,
     binned,
@@ -24,6 +24,9 @@ from farfield.metrics.curves import Ranking
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.protocol import Protocol
 
+if TYPE_CHECKING:
+    from farfield.metrics.detections import Detections
+
 
 class CentreProtocol(Protocol):
     """A protocol whose settings are :class:`CentreSettings`."""
@@ -34,6 +37,15 @@ class CentreProtocol(Protocol):
         if isinstance(kept.get("epsilons"), list):
             kept["epsilons"] = kept["epsilons"][:1]
         return kept
+
+    def weighted(self, found: "Detections", settings: CentreSettings) -> Weighted:
+        """The figures of the region, of each bin and the mean of the bins as functions of group weights."""
+        scene = gather(found.boxes, found.annotated, settings, found.drives)
+        parts = _parts(scene, settings)
+        each = {name: partial(statistics, part, settings) for name, part in parts.items()}
+        mean = partial(_mean_of_bins, parts, _reached(settings, found.reach_m), settings)
+        groups = tuple(scene.group.tolist())
+        return Weighted(parts={**each, "mean_of_bins": mean}, groups=groups, grouped_by=scene.grouped_by)
 
 
 def evaluate_centre(
@@ -57,8 +69,7 @@ def evaluate_centre(
     """
     scene = gather(predictions, annotations, settings, drives)
     parts = _parts(scene, settings)
-    reached = [f"{low_m:g}-{high_m:g}" for low_m, high_m in settings.bins_m if reach_m is None or low_m < reach_m]
-    figures = partial(_figures, parts, reached, settings)
+    figures = partial(_figures, parts, _reached(settings, reach_m), settings)
     point = figures(np.ones(scene.n_groups))
     drawn: dict[str, dict[str, list[float] | None]] = {}
     for key, interval in intervals(partial(_flat, figures), scene.n_groups, settings.bootstrap).items():
@@ -91,6 +102,17 @@ def _figures(
 ) -> dict[str, Statistics]:
     found = {name: statistics(part, settings, weight) for name, part in parts.items()}
     return found | {"mean_of_bins": mean_of_parts([found[name] for name in reached])}
+
+
+def _reached(settings: CentreSettings, reach_m: float | None) -> list[str]:
+    """Names of the bins that begin within the detector's reach."""
+    return [f"{low_m:g}-{high_m:g}" for low_m, high_m in settings.bins_m if reach_m is None or low_m < reach_m]
+
+
+def _mean_of_bins(
+    parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
+) -> Statistics:
+    return mean_of_parts([statistics(parts[name], settings, weight) for name in reached])
 
 
 def _flat(figures: "partial[dict[str, Statistics]]", weight: Float[np.ndarray, " groups"]) -> Statistics:

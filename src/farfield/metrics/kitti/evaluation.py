@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.frame.drive import Drive
-from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.bootstrap import Statistics, Weighted, intervals
 from farfield.metrics.counts import KittiCurve, ThresholdCounts, recall_mean, shifted
 from farfield.metrics.frames import BoxesByFrame, in_range
 from farfield.metrics.kitti.frames import Details, KittiFrames, candidates, gather_kitti
@@ -76,16 +76,8 @@ def evaluate_kitti(
     """
     settings = settings or KittiSettings()
     data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details, drives)
-    parts = {"overall": (np.ones(len(data.predicted), dtype=bool), np.ones(len(data.annotated), dtype=bool))} | {
-        f"{low_m:g}-{high_m:g}": (in_range(data.predicted, low_m, high_m), in_range(data.annotated, low_m, high_m))
-        for low_m, high_m in settings.bins_m
-    }
-    counted = {
-        (part, measure, difficulty): _count(data, settings, measure, difficulty, *inside)
-        for part, inside in parts.items()
-        for measure in data.overlap
-        for difficulty in data.hardness
-    }
+    parts = _parts(data, settings)
+    counted = _count_all(data, settings, parts)
     figures: dict[str, Statistics] = {part: {} for part in parts}
     curves: dict[str, Any] = {part: {} for part in parts}
     for (part, measure, difficulty), found in counted.items():
@@ -113,14 +105,63 @@ def evaluate_kitti(
     )
 
 
+def weighted_kitti(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: KittiSettings,
+    *,
+    prediction_details: Details | None = None,
+    annotation_details: Details | None = None,
+    drives: Sequence[Drive] = (),
+) -> Weighted:
+    """The figures as functions of group weights; the arguments are those of :func:`evaluate_kitti`."""
+    data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details, drives)
+    parts = _parts(data, settings)
+    counted = _count_all(data, settings, parts)
+    each = {part: {name: found for name, found in counted.items() if name[0] == part} for part in parts}
+    weighted = {part: partial(_moved_part, f"{part}|", *_drawing(mine, data.groups)) for part, mine in each.items()}
+    return Weighted(parts=weighted, groups=tuple(data.group.tolist()), grouped_by=data.grouped_by)
+
+
+_Inside = dict[str, tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " m"]]]
+
+
+def _parts(data: KittiFrames, settings: KittiSettings) -> _Inside:
+    """Which predicted and annotated boxes lie in the whole and in each range bin."""
+    return {"overall": (np.ones(len(data.predicted), dtype=bool), np.ones(len(data.annotated), dtype=bool))} | {
+        f"{low_m:g}-{high_m:g}": (in_range(data.predicted, low_m, high_m), in_range(data.annotated, low_m, high_m))
+        for low_m, high_m in settings.bins_m
+    }
+
+
+def _count_all(data: KittiFrames, settings: KittiSettings, parts: _Inside) -> _Counted:
+    return {
+        (part, measure, difficulty): _count(data, settings, measure, difficulty, *inside)
+        for part, inside in parts.items()
+        for measure in data.overlap
+        for difficulty in data.hardness
+    }
+
+
+def _drawing(counted: _Counted, groups: int) -> tuple[_Counted, _Averages, _Averages]:
+    """Counts, their averages, and the smooth averages from which draws depart."""
+    point = {name: _averages(found.sampled()) for name, found in counted.items()}
+    return counted, point, {name: _averages(found.smooth(np.ones(groups))) for name, found in counted.items()}
+
+
+def _moved_part(
+    prefix: str, counted: _Counted, point: _Averages, start: _Averages, weight: Float[np.ndarray, " groups"]
+) -> Statistics:
+    return {name.removeprefix(prefix): value for name, value in _moved(counted, point, start, weight).items()}
+
+
 def _intervals(
     counted: _Counted, data: KittiFrames, settings: KittiSettings
 ) -> dict[str, dict[str, list[float] | None]]:
     """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
-    point = {name: _averages(found.sampled()) for name, found in counted.items()}
-    start = {name: _averages(found.smooth(np.ones(data.groups))) for name, found in counted.items()}
+    moved = partial(_moved, *_drawing(counted, data.groups))
     drawn: dict[str, dict[str, list[float] | None]] = {}
-    for key, interval in intervals(partial(_moved, counted, point, start), data.groups, settings.bootstrap).items():
+    for key, interval in intervals(moved, data.groups, settings.bootstrap).items():
         part, _, name = key.partition("|")
         drawn.setdefault(part, {})[name] = interval
     return drawn

@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from farfield.frame.annotation import Annotation
-from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti
+from farfield.metrics.bootstrap import Weighted
+from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti, weighted_kitti
 from farfield.metrics.kitti.settings import KittiSettings
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import figure_names, value_at
@@ -39,6 +40,17 @@ class Kitti(Protocol):
             return result
         note = f"boxes are annotated without {', '.join(FACTS)}, so all are of one difficulty, all"
         return replace(result, notes=(*result.notes, note))
+
+    def weighted(self, found: "Detections", settings: KittiSettings) -> Weighted:
+        """AP of the whole and of each range bin as functions of group weights."""
+        return weighted_kitti(
+            found.boxes,
+            found.annotated,
+            settings,
+            prediction_details=found.prediction_details,
+            annotation_details={key: facts_of(annotation) for key, annotation in found.annotations.items()},
+            drives=found.drives,
+        )
 
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
         """AP over 40 recalls, by overlap and difficulty."""

@@ -7,7 +7,7 @@ per cent.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from farfield.frame.drive import Drive, Key
-from farfield.metrics.bootstrap import Statistics, intervals
+from farfield.metrics.bootstrap import Bootstrap, Statistics, Weighted, intervals
 from farfield.metrics.counts import ThresholdCounts, recall_mean, shifted
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.kradar.conditions import group_conditions
@@ -142,6 +142,25 @@ def evaluate_kradar(
     )
 
 
+def weighted_kradar(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: KRadarSettings,
+    *,
+    conditions: Conditions | None = None,
+    visibility: Visibility | None = None,
+    drives: Sequence[Drive] = (),
+) -> Weighted:
+    """The figures as functions of group weights; the arguments are those of :func:`evaluate_kradar`."""
+    data = gather_kradar(predictions, annotations, settings, visibility, drives)
+    by_group = replace(settings, bootstrap=Bootstrap(replicates=2))  # counts are kept by group
+    counted, _ = _all_counts(data, by_group, conditions or {}, with_visibility=visibility is not None)
+    parts = {
+        name: partial(_moved_part, name, *_drawing({name: found}, data, settings)) for name, found in counted.items()
+    }
+    return Weighted(parts=parts, groups=tuple(data.group.tolist()), grouped_by=data.grouped_by)
+
+
 _Parts = dict[str, dict[str, _Counts]]
 
 
@@ -220,20 +239,48 @@ def _intervals(
     """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
     if settings.bootstrap.replicates == 0:
         return {}
-    flat = {
+    flat = _flat(parts)
+    drawn: dict[str, dict[str, list[float] | None]] = {}
+    moved = partial(_moved, settings.recall_points, flat, point, _start(flat, data, settings))
+    for name, interval in intervals(moved, data.groups, settings.bootstrap).items():
+        part, _, figure = name.partition("|")
+        drawn.setdefault(part, {})[figure] = interval
+    return drawn
+
+
+def _flat(parts: _Parts) -> dict[str, ThresholdCounts]:
+    return {
         f"{part}|ap/{label}/{measure}/{iou:g}": at
         for part, found in parts.items()
         for label, counts in found.items()
         for (measure, iou), at in counts.items()
     }
-    smooth = partial(_smooth, settings.recall_points)
-    start = {name: smooth(at, np.ones(data.groups)) for name, at in flat.items()}
-    drawn: dict[str, dict[str, list[float] | None]] = {}
-    moved = partial(_moved, settings.recall_points, flat, point, start)
-    for name, interval in intervals(moved, data.groups, settings.bootstrap).items():
-        part, _, figure = name.partition("|")
-        drawn.setdefault(part, {})[figure] = interval
-    return drawn
+
+
+def _start(
+    flat: Mapping[str, ThresholdCounts], data: KRadarFrames, settings: KRadarSettings
+) -> dict[str, float | None]:
+    """The smooth AP of every figure, from which draws depart."""
+    return {name: _smooth(settings.recall_points, at, np.ones(data.groups)) for name, at in flat.items()}
+
+
+def _drawing(
+    parts: _Parts, data: KRadarFrames, settings: KRadarSettings
+) -> tuple[int, dict[str, ThresholdCounts], dict[str, Statistics], dict[str, float | None]]:
+    """What :func:`_moved` takes before the weights."""
+    flat, point = _flat(parts), {part: _figures(found, settings) for part, found in parts.items()}
+    return settings.recall_points, flat, point, _start(flat, data, settings)
+
+
+def _moved_part(
+    part: str,
+    points: int,
+    flat: Mapping[str, ThresholdCounts],
+    point: Mapping[str, Statistics],
+    start: Mapping[str, float | None],
+    weight: Float[np.ndarray, " g"],
+) -> Statistics:
+    return {name.removeprefix(f"{part}|"): v for name, v in _moved(points, flat, point, start, weight).items()}
 
 
 def _smooth(points: int, at: ThresholdCounts, weight: Float[np.ndarray, " g"]) -> float | None:

@@ -5,8 +5,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
+from farfield.frame.drive import Key
+from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.frames import BoxesByFrame, labels_of
-from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
+from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, weighted_kradar
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
 from farfield.metrics.protocol import Protocol
@@ -69,7 +71,7 @@ class KRadar(Protocol):
 
     def evaluate(self, found: "Detections", settings: KRadarSettings) -> KRadarResult:
         """AP by class, measure and overlap, by range, and by condition and visibility where these are known."""
-        seen = {key: tuple(a.visibility) for key, a in found.annotations.items() if a.visibility is not None}
+        seen = _visibility(found)
         result = evaluate_kradar(
             found.boxes,
             found.annotated,
@@ -91,6 +93,17 @@ class KRadar(Protocol):
             notes.append(f"{self} stands for results on labels {published}; these are {settings.label_version}")
         return replace(result, notes=(*result.notes, *notes))
 
+    def weighted(self, found: "Detections", settings: KRadarSettings) -> Weighted:
+        """AP of the whole, by range, condition and visibility as functions of group weights."""
+        return weighted_kradar(
+            found.boxes,
+            found.annotated,
+            settings,
+            conditions=found.conditions,
+            visibility=_visibility(found) or None,
+            drives=found.drives,
+        )
+
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Besides those of every protocol: overlaps and classes, which have figures of their own.
 
@@ -105,6 +118,11 @@ class KRadar(Protocol):
         shown = self.depends_on(settings, by_range=by_range)
         shown = {name: value for name, value in shown.items() if name not in _UNSAID}
         return option_text({name: shown[name] for name in _FIRST if name in shown} | shown)
+
+
+def _visibility(found: "Detections") -> dict[Key, tuple[str, ...]]:
+    """Which sensor sees each annotated box, of the frames that say so."""
+    return {key: tuple(a.visibility) for key, a in found.annotations.items() if a.visibility is not None}
 
 
 class KRadarCompat(KRadar):

@@ -4,7 +4,8 @@ K-Radar: four ZED 2i stereo cameras of 1280 x 720 pixels an eye. Matrix and dist
 files (fx 567.72, fy 577.21, cx 628.72, cy 369.31; k1 -0.02887, k2 0.000602, p1 0.003957, p2 -0.005047, k3 0); the
 baseline of 0.12 m is the maker's. Cirrus: one front camera of 1920 x 650 pixels; its focal length of 1428 pixels (68
 degrees across) follows the calibration in its first author's code, its principal point, mild distortion and all mounts
-are assumed.
+are assumed. KITTI: the left colour camera after rectification, of 1242 x 375 pixels, with matrix and place of the
+calibration of its drives of 2011_09_26 (Geiger et al., IJRR 2013).
 """
 
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class Lens:
 
 ZED_2I = Lens((567.72, 577.21, 628.72, 369.31), (-0.02887, 0.000602, 0.003957, -0.005047, 0.0), 1280, 720)
 CIRRUS_FRONT = Lens((1428.27, 1426.04, 943.34, 300.0), (-0.04, 0.008, 0.0004, -0.0003, 0.0), 1920, 650)
+KITTI_LEFT = Lens((721.5377, 721.5377, 609.5593, 172.854), (0.0, 0.0, 0.0, 0.0, 0.0), 1242, 375)
 
 
 @dataclass(frozen=True)
@@ -89,14 +91,15 @@ KRADAR_MOUNTS: dict[str, Mount] = {
     **_stereo("right", 0.0, -0.55, 1.5, -90.0),
 }
 CIRRUS_MOUNTS: dict[str, Mount] = {"front": Mount(CIRRUS_FRONT, (0.4, 0.0, 1.75))}
-MOUNTS: dict[str, dict[str, Mount]] = {"kradar": KRADAR_MOUNTS, "cirrus": CIRRUS_MOUNTS}
+KITTI_MOUNTS: dict[str, Mount] = {"left": Mount(KITTI_LEFT, (0.30, 0.04, 1.65))}  # 0.3 m ahead of and below the LiDAR's
+MOUNTS: dict[str, dict[str, Mount]] = {"kradar": KRADAR_MOUNTS, "cirrus": CIRRUS_MOUNTS, "kitti": KITTI_MOUNTS}
 
 
 def rig_cameras(rig: str, ego_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Camera]:
     """All cameras of a rig, as seen from a LiDAR.
 
     Args:
-        rig: "kradar" or "cirrus".
+        rig: "kradar", "cirrus" or "kitti".
         ego_T_lidar: Pose of the LiDAR in the ego vehicle (middle of its bottom, x forward).
 
     Returns:
@@ -120,4 +123,10 @@ def kradar_cameras(ego_T_lidar: Float[np.ndarray, "4 4"]) -> dict[str, Camera]:
 def cirrus_camera() -> Camera:
     """The front camera; it stands on the LiDARs' rack, so that one calibration holds for all sequences."""
     (camera,) = rig_cameras("cirrus", pose(np.eye(3), np.array([0.0, 0.0, _RACK_M]))).values()
+    return camera
+
+
+def kitti_camera(ego_T_lidar: Float[np.ndarray, "4 4"]) -> Camera:
+    """The left colour camera, rectified."""
+    (camera,) = rig_cameras("kitti", ego_T_lidar).values()
     return camera

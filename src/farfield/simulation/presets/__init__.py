@@ -21,6 +21,9 @@ KRADAR_SENSORS = (
     "cube",
     "tesseract",
 )
+KITTI_SENSORS = ("lidar", "camera")
+SENSORS = {"cirrus": CIRRUS_SENSORS, "kradar": KRADAR_SENSORS, "kitti": KITTI_SENSORS}
+"""The sensors of each rig, in its own order."""
 Number = float | int
 Span = tuple[Number, Number]
 
@@ -51,7 +54,7 @@ class Mounting:
     """How the sensors of each sequence are mounted and set; every span is drawn from once a sequence.
 
     Args:
-        height_m: Height of the (Gaussian, or os2-64) LiDAR above the road.
+        height_m: Height of the (Gaussian, os2-64, or only) LiDAR above the road.
         facing_deg: Directions that the Luminars may face; one is drawn.
         focus_deg: Elevation of the Gaussian pattern's densest lines.
         sigma_deg: Width of the Gaussian pattern.
@@ -76,7 +79,7 @@ class Preset:
 
     Args:
         name: Its name.
-        rig: "cirrus" or "kradar".
+        rig: "cirrus", "kradar" or "kitti".
         segments: Its sequences; further ones repeat them in turn, each with another world.
         sensors: What is written unless asked otherwise.
         stride_s: Time between frames; the sensors themselves turn at 10 Hz.
@@ -84,7 +87,7 @@ class Preset:
         sizes: Priors of the road users' sizes ("us", "korea", "kitti"); each sequence draws one.
         mountings: How the sensors are mounted and set; each sequence draws one.
         lines: Lines of a Luminar.
-        columns: Shots a line of a Luminar, or columns of an Ouster.
+        columns: Shots a line of a Luminar, or columns of a LiDAR that turns.
         loose_boxes: Whether annotated full boxes are as much larger than the bodies as K-Radar's.
     """
 
@@ -111,14 +114,20 @@ class Preset:
 
 
 def segment_name(rig: str, sequence: int) -> str:
-    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar."""
-    return f"segment_{sequence:02d}" if rig == "cirrus" else str(sequence + 1)
+    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar, "0003" in KITTI."""
+    names = {"cirrus": f"segment_{sequence:02d}", "kitti": f"{sequence:04d}"}
+    return names.get(rig, str(sequence + 1))
 
 
 def _cirrus(roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0) -> tuple[Segment, ...]:
+    return _in_turn("cirrus", roads, count, frames=frames, duration_s=duration_s)
+
+
+def _in_turn(
+    rig: str, roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0
+) -> tuple[Segment, ...]:
     return tuple(
-        Segment(segment_name("cirrus", i), roads[i % len(roads)], frames=frames, duration_s=duration_s)
-        for i in range(count)
+        Segment(segment_name(rig, i), roads[i % len(roads)], frames=frames, duration_s=duration_s) for i in range(count)
     )
 
 
@@ -152,6 +161,8 @@ _VARIED = Mounting(
 )
 _IDEAL = Mounting(uniform_offset_ms=(0.0, 0.0))
 _KRADAR_RIG = Mounting(height_m=(1.55, 1.65))
+_KITTI_RIG = Mounting(height_m=(1.73, 1.73))
+_KITTI_ROADS = ("urban", "suburban", "alleyway", "highway")  # its city, residential and road drives
 _KRADAR_DEFAULT = (*OUSTER_LINES, "cam-front", "sparse", "cube")
 
 PRESETS: dict[str, Preset] = {
@@ -216,6 +227,24 @@ PRESETS: dict[str, Preset] = {
             columns=512,
             loose_boxes=True,
         ),
+        Preset(
+            "kitti-sim",
+            "kitti",
+            _in_turn("kitti", _KITTI_ROADS, 12),
+            KITTI_SENSORS,
+            sizes=("kitti",),
+            mountings=(_KITTI_RIG,),
+            columns=2083,
+        ),
+        Preset(
+            "kitti-sim-mini",
+            "kitti",
+            _in_turn("kitti", _KITTI_ROADS, 2, frames=2, duration_s=6.0),
+            ("lidar",),
+            sizes=("kitti",),
+            mountings=(_KITTI_RIG,),
+            columns=512,
+        ),
     )
 }
 
@@ -257,7 +286,7 @@ def check_sensors(preset: Preset, sensors: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         ConfigError: If the rig lacks one of them, or none is named.
     """
-    known = CIRRUS_SENSORS if preset.rig == "cirrus" else KRADAR_SENSORS
+    known = SENSORS[preset.rig]
     unknown = [name for name in sensors if name not in known]
     if unknown or not sensors:
         raise ConfigError(f"sensors: expected some of {', '.join(known)}; got {', '.join(unknown) or 'none'}")

@@ -35,6 +35,7 @@ _STREAMS = {
             "cam-right-right",
             "cam-rear",
             "cam-rear-right",
+            "lidar",
         )
     )
 }

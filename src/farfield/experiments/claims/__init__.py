@@ -1,0 +1,11 @@
+"""The papers' claims, declared before anything is run: what is compared, in which metric, by which margin.
+
+claims = load("cirrus")
+claims["C1"].comparisons[0].published("dds")       # 0.0772: what the paper's table says
+claims.sha256                                      # stands on the page beside every decision
+"""
+
+from farfield.experiments.claims.loading import CLAIMS, Claims, load
+from farfield.experiments.claims.schema import Claim, Comparison, Metric, Row, Run
+
+__all__ = ["CLAIMS", "Claim", "Claims", "Comparison", "Metric", "Row", "Run", "load"]

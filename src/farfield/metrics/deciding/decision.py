@@ -1,0 +1,174 @@
+"""The decision on a claim: holds, holds not, or undecided; and the same after correcting for many claims."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from scipy import stats
+
+from farfield.errors import ConfigError
+from farfield.metrics.deciding.difference import LEVEL, Difference
+
+Kind = Literal["above", "not_below", "equivalent"]
+Verdict = Literal["holds", "holds not", "undecided", "no decision"]
+SMALL = 0.02
+"""Differences within so much of 0 are called small, in the unit of scores from 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypothesis:
+    """What is claimed of a difference A - B.
+
+    Args:
+        kind: ``"above"``: it lies above ``margin`` (0: A scores above B); ``"not_below"``: above ``-margin`` (nothing
+            is lost); ``"equivalent"``: within ``margin`` of 0.
+        margin: The margin, from 0 on; more than 0 for ``"equivalent"``.
+
+    Raises:
+        ConfigError: If the margin does not go with the kind.
+    """
+
+    kind: Kind = "above"
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise ConfigError(f"claim: expected one of {', '.join(get_args(Kind))}; got {self.kind!r}")
+        if not self.margin >= 0 or (self.kind == "equivalent" and self.margin == 0):
+            raise ConfigError(f"margin of a claim {self.kind}: expected more than 0 (above: from 0), got {self.margin}")
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Between which values the difference is claimed to lie."""
+        low = self.margin if self.kind == "above" else -self.margin
+        return low, self.margin if self.kind == "equivalent" else float("inf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """What a difference says of a claim.
+
+    Args:
+        verdict: ``"holds"``, ``"holds not"``, ``"undecided"``, or ``"no decision"`` with a reason.
+        difference: The difference.
+        hypothesis: What was claimed.
+        small: The interval lies within so much of 0 though the claim is undecided; None if it does not.
+        p: Two-sided probability of a difference as far from the claim's bounds; None without decision.
+        reason: Why there is no decision.
+    """
+
+    verdict: Verdict
+    difference: Difference
+    hypothesis: Hypothesis
+    small: float | None = None
+    p: float | None = None
+    reason: str = ""
+
+    @property
+    def words(self) -> str:
+        """The verdict as a table shows it: ``"undecided and smaller than 0.02"``, ``"one seed: no decision"``."""
+        if self.verdict == "no decision":
+            return f"{self.reason}: no decision"
+        return self.verdict + ("" if self.small is None else f" and smaller than {self.small:g}")
+
+    def __str__(self) -> str:
+        found, interval = self.difference, self.difference.interval()
+        if found.estimate is None:
+            return self.words
+        spans = "" if interval is None else f" [{interval[0]:+.3f}, {interval[1]:+.3f}]"
+        seeds = f", n {found.n}" if found.trained else ""
+        return f"{found.estimate:+.3f}{spans}{seeds}: {self.words}"
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        claimed = {"kind": self.hypothesis.kind, "margin": self.hypothesis.margin}
+        known = {"verdict": self.verdict, "words": self.words, "p": self.p, "small": self.small}
+        return {**known, "claim": claimed, "difference": self.difference.to_json()}
+
+
+def decide(found: Difference, hypothesis: Hypothesis | None = None, *, small: float = SMALL) -> Decision:
+    """Decide a claim on a difference.
+
+    It holds where the whole interval lies within the claimed bounds, holds not where it lies wholly outside them, and
+    is undecided else. One seed or one sequence decides nothing.
+
+    Args:
+        found: The difference, with the pooled spread of its grid.
+        hypothesis: What is claimed; None: that A lies above B.
+        small: An undecided difference whose interval lies within so much of 0 is called small.
+    """
+    hypothesis = hypothesis or Hypothesis()
+    interval = found.interval()
+    reason = _reason(found)
+    if reason or interval is None:
+        return Decision(verdict="no decision", difference=found, hypothesis=hypothesis, reason=reason)
+    (low, high), (least, most) = interval, hypothesis.bounds
+    verdict: Verdict = "undecided"
+    if low > least and high < most:
+        verdict = "holds"
+    elif high < least or low > most:
+        verdict = "holds not"
+    near = verdict == "undecided" and -small < low and high < small
+    return Decision(
+        verdict=verdict,
+        difference=found,
+        hypothesis=hypothesis,
+        small=small if near else None,
+        p=_two_sided(found, hypothesis),
+    )
+
+
+def _reason(found: Difference) -> str:
+    """Why there is no decision; empty where there is one."""
+    if found.estimate is None:
+        return "no figure"
+    if found.s_seq is None:
+        return "too few sequences have a figure"
+    if found.grouped_by == "frames" or found.groups < 2:
+        return "one sequence"
+    if found.trained and found.n < 2:
+        return "one seed"
+    return ""
+
+
+def _two_sided(found: Difference, hypothesis: Hypothesis) -> float:
+    """Twice the smaller of the one-sided probabilities that the decision, either way, is by chance."""
+    least, most = hypothesis.bounds
+    above_least, below_most = _tail(found, least), _tail(found, most, below=True)
+    holds = max(above_least, below_most)
+    fails = min(1 - above_least, 1 - below_most)
+    return min(1.0, 2 * min(holds, fails))
+
+
+def _tail(found: Difference, bound: float, *, below: bool = False) -> float:
+    """Probability of a difference as far above a bound (or below it), were the bound the truth."""
+    if np.isinf(bound):
+        return 0.0
+    distance = (found.estimate or 0.0) - bound
+    distance = -distance if below else distance
+    error = found.error or 0.0
+    if error == 0:
+        return 0.5 if distance == 0 else float(distance < 0)
+    return float(stats.t.sf(distance / error, found.df))
+
+
+def holm(decisions: Sequence[Decision], *, level: float = LEVEL) -> list[Decision]:
+    """The same decisions corrected for their number (Holm 1979): a verdict stays where its adjusted p stays small.
+
+    Args:
+        decisions: All decisions of a report; those without one are not counted.
+        level: Level of the intervals, 0.95: all wrong verdicts together are to be as rare as 1 - level.
+
+    Returns:
+        Decisions in the same order with adjusted ``p``; verdicts that do not survive are undecided.
+    """
+    tested = [number for number, decision in enumerate(decisions) if decision.p is not None]
+    ordered = sorted(tested, key=lambda number: decisions[number].p or 0.0)
+    adjusted, largest = list(decisions), 0.0
+    for rank, number in enumerate(ordered):
+        decision = decisions[number]
+        largest = min(1.0, max(largest, (len(ordered) - rank) * (decision.p or 0.0)))
+        lost = decision.verdict in ("holds", "holds not") and largest >= 1 - level
+        adjusted[number] = replace(decision, p=largest, verdict="undecided" if lost else decision.verdict)
+    return adjusted
