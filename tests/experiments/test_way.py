@@ -3,6 +3,7 @@
 import sys
 import tomllib
 from functools import cache
+from inspect import CO_OPTIMIZED
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -36,9 +37,9 @@ def floors() -> dict[str, int]:
 
 @cache
 def room_of_code(code: CodeType) -> str | None:
-    """The room of a function of ours; None for others and for the bodies of modules."""
+    """The room of a function of ours; None for others and for the bodies of modules and classes."""
     path = Path(code.co_filename)
-    ours = path.is_relative_to(SOURCE) and code.co_name != "<module>"
+    ours = path.is_relative_to(SOURCE) and bool(code.co_flags & CO_OPTIMIZED)
     return path.relative_to(SOURCE).parts[0].removesuffix(".py") if ours else None
 
 
