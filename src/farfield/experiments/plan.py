@@ -91,7 +91,7 @@ def _groups(experiment: Experiment) -> dict[str, DataConfig]:
 
 
 def _method(experiment: Experiment) -> Method:
-    network = build_detector(experiment.detector, seed=experiment.training.seed)
+    network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes, with it
     kind = METHODS[experiment.method.name]
     try:
         return kind(network, **experiment.method.settings)
