@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch")
 from small import batch_of, small_detector
 
 from farfield.adaptation.cells import Cells
-from farfield.adaptation.range import RangeAdaptation, RangeSettings, by_coin, draw_windows, local_error
+from farfield.adaptation.discriminators import by_coin
+from farfield.adaptation.range import RangeAdaptation, RangeSettings, draw_windows, local_error
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.training.checkpoints import load_checkpoint
@@ -41,7 +42,7 @@ def test_range_trains_each_detector_and_adds_nothing_to_its_weights(planned: Any
     assert rows[0]["global"] == pytest.approx(np.log(2), abs=0.1)  # a new discriminator knows nothing
     assert rows[-1]["local"] > 0
     assert rows[-1]["n_eff"] >= 1
-    assert {"discriminator_accuracy", "cells_near", "cells_far", "occupied"} <= set(rows[-1])
+    assert {"discriminator_accuracy", "cells_of_source", "cells_of_target", "occupied"} <= set(rows[-1])
     assert {"variance_near", "variance_far", "rank_near", "rank_far"} <= set(rows[-1])
     assert all(np.isfinite(value) for row in rows for value in row.values())
 

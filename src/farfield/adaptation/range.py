@@ -24,7 +24,7 @@ from farfield.adaptation.cells import (
     shown,
     z_range_m,
 )
-from farfield.adaptation.discriminators import Form, balanced_accuracy, discriminator, domain_loss, logits_of
+from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.memory import Memory, effective_number, similarity
 from farfield.adaptation.objects import Objects, objects_of
 from farfield.adaptation.reversal import schedule
@@ -35,18 +35,6 @@ from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, LABELLED, Batch, Pace, Stream
 
 _LEAST_ENTRIES = 8  # fewer have no spread to speak of
-
-
-class Adversarial(Settings):
-    """Settings of a discriminator between two domains; all are ours."""
-
-    lambda_max: float = Field(0.1, ge=0, description="strength of the reversed gradient in the end; 0 is the control")
-    form: Form = Field("auto", description="patch for dense maps, rows (each cell for itself) for sparse features")
-    loss: Literal["bce", "least_squares"] = "bce"
-    smoothing: float = Field(0.0, ge=0, lt=1, description="of the domain's labels; 0.1 where it is always sure")
-    rate: float = Field(0.5, gt=0, description="the discriminator's learning rate over the trunk's")
-    clip: float = Field(1.0, gt=0, description="largest norm of the discriminator's own gradient")
-    labels: Literal["domain", "coin"] = Field("domain", description="coin: the control, labels by a coin a frame")
 
 
 class Global(Adversarial):
@@ -153,8 +141,7 @@ class RangeAdaptation(Adaptation):
 
     def paces(self) -> Mapping[str, Pace]:
         """The discriminator learns at its own rate."""
-        chosen = self.settings.global_
-        return {} if chosen is None else {"discriminator": Pace(rate=chosen.rate, clip=chosen.clip)}
+        return {} if self.settings.global_ is None else self.settings.global_.paces
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses, and the global and the local one."""
@@ -182,20 +169,11 @@ class RangeAdaptation(Adaptation):
         domain = torch.zeros(len(both), device=both.row.device)
         domain[len(near) :] = 1.0
         weight = self._weights(chosen, both, domain, frames, _cell_m(features))
-        truth = domain if chosen.labels == "domain" else by_coin(domain, both.frame, rng)
-        strength = chosen.lambda_max * schedule_now
-        logits = logits_of(self.modules["discriminator"], features, both, strength)
-        self.note(
-            **{"lambda": strength},
-            discriminator_accuracy=balanced_accuracy(logits, truth),
-            cells_near=len(near) / len(frames),
-            cells_far=len(far) / len(frames),
-            occupied=cells.share,
-            near=shown(features, both[: len(near)]),
-            far=shown(features, both[len(near) :]),
-        )
-        with torch.autocast(logits.device.type, enabled=False):
-            return domain_loss(logits, truth, weight=weight, form=chosen.loss, smoothing=chosen.smoothing)
+        self.note(near=shown(features, both[: len(near)]), far=shown(features, both[len(near) :]))
+        adversary = AdversarialLoss(chosen, self.modules["discriminator"])
+        loss = adversary(features, both, domain, schedule_now, rng, weight=weight)
+        self.note(**adversary.noted)
+        return loss
 
     @staticmethod
     def _weights(chosen: Global, both: Cells, domain: Tensor, frames: Batch, cell_m: float) -> Tensor:
@@ -248,13 +226,6 @@ def local_error(feature: Tensor, mixture: Tensor, near: Tensor) -> Tensor:
     """
     variance = near.detach().var(0, correction=0).mean().clamp(min=1e-6)
     return (feature - mixture.detach()).square().sum() / feature.shape[1] / variance
-
-
-def by_coin(domain: Tensor, frame: Tensor, rng: np.random.Generator) -> Tensor:
-    """The domains with both exchanged in each frame for which a coin falls so: what a control is trained on."""
-    coins = rng.random(int(frame.max()) + 1 if len(frame) else 0) < 0.5
-    exchanged = torch.from_numpy(coins).to(frame.device)[frame]
-    return torch.where(exchanged, 1 - domain, domain)
 
 
 def _cell_m(features: Features) -> float:
