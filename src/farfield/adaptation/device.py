@@ -56,9 +56,10 @@ class DeviceAdaptation(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(DeviceSettings, "device", settings)
-        self.streams = {_TARGET: Stream(), _SOURCE: Stream()}  # type: ignore[misc] - the first is the one exported
+        streams = {_SOURCE: Stream(), _TARGET: Stream()}
         if self.settings.rest:
-            self.streams[_REST] = Stream(labelled=False, share=self.settings.rest_share)  # type: ignore[index]
+            streams[_REST] = Stream(labelled=False, share=self.settings.rest_share)
+        self.streams = streams  # type: ignore[misc]
         if self.settings.start is not None:
             start_from(network, self.settings.start, "device")
         own = self.settings.norm == "per_domain"
@@ -74,6 +75,10 @@ class DeviceAdaptation(Adaptation):
     def exported(self) -> Mapping[str, str]:
         """The target's detector, and the source's beside it."""
         return {"weights": DETECTOR, "weights_source": _SOURCE}
+
+    def meant_for(self) -> Mapping[str, str]:
+        """Each is for its own domain."""
+        return {"weights": _TARGET, "weights_source": _SOURCE}
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The losses of both heads, and the discriminator's."""

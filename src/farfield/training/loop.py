@@ -233,7 +233,9 @@ class Training:
             state = self.modules[module].state_dict()
             averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
             path = self.folder / f"{stem}.safetensors"
-            save_weights(path, averaged, config=self.modules[module].config, provenance=self.provenance)
+            stream = self.method.meant_for().get(stem)
+            provenance = self.provenance if stream is None else {**self.provenance, "stream": stream}
+            save_weights(path, averaged, config=self.modules[module].config, provenance=provenance)
 
     def _resume(self, optimizer: Any, average: dict[str, Tensor]) -> None:
         run = load_run(self.checkpoint_path, self.provenance, self.modules)

@@ -145,6 +145,13 @@ class Method(ABC):
         """Weights files to write at the end, by their names without suffix: which module each holds."""
         return {"weights": DETECTOR}
 
+    def meant_for(self) -> Mapping[str, str]:
+        """Of weights files, by their names without suffix, the stream whose clouds they are to read.
+
+        Those of files that are not named are the experiment's first stream's.
+        """
+        return {}
+
 
 class Supervised(Method):
     """Train a detector on annotated frames.

@@ -4,7 +4,7 @@ Distances on the ground decide, since a cell of the map is where points fell or 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,17 @@ class CentreTargets:
     yaw_rad: Float[np.ndarray, " n"]
     kind: Int[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
+
+    def ignoring(self, unsure: "CentreTargets") -> "CentreTargets":
+        """These targets and those of unsure boxes with no weight: what is near them is hardly background, and no object.
+
+        Args:
+            unsure: The targets of the unsure boxes.
+        """
+        parts = [(getattr(self, field.name), getattr(unsure, field.name)) for field in fields(self)]
+        centre, size, yaw, kind, weight = parts
+        joined = [np.concatenate(pair) for pair in (centre, size, yaw, kind)]
+        return CentreTargets(*joined, np.concatenate([weight[0], np.zeros_like(weight[1])]))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
