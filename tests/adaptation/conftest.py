@@ -38,7 +38,7 @@ def planned(data: Path, tmp_path: Path) -> Planned:
             "name": "tiny",
             "data": groups,
             "method": method,
-            "detector": {"name": detector, **SMALL[detector].settings},
+            "detector": {"name": detector, **SMALL[detector].settings, **training.pop("changes", {})},
             "training": {**loop, **training},
         }
         return Plan(Experiment.model_validate(tree), tmp_path / folder)

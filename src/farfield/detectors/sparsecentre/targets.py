@@ -4,7 +4,7 @@ Distances on the ground decide, since a cell of the map is where points fell or 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,15 +38,18 @@ class CentreTargets:
     weight: Float[np.ndarray, " n"]
 
     def ignoring(self, unsure: "CentreTargets") -> "CentreTargets":
-        """These targets and those of unsure boxes with no weight: what is near them is hardly background, and no object.
+        """These targets and, with no weight, those of unsure boxes: near them hardly anything is background.
 
         Args:
             unsure: The targets of the unsure boxes.
         """
-        parts = [(getattr(self, field.name), getattr(unsure, field.name)) for field in fields(self)]
-        centre, size, yaw, kind, weight = parts
-        joined = [np.concatenate(pair) for pair in (centre, size, yaw, kind)]
-        return CentreTargets(*joined, np.concatenate([weight[0], np.zeros_like(weight[1])]))
+        return CentreTargets(
+            np.concatenate([self.centre_m, unsure.centre_m]),
+            np.concatenate([self.size_m, unsure.size_m]),
+            np.concatenate([self.yaw_rad, unsure.yaw_rad]),
+            np.concatenate([self.kind, unsure.kind]),
+            np.concatenate([self.weight, np.zeros_like(unsure.weight)]),
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
