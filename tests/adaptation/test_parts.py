@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from farfield.adaptation.base import effective_rank, mean_variance
 from farfield.adaptation.cells import (
-    balanced_weights,
+    background_weight,
     density_bins,
     inside,
     match_density,
@@ -148,18 +148,13 @@ def test_drawn_cells_have_the_density_of_the_reference() -> None:
     assert len(match_density(near, far[:0], np.random.default_rng(0))) == 0
 
 
-def test_balanced_background_gives_objects_their_share() -> None:
-    objects = torch.tensor([True] * 2 + [False] * 6)
-    weight = balanced_weights(objects, 0.1)
-    assert weight[:2].tolist() == [1.0, 1.0]
-    assert (weight[:2].sum() / weight.sum()).item() == pytest.approx(0.1)
-    assert balanced_weights(objects, 0.001)[-1].item() == 10.0
-    for none in (
-        balanced_weights(objects, 0.0),
-        balanced_weights(objects[:2], 0.5),
-        balanced_weights(objects[2:], 0.5),
-    ):
-        assert torch.equal(none, torch.ones_like(none))
+def test_balanced_background_gives_objects_their_near_share() -> None:
+    weight = background_weight(10.0, 100.0, 2.0, 8.0)
+    assert 2 / (2 + 6 * weight) == pytest.approx(0.1)
+    assert background_weight(1.0, 1000.0, 2.0, 8.0) == 10.0
+    assert background_weight(999.0, 1000.0, 2.0, 800.0) == 0.1
+    for nothing in ((0, 100, 2, 8), (100, 100, 2, 8), (10, 100, 0, 8), (10, 100, 8, 8), (0, 0, 0, 0)):
+        assert background_weight(*map(float, nothing)) == 1.0
 
 
 def car(x: float, y: float, yaw: float = 0.0, label: str = "vehicle") -> Boxes:

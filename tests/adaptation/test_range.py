@@ -1,6 +1,9 @@
 """Adaptation from near to far: runs, controls, windows and the local loss."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from farfield.adaptation.discriminators import by_coin
 from farfield.adaptation.range import RangeAdaptation, RangeSettings, draw_windows, local_error
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
+from farfield.experiments.schema import dump_experiment
 from farfield.training.checkpoints import load_checkpoint
 
 NEAR_FAR = {"name": "range", "near_m": [0, 30], "far_m": [30, 64], "half_width_m": 18, "min_range_m": 4}
@@ -164,3 +168,23 @@ def test_the_network_that_is_asked_for_its_features_stays_as_it_was() -> None:
     assert network.training
     assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
     network.encode(batch_of(torch.zeros(0, 3)))
+
+
+@pytest.mark.slow
+def test_two_processes_adapt_as_one(planned: Any, tmp_path: Path) -> None:
+    method = {**NEAR_FAR, "local": EAGER}
+    plan = planned("one", method, batch_size=4, steps=6, learning_rate=1e-6)  # larger ones turn the last digit
+    (tmp_path / "range.yaml").write_text(dump_experiment(plan.experiment))
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    for name, before in (("one", []), ("two", launch)):
+        words = ["-m", "farfield.cli", "train", str(tmp_path / "range.yaml"), "--out", str(tmp_path / name)]
+        subprocess.run([sys.executable, *before, *words], env=environment, check=True, capture_output=True, timeout=300)
+    folders = [tmp_path / name / "tiny" for name in ("one", "two")]
+    one, two = map(log_of, folders)
+    assert len(one) == len(two) == 6
+    for alone, shared in zip(one, two, strict=True):
+        for name in ("loss", "classification", "global", "local", "discriminator_accuracy"):
+            assert shared[name] == pytest.approx(alone[name], rel=2e-3), (name, alone["step"])
+    memory = [modules_of(folder, "modules/memory") for folder in folders]
+    assert torch.equal(memory[0]["modules/memory/following"], memory[1]["modules/memory/following"])

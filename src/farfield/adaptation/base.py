@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, distributed
 
 from farfield.detectors.contract import Network
-from farfield.detectors.processes import process_count
+from farfield.detectors.processes import process_count, sum_over_processes
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.method import Method
@@ -65,10 +65,11 @@ class Adaptation(Method):
             raise ConfigError("Expected begins(steps, seed) before the first step; got no number of steps.")
         return step / self.steps
 
-    def generator(self, step: int) -> np.random.Generator:
-        """The generator of a step, of this process."""
+    def generator(self, step: int, *, shared: bool = False) -> np.random.Generator:
+        """The generator of a step: of this process, or one that all processes share."""
         rank = distributed.get_rank() if process_count() > 1 else 0
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(_DRAWS, step, rank)))
+        words = (_DRAWS, step) if shared else (_DRAWS, step, rank)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
 
     def note(self, **values: Tensor | float) -> None:
         """Keep figures of this step for the log."""
@@ -83,6 +84,15 @@ class Adaptation(Method):
             elif math.isfinite(float(value)):  # JSON has no NaN: what could not be measured is left out
                 found[name] = float(value)
         return found
+
+
+@torch.no_grad()
+def common_variance(rows: Tensor) -> Tensor:
+    """Mean over the channels of the variance over the rows of all processes, shape (n, c), a scalar, at least 1e-6."""
+    rows = rows.float()
+    count = sum_over_processes(rows.new_tensor(float(len(rows)))).clamp(min=1)
+    mean = sum_over_processes(rows.sum(0)) / count
+    return (sum_over_processes((rows - mean).square().sum(0)) / count).mean().clamp(min=1e-6)
 
 
 def mean_variance(rows: Tensor) -> float:

@@ -184,20 +184,18 @@ def match_density(points: Tensor, reference: Tensor, rng: np.random.Generator) -
     return torch.from_numpy(np.sort(np.concatenate(chosen))).to(points.device)
 
 
-def balanced_weights(objects: Tensor, share: float) -> Tensor:
-    """Weights of cells, 1 for those of objects, such that objects have a given share of the sum.
+def background_weight(near_objects: float, near: float, far_objects: float, far: float) -> float:
+    """Weight of far background cells, far objects weighing 1, at which objects have the share that they have near.
 
-    Where there are no objects, no background, or the share is 0 or 1, all weigh 1; no weight exceeds 10 or falls below
-    0.1.
+    1 where either region has no object or no background; otherwise from 0.1 to 10.
 
     Args:
-        objects: Which cells belong to objects, shape (n,), bool.
-        share: Share that objects are to have.
+        near_objects: Near cells that belong to objects.
+        near: All near cells.
+        far_objects: Far cells that belong to objects.
+        far: All far cells.
     """
-    ones = torch.ones(len(objects), dtype=torch.float32, device=objects.device)
-    with_object = float(objects.sum())
-    background = len(objects) - with_object
-    if not with_object or not background or not 0 < share < 1:
-        return ones
-    weight = with_object * (1 - share) / (share * background)
-    return torch.where(objects, ones, ones * min(max(weight, 1 / _HEAVIEST), _HEAVIEST))
+    if not 0 < near_objects < near or not 0 < far_objects < far:
+        return 1.0
+    weight = far_objects * (near - near_objects) / (near_objects * (far - far_objects))
+    return min(max(weight, 1 / _HEAVIEST), _HEAVIEST)

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.base import Adaptation, Settings, common_variance, settings_of, start_from
 from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
@@ -161,7 +161,6 @@ def pair_distance(one: Tensor, other: Tensor, form: Literal["scale_free", "cosin
     if form == "cosine":
         return 1 - functional.cosine_similarity(one, other, dim=1)
     distance = (one - other).square().mean(1)
-    if form == "plain" or len(one) < 2:
+    if form == "plain":
         return distance
-    variance = torch.stack([part.detach().var(0, correction=0).mean() for part in (one, other)]).mean()
-    return distance / variance.clamp(min=1e-6)
+    return 2 * distance / (common_variance(one) + common_variance(other))

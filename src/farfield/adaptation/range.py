@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
 from farfield.adaptation.cells import (
     Cells,
-    balanced_weights,
+    background_weight,
     inside,
     match_density,
     occupied,
@@ -30,7 +30,7 @@ from farfield.adaptation.objects import Objects, objects_of
 from farfield.adaptation.reversal import schedule
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
-from farfield.detectors.processes import normaliser
+from farfield.detectors.processes import normaliser, sum_over_processes
 from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, LABELLED, Batch, Pace, Stream
 
@@ -150,18 +150,16 @@ class RangeAdaptation(Adaptation):
         outputs = network.head(features, frames.targets)
         with torch.autocast(next(network.parameters()).device.type, enabled=False):
             losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
-        rng, strength = self.generator(step), schedule(self.progress(step))
+        rng = self.generator(step)
         if self.settings.global_ is not None:
-            losses["global"] = self._global(self.settings.global_, features, frames, strength, rng)
+            losses["global"] = self._global(self.settings.global_, features, frames, step, rng)
         if self.settings.local is not None:
             losses["local"] = self._local(self.settings.local, features, frames, step, rng)
         return losses
 
-    def _global(
-        self, chosen: Global, features: Features, frames: Batch, schedule_now: float, rng: np.random.Generator
-    ) -> Tensor:
+    def _global(self, chosen: Global, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
         cells = occupied(features, frames.inputs, z_range_m(self.modules[DETECTOR].config))
-        windows = draw_windows(self.settings, rng)
+        windows = draw_windows(self.settings, self.generator(step, shared=True))
         near, far = windows.split(cells, self.settings.min_range_m)
         if chosen.match_density:
             near = near[match_density(cells.points[near], cells.points[far], rng)]
@@ -171,7 +169,7 @@ class RangeAdaptation(Adaptation):
         weight = self._weights(chosen, both, domain, frames, _cell_m(features))
         self.note(near=shown(features, both[: len(near)]), far=shown(features, both[len(near) :]))
         adversary = AdversarialLoss(chosen, self.modules["discriminator"])
-        loss = adversary(features, both, domain, schedule_now, rng, weight=weight)
+        loss = adversary(features, both, domain, schedule(self.progress(step)), rng, weight=weight)
         self.note(**adversary.noted)
         return loss
 
@@ -180,9 +178,9 @@ class RangeAdaptation(Adaptation):
         """Weights under which far cells belong to objects as often as near ones do."""
         weight = torch.ones_like(domain)
         if chosen.balance_objects:
-            objects, near = inside(both, frames.boxes, cell_m / 2), domain == 0
-            share = float(objects[near].float().mean()) if bool(near.any()) else 0.0
-            weight[~near] = balanced_weights(objects[~near], share)
+            objects, far = inside(both, frames.boxes, cell_m / 2), domain == 1
+            counts = torch.stack([part.sum().float() for part in (objects & ~far, ~far, objects & far, far)])
+            weight[far & ~objects] = background_weight(*sum_over_processes(counts).tolist())
         return weight
 
     def _local(self, chosen: Local, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
