@@ -208,6 +208,9 @@ def test_the_strong_view_moves_points_and_boxes_alike() -> None:
     moved = Pseudo(boxes, boxes[:1]).moved(change)
     np.testing.assert_allclose(view[:, :3].numpy(), moved.sure.centre_m, atol=1e-5)
     assert view[:, 3].tolist() == [1.0, 1.0]
+    with torch.autocast("cpu", torch.bfloat16):
+        again = strong_view(batch_of(cloud), [change], 0.0, rng)["points"][0]
+    assert torch.equal(again, view)
     assert torch.equal(cloud[:, :3], torch.from_numpy(boxes.centre_m).float())  # the teacher's stays
     thinned = strong_view(batch_of(torch.ones(1000, 3)), [change], 0.9, np.random.default_rng(0))["points"][0]
     assert 100 < len(thinned) < 1000

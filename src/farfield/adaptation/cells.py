@@ -94,7 +94,7 @@ def _counts(
 ) -> Tensor:
     """Points in each cell of each frame, flat, int64."""
     (nx, ny), (x0, y0) = shape, features.origin_m
-    total = torch.zeros(len(features) * nx * ny, dtype=torch.int64, device=_device(features))
+    total = torch.zeros(len(features) * nx * ny, dtype=torch.int64, device=device_of(features))
     for clouds in inputs.values():
         for frame, cloud in enumerate(clouds):
             ix = torch.floor((cloud[:, 0] - x0) / features.cell_m)
@@ -106,7 +106,10 @@ def _counts(
     return total
 
 
-def _device(features: FeatureMap) -> torch.device:
+def device_of(features: Features) -> torch.device:
+    """Where features lie."""
+    if isinstance(features, PointFeatures):
+        return features.xyz.device
     values = features.values
     return values.features.device if isinstance(values, SparseTensor) else values.device
 

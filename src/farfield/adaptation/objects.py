@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from farfield.adaptation.cells import in_boxes
-from farfield.detectors.features import FeatureMap, Features, PointFeatures
+from farfield.adaptation.cells import device_of, in_boxes
+from farfield.detectors.features import FeatureMap, Features
 from farfield.detectors.sparse.tensor import SparseTensor
 from farfield.geometry.boxes import Boxes
 
@@ -52,7 +52,7 @@ def objects_of(
     kept = [_of_classes(features, each, classes) for each in boxes]
     count = sum(map(len, kept))
     frame = np.repeat(np.arange(len(kept)), [len(each) for each in kept])
-    device = features.xyz.device if isinstance(features, PointFeatures) else features_device(features)
+    device = device_of(features)
     every = Boxes.concatenate(kept) if kept else Boxes.empty()
     number = {name: index for index, name in enumerate(classes)}
     kind = np.array([number[str(name)] for name in every.label], dtype=np.int64)
@@ -64,11 +64,6 @@ def objects_of(
         torch.from_numpy(np.hypot(*every.centre_m[:, :2].T)).float().to(device),
         torch.from_numpy(points).to(device),
     )
-
-
-def features_device(features: FeatureMap) -> torch.device:
-    """Where a map's features lie."""
-    return features.values.features.device if isinstance(features.values, SparseTensor) else features.values.device
 
 
 def _of_classes(features: Features, boxes: Boxes, classes: Sequence[str]) -> Boxes:

@@ -75,10 +75,10 @@ def strong_view(
         rng: The only source of randomness.
     """
     shares = rng.uniform(0, thinning, size=len(changes))
-    named = {
-        name: [_changed(*each, rng) for each in zip(clouds, changes, shares, strict=True)]
-        for name, clouds in inputs.items()
-    }
+    named = {}
+    for name, clouds in inputs.items():
+        with torch.autocast(clouds[0].device.type, enabled=False):  # bfloat16 has steps of a metre at 250 m
+            named[name] = [_changed(*each, rng) for each in zip(clouds, changes, shares, strict=True)]
     return Inputs(named)
 
 

@@ -48,7 +48,7 @@ class Local(Settings):
     """The local loss; the paper's form, our numbers."""
 
     weight: float = Field(0.1, ge=0)
-    tau: float = Field(1.0, gt=0, description="temperature of the similarity")
+    tau: float = Field(0.2, gt=0, description="temperature of the similarity; n_eff in the log is to be 5 to 30 or so")
     size: int = Field(512, ge=8, description="near objects of a class that the memory keeps")
     max_age: int = Field(100, ge=1, description="steps after which an entry no longer counts")
     warmup: float = Field(0.2, ge=0, lt=1, description="share of the training before the loss begins")
@@ -154,7 +154,8 @@ class RangeAdaptation(Adaptation):
         if self.settings.global_ is not None:
             losses["global"] = self._global(self.settings.global_, features, frames, step, rng)
         if self.settings.local is not None:
-            losses["local"] = self._local(self.settings.local, features, frames, step, rng)
+            with torch.autocast(next(network.parameters()).device.type, enabled=False):
+                losses["local"] = self._local(self.settings.local, features, frames, step, rng)
         return losses
 
     def _global(self, chosen: Global, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
