@@ -27,7 +27,7 @@ from farfield.experiments.schema import Experiment
 from farfield.training.augmentation import draw_change
 from farfield.training.checkpoints import load_checkpoint, save_checkpoint
 from farfield.training.config import AugmentationConfig
-from farfield.training.method import METHODS, Stream, Supervised
+from farfield.training.method import METHODS, Pace, Stream, Supervised
 from farfield.training.samples import TrainingSamples, bindings
 from farfield.training.streams import batch_shares
 
@@ -323,3 +323,55 @@ def test_one_change_moves_points_boxes_and_velocities_alike() -> None:
     np.testing.assert_allclose(change.points(ends)[0, :3], moved.centre_m[0], atol=1e-5)
     corners = {tuple(np.round(corner, 3)) for corner in change.points(ends)[1:, :3].astype(float)}
     assert corners == {tuple(np.round(corner, 3)) for corner in moved.corners_m()[0].astype(np.float32).astype(float)}
+
+
+class Slow(Players):
+    """A player with a pace of its own, and figures for the log."""
+
+    def begins(self, steps: int, seed: int) -> None:
+        self.course = (steps, seed)
+
+    def step(self, batch: Any, step: int, optimise: Any) -> None:
+        return None
+
+    def losses(self, batch: Any, step: int) -> Any:
+        found = super().losses(batch, step)
+        return {**found, "player": 1e6 * self.modules["player"](torch.ones(1, 4)).square().sum()}
+
+    def paces(self) -> dict[str, Pace]:
+        return {"player": Pace(rate=self.rate, clip=1.0)}
+
+    def figures(self) -> dict[str, float]:
+        return {"pace": self.rate}
+
+    rate = 0.0
+
+
+def test_a_module_may_learn_at_a_pace_of_its_own(data: Path, tmp_path: Path) -> None:
+    """Its gradient, a million times the others', neither shrinks theirs nor moves it further than its rate allows."""
+    from farfield.training.config import TrainingConfig
+    from farfield.training.loop import Training
+
+    found = {}
+    for name, kind in (("plain", Supervised), ("slow", Slow)):
+        method = kind(small_detector("pointpillars"))
+        network = method.modules["detector"]
+        samples = TrainingSamples(
+            open_dataset(data),
+            inputs=network.inputs,
+            clouds=("gaussian",),
+            classes=("vehicle",),
+            assigner=network.assigner,
+            augmentation=AugmentationConfig(),
+        )
+        before = {name: value.clone() for name, value in method.modules.state_dict().items()}
+        loop = {"precision": "fp32", "threads": 1, "workers": 0, "log_every_steps": 1, "seed": 5}
+        config = TrainingConfig(steps=2, batch_size=1, **loop)
+        Training(method, {"labelled": samples}, config, tmp_path / name).run()
+        found[name] = (method, before)
+    slow, before = found["slow"]
+    assert torch.equal(before["player.weight"], slow.modules["player"].weight)
+    assert slow.course == (2, 5)
+    assert json.loads((tmp_path / "slow" / "log.jsonl").read_text().splitlines()[-1])["pace"] == 0.0
+    plain = found["plain"][0].modules["detector"].state_dict()
+    assert all(torch.equal(value, plain[name]) for name, value in slow.modules["detector"].state_dict().items())

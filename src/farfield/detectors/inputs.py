@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -13,6 +13,12 @@ from farfield.frame import Cloud
 
 POSITION = ("x_m", "y_m", "z_m")
 """The first columns of every cloud's tensor, metres."""
+
+Positions = Literal["absolute", "relative"]
+"""Whether an encoder describes a point by x and y too, or by its height and its place in its cell alone.
+
+Near and far are functions of x: a discriminator between them can read them off features that hold it.
+"""
 
 _FINITE = ("intensity", "power", "lag_s")
 """A point whose position, strength or age is not finite is dropped; other columns count as 0 where they are not."""

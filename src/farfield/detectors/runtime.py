@@ -126,10 +126,10 @@ class Detector:
 
     @property
     def _trained_on(self) -> dict[str, Any]:
-        """The experiment's data; of several streams the first one's."""
+        """The experiment's data; of several streams those that the weights are meant for, or the first one's."""
         data: dict[str, Any] = self.provenance.get("experiment", {}).get("data", {})
         several = bool(data) and "path" not in data and all(isinstance(group, dict) for group in data.values())
-        return next(iter(data.values())) if several else data
+        return data.get(self.provenance.get("stream", ""), next(iter(data.values()))) if several else data
 
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: weights, settings, precision, and the kind of its device."""

@@ -7,12 +7,17 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
-from farfield.detectors.inputs import POSITION, features_of, stacked
+from farfield.detectors.inputs import POSITION, Positions, features_of, stacked
 from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
 
 _MAX_CELLS = 4_000_000_000
 MEAN_FEATURES = ("dx", "dy", "dz", "x", "y", "z", "log_count")
 """What :func:`mean_voxels` gives of each voxel, before the means of further columns."""
+
+
+def mean_features(positions: Positions) -> tuple[str, ...]:
+    """Names of what :func:`mean_voxels` gives of each voxel; relative positions lack x and y."""
+    return tuple(name for name in MEAN_FEATURES if positions == "absolute" or name not in ("x", "y"))
 
 
 class VoxelGridConfig(BaseModel):
@@ -117,6 +122,7 @@ def mean_voxels(
     *,
     columns: Sequence[str] = POSITION,
     published: bool = False,
+    positions: Positions = "absolute",
 ) -> SparseTensor:
     """Mean features of each voxel that holds a point.
 
@@ -130,6 +136,7 @@ def mean_voxels(
         multiple: The network's coarsest stride.
         columns: Columns of the points.
         published: Mean x, y, z (metres) and intensity only, as SECOND's mean VFE: what imported weights expect.
+        positions: Relative ones lack the mean x and y.
     """
     points, batch = stacked(clouds)
     rows, key = voxel_keys(points, batch, grid, multiple)
@@ -146,7 +153,8 @@ def mean_voxels(
         features = torch.cat([position, rest[:, [strength]]], 1)
     else:
         scale = position.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
-        parts = [offset / position.new_tensor(grid.voxel_m), position / scale, torch.log1p(count)]
+        scaled = (position / scale)[:, 0 if positions == "absolute" else 2 :]
+        parts = [offset / position.new_tensor(grid.voxel_m), scaled, torch.log1p(count)]
         features = torch.cat([*parts, rest], 1)
     return SparseTensor(features, keys, shape, len(clouds))
 

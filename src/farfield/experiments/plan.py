@@ -1,6 +1,8 @@
 """From an experiment to a run: data, network, method, samples, loop."""
 
+import hashlib
 import json
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -91,7 +93,7 @@ def _groups(experiment: Experiment) -> dict[str, DataConfig]:
 
 
 def _method(experiment: Experiment) -> Method:
-    network = build_detector(experiment.detector, seed=experiment.training.seed)
+    network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes, with it
     kind = METHODS[experiment.method.name]
     try:
         return kind(network, **experiment.method.settings)
@@ -125,11 +127,35 @@ def _opened(config: DataConfig, stream: Stream, experiment: Experiment) -> Datas
     data = data.mapped(Sweeps(config.sweeps)) if config.sweeps > 1 else data
     if config.split:
         data = data.split(config.split)
+    data = part_of(data, config.part, config.part_draw) if config.part != (0.0, 1.0) else data
     wanted = config.clouds if isinstance(config.clouds, tuple) else sum(config.clouds.values(), ())
     missing = [name for name in wanted if name not in data[0].clouds]
     if missing:
         raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
     return annotated_frames(data, experiment.training.unannotated) if stream.labelled else data
+
+
+def part_of(data: Dataset, part: tuple[float, float], draw: int = 0) -> Dataset:
+    """The frames of a part of the sequences, whole ones; smaller parts that begin alike lie in larger ones.
+
+    Args:
+        data: The frames.
+        part: From where to where in the drawn order of the sequences, shares of their number.
+        draw: Draws the order, by the sequences' names alone.
+
+    Raises:
+        DatasetError: If no sequence falls into the part.
+    """
+    names = sorted({sequence for sequence, _ in data.keys})
+    names.sort(key=lambda name: hashlib.sha256(f"{draw}:{name}".encode()).digest())
+    first, last = (math.floor(share * len(names) + 0.5) for share in part)
+    kept = set(names[first:last])
+    if not kept:
+        raise DatasetError(
+            f"{data.root}: expected at least one of its {len(names)} sequences in the part {part[0]:g} to {part[1]:g}; "
+            "got none. Take a larger part."
+        )
+    return data.select([index for index, (sequence, _) in enumerate(data.keys) if sequence in kept])
 
 
 def annotated_frames(data: Dataset, unannotated: str) -> Dataset:

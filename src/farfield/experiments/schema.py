@@ -33,12 +33,23 @@ class DataConfig(BaseModel):
     clouds: Annotated[tuple[str, ...], Field(min_length=1)] | dict[str, tuple[str, ...]] = Field(
         ("gaussian", "uniform"), description="clouds to learn from in turn, or such a list for each of several inputs"
     )
+    part: tuple[float, float] = Field(
+        (0.0, 1.0), description="part of the sequences, in an order drawn by part_draw: (0, 0.25) lies in (0, 0.5)"
+    )
+    part_draw: int = Field(0, ge=0, description="another number draws another order of the sequences")
     sweeps: int = Field(
         1, ge=1, le=100, description="clouds a frame: those of the frames before it, moved by the poses"
     )
     aliases: dict[str, str] = Field(default_factory=dict, description="classes renamed before training")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the data set's reader")
     simulate: SimulationConfig | None = None
+
+    @field_validator("part")
+    @classmethod
+    def _rising(cls, part: tuple[float, float]) -> tuple[float, float]:
+        if not 0 <= part[0] < part[1] <= 1:
+            raise ValueError(f"expected two rising shares from 0 to 1, got {list(part)}")
+        return part
 
 
 class MethodConfig(BaseModel):

@@ -35,6 +35,10 @@ class AugmentationConfig(_Settings):
         return edges_m
 
 
+UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0)
+"""No random change."""
+
+
 class TrainingConfig(_Settings):
     """The loop."""
 

@@ -22,7 +22,7 @@ from farfield.training.checkpoints import Run, load_run, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
 from farfield.training.launching import launch, precision_of
-from farfield.training.method import Batch, Method
+from farfield.training.method import Batch, Method, Pace
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.streams import batch_shares, batches
@@ -90,7 +90,8 @@ class Training:
         """
         fabric = self._begin()
         report = report if report is not None and fabric.is_global_zero else Report()
-        counts = batch_shares(self.config.batch_size, self.method.streams, fabric.world_size)
+        units = {name: samples.together for name, samples in self.samples.items()}
+        counts = batch_shares(self.config.batch_size, self.method.streams, fabric.world_size, units)
         optimizer = self._optimizer()
         average = {name: value.detach().clone().float() for name, value in self.modules.state_dict().items()}
         self._resume(optimizer, average)
@@ -143,20 +144,33 @@ class Training:
             self.modules[name].requires_grad_(False)
         synchronise_norms(self.modules)
         spread_state(self.modules)
+        self.method.begins(self.config.steps, self.config.seed)
         return fabric
 
     def _optimizer(self) -> torch.optim.Optimizer:
-        trained = self._trained()
-        decayed = [p for p in trained if p.ndim > 1]
-        plain = [p for p in trained if p.ndim <= 1]
-        groups = [{"params": decayed, "weight_decay": self.config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
+        groups = []
+        for trained, pace in self._parties(tuple(self.modules)):
+            decayed = [p for p in trained if p.ndim > 1]
+            plain = [p for p in trained if p.ndim <= 1]
+            groups += [
+                {"params": decayed, "weight_decay": self.config.weight_decay, "rate": pace.rate},
+                {"params": plain, "weight_decay": 0.0, "rate": pace.rate},
+            ]
         return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True)
 
-    def _trained(self, names: Collection[str] | None = None) -> list[nn.Parameter]:
-        """The parameters that gradients train: of all modules, or of those named."""
-        frozen = set(self.method.frozen())
-        chosen = [name for name in self.modules if name not in frozen and (names is None or name in names)]
-        return [parameter for name in chosen for parameter in self.modules[name].parameters()]
+    def _parties(self, names: Collection[str]) -> list[tuple[list[nn.Parameter], Pace]]:
+        """The parameters of the named modules that gradients train: those with a pace of their own stand apart."""
+        frozen, own = set(self.method.frozen()), self.method.paces()
+        chosen = [name for name in self.modules if name in names and name not in frozen]
+        together = Pace(clip=self.config.gradient_clip)
+        parties = [([name for name in chosen if name not in own], together)]
+        parties += [([name], own[name]) for name in chosen if name in own]
+        return [(self._parameters(party), pace) for party, pace in parties if party]
+
+    def _parameters(self, names: Collection[str]) -> list[nn.Parameter]:
+        """The parameters of some modules, each once though modules may share them."""
+        every = [parameter for name in names for parameter in self.modules[name].parameters()]
+        return list({id(parameter): parameter for parameter in every}.values())
 
     def _batches(self, counts: Mapping[str, int], fabric: Fabric) -> Iterable[dict[str, list[Sample]]]:
         return batches(
@@ -171,7 +185,7 @@ class Training:
 
     def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:
         for group in optimizer.param_groups:
-            group["lr"] = one_cycle(self.step, self.config)
+            group["lr"] = one_cycle(self.step, self.config) * group.get("rate", 1.0)
         self._seed_torch(fabric.global_rank)
         batch = {name: _batch(each, fabric) for name, each in samples.items()}
         with fabric.autocast():
@@ -186,7 +200,8 @@ class Training:
 
     def _optimise(self, optimizer: Any, losses: Mapping[str, Tensor], names: Collection[str]) -> None:
         """Minimise the sum of the losses over the parameters of some modules, one step."""
-        parameters = self._trained(names)
+        parties = self._parties(names)
+        parameters = [parameter for party, _ in parties for parameter in party]
         chosen = {id(parameter) for parameter in parameters}
         self.modules.zero_grad(set_to_none=True)
         with torch.autocast(parameters[0].device.type, enabled=False):
@@ -196,7 +211,8 @@ class Training:
                 parameter.grad = None
         average_gradients(parameters)
         lay_out_gradients(parameters)
-        nn.utils.clip_grad_norm_(parameters, self.config.gradient_clip, error_if_nonfinite=True)
+        for party, pace in parties:
+            nn.utils.clip_grad_norm_(party, pace.clip, error_if_nonfinite=True)
         optimizer.step()
 
     def _seed_torch(self, rank: int) -> None:
@@ -217,7 +233,9 @@ class Training:
             state = self.modules[module].state_dict()
             averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
             path = self.folder / f"{stem}.safetensors"
-            save_weights(path, averaged, config=self.modules[module].config, provenance=self.provenance)
+            stream = self.method.meant_for().get(stem)
+            provenance = self.provenance if stream is None else {**self.provenance, "stream": stream}
+            save_weights(path, averaged, config=self.modules[module].config, provenance=provenance)
 
     def _resume(self, optimizer: Any, average: dict[str, Tensor]) -> None:
         run = load_run(self.checkpoint_path, self.provenance, self.modules)
@@ -235,7 +253,7 @@ class Training:
 
     def _note(self, losses: dict[str, float], report: Report) -> None:
         if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps:
-            self._log(losses)
+            self._log({**losses, **self.method.figures()})
         report.step(self.step, losses)
 
     def _log(self, losses: dict[str, float]) -> None:
@@ -276,4 +294,5 @@ def _batch(samples: list[Sample], fabric: Fabric) -> Batch:
     """Samples as a batch on the process' device."""
     names = samples[0].inputs
     inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})
-    return Batch(inputs, [sample.targets for sample in samples if sample.targets is not None])
+    targets = [sample.targets for sample in samples if sample.targets is not None]
+    return Batch(inputs, targets, [sample.boxes for sample in samples if sample.boxes is not None])

@@ -6,13 +6,14 @@ The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
 
 from farfield.detectors.contract import Network
 from farfield.detectors.inputs import Inputs
+from farfield.geometry.boxes import Boxes
 from farfield.registry import Registry
 
 DETECTOR = "detector"
@@ -32,10 +33,31 @@ class Stream:
     Args:
         labelled: Whether its frames are annotated; otherwise their annotations, if any, are not looked at.
         share: Its part of each batch, relative to those of the other streams.
+        members: How the clouds of a frame, if several are read in turn, come into a batch. ``"mixed"``: each is a
+            sample of its own. ``"paired"``: the samples of a frame follow one another, with the same objects pasted and
+            the same random motion. ``"apart"``: they take turns as if paired, each from another frame.
+        boxes: Whether its batches hold the frames' boxes, each with the number of points in it.
+        changed: Whether its frames are changed at random; otherwise they come as they are.
     """
 
     labelled: bool = True
     share: float = 1.0
+    members: Literal["mixed", "paired", "apart"] = "mixed"
+    boxes: bool = False
+    changed: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How a module is trained where it is not trained as the others are.
+
+    Args:
+        rate: Its learning rate over the loop's.
+        clip: Largest norm of its own gradient, which then does not count in that of the others.
+    """
+
+    rate: float = 1.0
+    clip: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,10 +67,12 @@ class Batch:
     Args:
         inputs: What the network reads, by input: one tensor a frame.
         targets: Targets of each frame by the network's assigner; empty for an unlabelled stream.
+        boxes: Boxes of each frame with their point counts, for a stream that wants them; else empty.
     """
 
     inputs: Inputs
     targets: Sequence[Any] = field(default_factory=list)
+    boxes: Sequence[Boxes] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -80,6 +104,22 @@ class Method(ABC):
             step: Number of the step, from 0.
         """
 
+    def begins(self, steps: int, seed: int) -> None:  # noqa: B027 - most methods have nothing to do
+        """Called before the first step, also of a training that goes on.
+
+        Args:
+            steps: Steps of the whole training.
+            seed: Its seed: what the method draws at random is to be a function of it and of the step.
+        """
+
+    def paces(self) -> Mapping[str, Pace]:
+        """Modules with a learning rate and a limit of the gradient of their own, such as a discriminator."""
+        return {}
+
+    def figures(self) -> Mapping[str, float]:
+        """What is logged beside the losses of the last step, in the first process; called at logged steps only."""
+        return {}
+
     def frozen(self) -> Collection[str]:
         """Names of modules that are not trained by gradients, such as a teacher."""
         return ()
@@ -105,6 +145,13 @@ class Method(ABC):
         """Weights files to write at the end, by their names without suffix: which module each holds."""
         return {"weights": DETECTOR}
 
+    def meant_for(self) -> Mapping[str, str]:
+        """Of weights files, by their names without suffix, the stream whose clouds they are to read.
+
+        Those of files that are not named are the experiment's first stream's.
+        """
+        return {}
+
 
 class Supervised(Method):
     """Train a detector on annotated frames.
@@ -127,6 +174,14 @@ class Supervised(Method):
 
 
 METHODS: Registry[Callable[..., Method]] = Registry(
-    "farfield.methods", "training method", {"supervised": "farfield.training.method:Supervised"}
+    "farfield.methods",
+    "training method",
+    {
+        "supervised": "farfield.training.method:Supervised",
+        "range": "farfield.adaptation.range:RangeAdaptation",
+        "device": "farfield.adaptation.device:DeviceAdaptation",
+        "pattern": "farfield.adaptation.pattern:PatternAdaptation",
+        "teacher": "farfield.adaptation.teacher:MeanTeacher",
+    },
 )
 """Methods by name: each is called with the detector's network and the experiment's further ``method`` settings."""

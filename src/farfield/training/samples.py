@@ -24,7 +24,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
-from farfield.training.config import AugmentationConfig
+from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Stream
 
 _ORDER, _BANK, _CHANGES = 1, 2, 3  # words of the generators
@@ -39,6 +39,7 @@ class Sample(NamedTuple):
 
     inputs: dict[str, Tensor]
     targets: Any
+    boxes: Boxes | None = None
 
 
 def bindings(
@@ -114,9 +115,18 @@ class TrainingSamples(TorchDataset[Sample]):
         self.classes, self.assigner, self.augmentation = tuple(classes), assigner, augmentation
         self.min_points, self.seed, self.aliases = min_points, seed, aliases or {}
         self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
-        self.name, self.labelled = name, (stream or Stream()).labelled
+        self.name, self.stream = name, stream or Stream()
+        self.labelled = self.stream.labelled
         if not self.labelled:
             self.augmentation, self.far_sampling = augmentation.model_copy(update={"pasted": {}}), 0.0
+        if not self.stream.changed:
+            self.augmentation = UNCHANGED
+        self.together = 1 if self.stream.members == "mixed" else len(self.bindings)
+        if self.stream.members != "mixed" and self.together < 2:
+            raise ConfigError(
+                f"{name}: expected at least two clouds a frame, such as clouds: [gaussian, uniform], for samples that "
+                f"come {self.stream.members}; got {', '.join(self.bindings[0].values())}."
+            )
         self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.inputs.values() for c in each.columns)]))
         self._weights: np.ndarray | None = None
         self._set_up()
@@ -124,16 +134,27 @@ class TrainingSamples(TorchDataset[Sample]):
     def _set_up(self) -> None:
         """Make what cannot travel to another process."""
         self._order = lru_cache(maxsize=2)(self._epoch)
+        self._last = lru_cache(maxsize=1)(self._changed)
         self._bank_order = lru_cache(maxsize=4)(self._bank_epoch)
         self._bank = None
         if self.augmentation.pasted:
-            frames = min(self.augmentation.bank_frames, self.epoch_length)
+            frames = min(self.augmentation.bank_frames, self._loads)
             self._bank = RollingBank(self._cut_out, self._bank_number, frames)
 
     @property
     def epoch_length(self) -> int:
         """Samples an epoch: frames times bindings."""
         return len(self.data) * len(self.bindings)
+
+    @property
+    def _joint(self) -> bool:
+        """Whether all bindings of a frame are read, and changed, at once."""
+        return self.stream.members == "paired"
+
+    @property
+    def _loads(self) -> int:
+        """Numbers that :meth:`load` takes."""
+        return len(self.data) if self._joint else self.epoch_length
 
     def _generator(self, *words: int) -> np.random.Generator:
         """The generator of a purpose and a number; each stream has generators of its own."""
@@ -143,23 +164,26 @@ class TrainingSamples(TorchDataset[Sample]):
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
 
     def load(self, number: int) -> tuple[Points, Boxes]:
-        """The unchanged points and boxes of sample ``number`` of an epoch in order.
+        """The unchanged points and boxes of sample ``number`` of an epoch in order; of a paired stream, of a frame.
 
-        The points of all inputs stand in one table: x, y, z, lag, the other columns that the inputs read, and the
-        number of the input that a point belongs to.
+        The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the other columns that
+        the inputs read, and the number of the input, of the sample, that a point belongs to.
         """
-        frame = self.data[number // len(self.bindings)]
-        binding = self.bindings[number % len(self.bindings)]
-        points = np.concatenate(
-            [self._rows(frame, part, name, binding[name]) for part, name in enumerate(self.inputs)], dtype=np.float32
-        )
+        each = len(self.bindings)
+        frame, bound = (number, self.bindings) if self._joint else (number // each, [self.bindings[number % each]])
+        record = self.data[frame]
+        sources = [(name, binding[name]) for binding in bound for name in self.inputs]
+        tables = [self._rows(record, part, name, cloud) for part, (name, cloud) in enumerate(sources)]
+        points = np.concatenate(tables, dtype=np.float32)
         if not self.labelled:
             return points, Boxes.empty()
-        boxes = self._wanted(frame.annotation, frame.key)
+        return points, self._filled(points, self._wanted(record.annotation, record.key))
+
+    def _filled(self, points: Points, boxes: Boxes) -> Boxes:
+        """The boxes that hold enough points of the present sweep."""
         if self.min_points and len(boxes):
-            present = points[points[:, LAG] == 0, :3]
-            boxes = boxes[count_points_in_boxes(present, boxes, margin_m=BOX_MARGIN_M) >= self.min_points]
-        return points, boxes
+            boxes = boxes[_count(points, boxes) >= self.min_points]
+        return boxes
 
     def _rows(self, frame: Frame, part: int, name: str, cloud: str) -> Points:
         """The points of an input in the columns of all of them, zero where the input does not read one."""
@@ -188,10 +212,10 @@ class TrainingSamples(TorchDataset[Sample]):
         return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
 
     def _bank_epoch(self, epoch: int) -> np.ndarray:
-        return self._generator(_BANK, epoch).permutation(self.epoch_length)
+        return self._generator(_BANK, epoch).permutation(self._loads)
 
     def _bank_number(self, place: int) -> int:
-        return int(self._bank_order(place // self.epoch_length)[place % self.epoch_length])
+        return int(self._bank_order(place // self._loads)[place % self._loads])
 
     def prepare(self, position: int = 0, progress: Progress = iter) -> None:
         """Read what the sample at ``position`` needs besides its frame; without this the first sample does it.
@@ -216,23 +240,39 @@ class TrainingSamples(TorchDataset[Sample]):
 
     def _epoch(self, epoch: int) -> np.ndarray:
         """The samples of an epoch in their order, shape (epoch_length,)."""
-        rng, weight = self._generator(_ORDER, epoch), self._weigh()
-        if weight is None:
-            return rng.permutation(self.epoch_length)
-        return rng.permutation(systematic(weight, rng))
+        rng, weight, each = self._generator(_ORDER, epoch), self._weigh(), len(self.bindings)
+        if self.stream.members == "mixed":
+            return _drawn(self.epoch_length, weight, rng)
+        frame_weight = None if weight is None else weight[::each]
+        if self._joint:
+            return _drawn(len(self.data), frame_weight, rng)
+        members = [_drawn(len(self.data), frame_weight, rng) * each + member for member in range(each)]
+        return np.stack(members, axis=1).reshape(-1)
 
     def __len__(self) -> int:
         return self.epoch_length
 
     def __getitem__(self, position: int) -> Sample:
         """The sample at a position of the stream; position // epoch_length is its epoch."""
-        epoch, place = divmod(position, self.epoch_length)
-        points, boxes = self.load(int(self._order(epoch)[place]))
-        bank = None if self._bank is None else self._bank.at(position)
-        points, boxes = augment(points, boxes, self.augmentation, self._generator(_CHANGES, position), bank)
+        if self._joint:
+            unit, member = divmod(position, self.together)
+            points, boxes = self._last(unit)
+            points = points[points[:, -1] // len(self.inputs) == member]
+            points[:, -1] -= member * len(self.inputs)
+            boxes = self._filled(points, boxes)
+        else:
+            points, boxes = self._changed(position)
         inputs = self._split(points)
         targets = self.assigner(boxes, inputs) if self.labelled else None
-        return Sample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets)
+        wanted = boxes.replace(point_count=_count(points, boxes)) if self.stream.boxes else None
+        return Sample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, wanted)
+
+    def _changed(self, unit: int) -> tuple[Points, Boxes]:
+        """Points and boxes at a position, or of a pair, after the random changes."""
+        epoch, place = divmod(unit, self._loads)
+        points, boxes = self.load(int(self._order(epoch)[place]))
+        bank = None if self._bank is None else self._bank.at(unit * self.together if self._joint else unit)
+        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank)
 
     def _split(self, points: Points) -> dict[str, Points]:
         """The table of :meth:`load` as the network's inputs, each with just its own columns."""
@@ -244,11 +284,22 @@ class TrainingSamples(TorchDataset[Sample]):
         return parts
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key not in ("_order", "_bank_order", "_bank")}
+        made = ("_order", "_last", "_bank_order", "_bank")
+        return {key: value for key, value in self.__dict__.items() if key not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._set_up()
+
+
+def _count(points: Points, boxes: Boxes) -> Int[np.ndarray, " n"]:
+    """Points of the present sweep in each box, shape (n,)."""
+    return count_points_in_boxes(points[points[:, LAG] == 0, :3], boxes, margin_m=BOX_MARGIN_M)
+
+
+def _drawn(count: int, weight: Float[np.ndarray, " n"] | None, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
+    """Numbers below ``count`` in random order, by their weight if there is one."""
+    return rng.permutation(count) if weight is None else rng.permutation(systematic(weight, rng))
 
 
 def systematic(weight: Float[np.ndarray, " n"], rng: np.random.Generator) -> Int[np.ndarray, " n"]:

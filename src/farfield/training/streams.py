@@ -30,8 +30,16 @@ class StreamSamples(TorchDataset[Sample]):
         return self.streams[name][position]
 
 
-def batch_shares(batch_size: int, streams: Mapping[str, Stream], world: int = 1) -> dict[str, int]:
+def batch_shares(
+    batch_size: int, streams: Mapping[str, Stream], world: int = 1, units: Mapping[str, int] | None = None
+) -> dict[str, int]:
     """Samples of each stream in a batch, by their shares.
+
+    Args:
+        batch_size: Samples of all streams, over all processes.
+        streams: The streams.
+        world: Number of processes.
+        units: Samples of each stream that stay together, such as pairs; 1 where left out.
 
     Raises:
         ConfigError: If a stream gets none, the numbers do not add up, or the processes do not divide them.
@@ -46,10 +54,12 @@ def batch_shares(batch_size: int, streams: Mapping[str, Stream], world: int = 1)
             f"Expected a batch_size that the shares of the streams {', '.join(streams)} divide; got {batch_size}, "
             f"which gives {', '.join(f'{name} {count}' for name, count in counts.items())}."
         )
-    uneven = [name for name, count in counts.items() if count % world]
+    units = units or {}
+    uneven = [name for name, count in counts.items() if count % (world * units.get(name, 1))]
     if uneven:
+        groups = f" with {units[uneven[0]]} samples that stay together" if units.get(uneven[0], 1) > 1 else ""
         raise ConfigError(
-            f"Expected a batch_size that {world} processes divide, for each stream; got {batch_size}, of which "
+            f"Expected a batch_size that {world} processes{groups} divide, for each stream; got {batch_size}, of which "
             f"{counts[uneven[0]]} for {uneven[0]}."
         )
     return counts
@@ -67,6 +77,8 @@ def batches(
 ) -> Iterator[dict[str, list[Sample]]]:
     """Batches from ``first_step`` on, by stream; with several processes each takes every ``world``-th sample.
 
+    Samples that stay together, such as pairs, go to one process.
+
     Args:
         streams: The samples of each stream.
         counts: How many of each are in a batch, over all processes.
@@ -80,7 +92,7 @@ def batches(
         [
             (name, position)
             for name, count in counts.items()
-            for position in range(step * count + rank, (step + 1) * count, world)
+            for position in _positions(step, count, streams[name].together, rank, world)
         ]
         for step in range(first_step, steps)
     ]
@@ -93,6 +105,12 @@ def batches(
         prefetch_factor=4 if workers else None,
     )
     return iter(loader)
+
+
+def _positions(step: int, count: int, together: int, rank: int, world: int) -> list[int]:
+    """Positions of a step's samples of a stream that belong to a process."""
+    units = range(step * count // together + rank, (step + 1) * count // together, world)
+    return [unit * together + member for unit in units for member in range(together)]
 
 
 def _by_stream(counts: Mapping[str, int], samples: Iterable[Sample]) -> dict[str, list[Sample]]:

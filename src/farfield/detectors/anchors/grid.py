@@ -4,7 +4,7 @@ One anchor stands for one class and one of two headings (0 and 90 degrees), as i
 it is numpy and per frame, so that the loader's workers do it beside the training.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -57,6 +57,15 @@ class Targets:
     backwards: Int[np.ndarray, " p"]
     ignored: Int[np.ndarray, " i"]
     weight: Float[np.ndarray, " p"]
+
+    def ignoring(self, unsure: "Targets") -> "Targets":
+        """These targets, where what is assigned to unsure boxes, or ignored for them, is neither object nor background.
+
+        Args:
+            unsure: The targets of the unsure boxes.
+        """
+        near = np.concatenate([self.ignored, unsure.positive, unsure.ignored])
+        return replace(self, ignored=np.setdiff1d(near, self.positive))
 
 
 class AnchorGrid:

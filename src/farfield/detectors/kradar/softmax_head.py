@@ -50,6 +50,16 @@ class BoxTargets:
     kind: Int[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
 
+    def ignoring(self, unsure: "BoxTargets") -> "BoxTargets":
+        """These targets and those of unsure boxes with no weight: cells near them are neither object nor background.
+
+        Args:
+            unsure: The targets of the unsure boxes.
+        """
+        weight = np.concatenate([self.weight, np.zeros_like(unsure.weight)])
+        rows, kind = np.concatenate([self.rows, unsure.rows]), np.concatenate([self.kind, unsure.kind])
+        return BoxTargets(rows, kind, weight)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoxesOnGrid:

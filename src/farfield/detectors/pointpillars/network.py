@@ -20,7 +20,7 @@ from farfield.detectors.bev import BevBackbone
 from farfield.detectors.contract import Channels, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.grid import GridConfig
-from farfield.detectors.inputs import POSITION, CloudInput, stacked
+from farfield.detectors.inputs import POSITION, CloudInput, Positions, stacked
 from farfield.detectors.openpcdet_features import OpenPCDetPillarEncoder, use_openpcdet_momentum
 from farfield.detectors.pointpillars.pillars import PillarEncoder
 
@@ -35,6 +35,9 @@ class PointPillarsConfig(AnchorHeadConfig):
     max_points: int = Field(0, ge=0, description="with features: openpcdet, a pillar's points that count; 0 for all")
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    positions: Positions = Field(
+        "absolute", description="relative: without the place on the ground, as adaptation needs"
+    )
     widths: tuple[Channels, ...] = (32, 64, 128)
     depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (1, 4, 4)
     strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
@@ -47,6 +50,8 @@ class PointPillarsConfig(AnchorHeadConfig):
             raise ValueError("expected max_points with features: openpcdet only; farfield's features count all points")
         if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
             raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
+        if self.features == "openpcdet" and self.positions == "relative":
+            raise ValueError("expected positions: absolute with features: openpcdet, which hold x and y")
         return self
 
     @property
@@ -104,4 +109,4 @@ def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | OpenP
     shared = {"multiple": multiple, "channels": config.pillar_channels}
     if config.features == "openpcdet":
         return OpenPCDetPillarEncoder(config.grid, config.columns, max_points=config.max_points, **shared)
-    return PillarEncoder(config.grid, config.columns, **shared)
+    return PillarEncoder(config.grid, config.columns, positions=config.positions, **shared)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.folding import fold_linear
 from farfield.detectors.grid import GridConfig
-from farfield.detectors.inputs import features_of
+from farfield.detectors.inputs import Positions, features_of
 from farfield.detectors.norm import normalise_rows
 
 
@@ -23,15 +23,25 @@ class PillarEncoder(nn.Module):
         columns: Columns of the points; those after the position are features as they are.
         multiple: The network's coarsest stride, which must divide the grid.
         channels: Features a pillar.
+        positions: Relative ones leave x and y out of a point's description.
     """
 
-    def __init__(self, grid: GridConfig, columns: Sequence[str], *, multiple: int, channels: int) -> None:
+    def __init__(
+        self,
+        grid: GridConfig,
+        columns: Sequence[str],
+        *,
+        multiple: int,
+        channels: int,
+        positions: Positions = "absolute",
+    ) -> None:
         super().__init__()
+        self.first = 0 if positions == "absolute" else 2  # of x, y and z
         self.grid, self.channels = grid, channels
         self.extra = features_of(columns)
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
-        self.linear = nn.Linear(9 + len(self.extra), channels, bias=False)
+        self.linear = nn.Linear(9 - self.first + len(self.extra), channels, bias=False)
         self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.1)
 
     def forward(self, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
@@ -83,5 +93,5 @@ class PillarEncoder(nn.Module):
         centre = torch.stack([(ix + 0.5) * self.grid.cell_m, (iy + 0.5) * self.grid.cell_m + self.y_min_m], 1)
         to_centre = (xyz[:, :2] - centre) / self.grid.cell_m
         scaled = xyz / xyz.new_tensor([self.grid.range_m, self.grid.half_width_m, self.grid.z_max_m])
-        parts = [scaled, to_mean / self.grid.cell_m, to_centre, torch.log1p(count)[member]]
+        parts = [scaled[:, self.first :], to_mean / self.grid.cell_m, to_centre, torch.log1p(count)[member]]
         return torch.cat([*parts, points[:, self.extra]], 1)

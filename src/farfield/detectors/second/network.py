@@ -20,10 +20,10 @@ from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
 from farfield.detectors.contract import Channels, MapDetector
 from farfield.detectors.features import FeatureMap
-from farfield.detectors.inputs import POSITION, CloudInput
+from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.openpcdet_features import use_openpcdet_momentum
 from farfield.detectors.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
-from farfield.detectors.voxels import MEAN_FEATURES, VoxelGridConfig, first_points_of_voxels, mean_voxels
+from farfield.detectors.voxels import VoxelGridConfig, first_points_of_voxels, mean_features, mean_voxels
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks
@@ -38,6 +38,9 @@ class SecondConfig(AnchorHeadConfig):
     max_points: int = Field(0, ge=0, description="first points of a voxel that count; 0 for all")
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    positions: Positions = Field(
+        "absolute", description="relative: without the place on the ground, as adaptation needs"
+    )
     middle_widths: tuple[Channels, Channels, Channels, Channels] = (16, 32, 64, 64)
     middle_out: Channels = Field(64, description="channels of each remaining layer of z, which are then stacked")
     widths: tuple[Channels, ...] = (64, 128)
@@ -58,6 +61,8 @@ class SecondConfig(AnchorHeadConfig):
             )
         if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
             raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
+        if self.features == "openpcdet" and self.positions == "relative":
+            raise ValueError("expected positions: absolute with features: openpcdet, which hold x and y")
         return self
 
     @property
@@ -156,15 +161,16 @@ class Second(MapDetector):
             use_openpcdet_momentum(self)
 
     def _feature_count(self) -> int:
-        columns = len(self.config.columns)
-        return columns if self.config.features == "openpcdet" else len(MEAN_FEATURES) + columns - len(POSITION)
+        columns, means = len(self.config.columns), len(mean_features(self.config.positions))
+        return columns if self.config.features == "openpcdet" else means + columns - len(POSITION)
 
     def voxels(self, clouds: Sequence[Tensor]) -> SparseTensor:
         """The occupied voxels of a batch with their mean features (section 3.1.1, with the mean for the VFE)."""
         config = self.config
         clouds = first_points_of_voxels(clouds, config.grid, self.multiple, config.max_points)
         published = config.features == "openpcdet"
-        return mean_voxels(clouds, config.grid, self.multiple, columns=config.columns, published=published)
+        read = {"columns": config.columns, "published": published, "positions": config.positions}
+        return mean_voxels(clouds, config.grid, self.multiple, **read)
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxels, sparse middle layers and the bird's-eye backbone (section 3.1)."""

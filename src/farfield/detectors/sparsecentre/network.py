@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.contract import Channels, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.inputs import POSITION, CloudInput
+from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.sparse import SparseTensor, SubmanifoldConv
 from farfield.detectors.sparsecentre.backbone import (
     FLAT,
@@ -30,7 +30,7 @@ from farfield.detectors.sparsecentre.backbone import (
 )
 from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
 from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig
-from farfield.detectors.voxels import MEAN_FEATURES, VoxelGridConfig, mean_voxels
+from farfield.detectors.voxels import VoxelGridConfig, mean_features, mean_voxels
 
 Depth = Annotated[int, Field(ge=0, le=64)]
 
@@ -42,6 +42,9 @@ class SparseCentreConfig(CentreHeadConfig):
     grid: VoxelGridConfig = VoxelGridConfig(voxel_m=(0.2, 0.2, 0.25))
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    positions: Positions = Field(
+        "absolute", description="relative: without the place on the ground, as adaptation needs"
+    )
     widths: tuple[Channels, ...] = Field((16, 32, 64), description="of the 3D stages; each but the first halves")
     depths: tuple[Depth, ...] = (1, 1, 2)
     pyramid_widths: tuple[Channels, ...] = Field((96, 96, 128, 128), description="of the map's levels; each halves")
@@ -93,7 +96,8 @@ class SparseCentre(MapDetector):
         config = config or SparseCentreConfig()
         super().__init__(config)
         self.inputs = {"points": CloudInput(columns=config.columns)}
-        c_in, width = len(MEAN_FEATURES) + len(config.columns) - len(POSITION), config.pyramid_widths[0]
+        c_in = len(mean_features(config.positions)) + len(config.columns) - len(POSITION)
+        width = config.pyramid_widths[0]
         self.encoder = VoxelEncoder(c_in, config.widths, config.depths)
         self.to_map = normalised(SubmanifoldConv(config.widths[-1], width, (1, 1, 1)), width)
         self.pyramid = SparsePyramid(config.pyramid_widths, config.pyramid_depth)
@@ -114,7 +118,8 @@ class SparseCentre(MapDetector):
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxels, sparse encoder, pyramid, diffusion and refinement; ``aux`` holds votes and heights for the head."""
         config = self.config
-        voxels = mean_voxels(batch["points"], config.grid, config.multiple, columns=config.columns)
+        read = {"columns": config.columns, "positions": config.positions}
+        voxels = mean_voxels(batch["points"], config.grid, config.multiple, **read)
         flat = merge_heights(self.to_map(self.encoder(voxels.replace(in_type_of(self.encoder, voxels.features)))))
         flat = self.pyramid(flat)
         diffused = self.diffusion(flat, self._heights_m(voxels, flat.keys))
@@ -129,7 +134,8 @@ class SparseCentre(MapDetector):
     def _heights_m(self, voxels: SparseTensor, keys: Tensor) -> Tensor:
         """Mean height of the points' voxels in each cell of the map, shape (n,)."""
         grid = self.config.grid
-        height_m = voxels.features[:, MEAN_FEATURES.index("z")] * max(abs(grid.z_min_m), abs(grid.z_max_m))
+        height = voxels.features[:, mean_features(self.config.positions).index("z")]
+        height_m = height * max(abs(grid.z_min_m), abs(grid.z_max_m))
         cell = torch.searchsorted(keys, flat_keys(voxels, self.config.map_stride))
         count = torch.bincount(cell, minlength=len(keys)).clamp(min=1)
         return height_m.new_zeros(len(keys)).index_add(0, cell, height_m) / count

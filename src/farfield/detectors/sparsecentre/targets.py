@@ -37,6 +37,20 @@ class CentreTargets:
     kind: Int[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
 
+    def ignoring(self, unsure: "CentreTargets") -> "CentreTargets":
+        """These targets and, with no weight, those of unsure boxes: near them hardly anything is background.
+
+        Args:
+            unsure: The targets of the unsure boxes.
+        """
+        return CentreTargets(
+            np.concatenate([self.centre_m, unsure.centre_m]),
+            np.concatenate([self.size_m, unsure.size_m]),
+            np.concatenate([self.yaw_rad, unsure.yaw_rad]),
+            np.concatenate([self.kind, unsure.kind]),
+            np.concatenate([self.weight, np.zeros_like(unsure.weight)]),
+        )
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoxesOfClasses:

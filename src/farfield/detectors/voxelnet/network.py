@@ -18,7 +18,7 @@ from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
 from farfield.detectors.contract import Channels, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.inputs import POSITION, CloudInput
+from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.voxelnet.middle import MiddleLayers, middle_depths
 from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder
 from farfield.detectors.voxels import VoxelGridConfig
@@ -34,6 +34,9 @@ class VoxelNetConfig(AnchorHeadConfig):
     max_points: int = Field(35, ge=1, le=10_000, description="points of a voxel that count")
     use_intensity: bool = Field(True, description="read the return strength; its scale differs between sensors")
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
+    positions: Positions = Field(
+        "absolute", description="relative: without the place on the ground, as adaptation needs"
+    )
     vfe_widths: tuple[Annotated[Channels, Field(multiple_of=2)], ...] = (32, 128)
     voxel_channels: Channels = 128
     middle: Literal["sparse", "dense"] = Field("sparse", description="one function and one set of weights, two ways")
@@ -83,6 +86,7 @@ class VoxelNet(MapDetector):
             widths=config.vfe_widths,
             channels=config.voxel_channels,
             max_points=config.max_points,
+            positions=config.positions,
         )
         self.middle = MiddleLayers(config.voxel_channels, config.middle_widths, depth, config.middle)
         self.backbone = BevBackbone(

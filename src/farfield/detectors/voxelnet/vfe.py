@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from farfield.detectors.folding import fold_linear
-from farfield.detectors.inputs import features_of, stacked
+from farfield.detectors.inputs import Positions, features_of, stacked
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
 
@@ -57,6 +57,7 @@ class VoxelFeatureEncoder(nn.Module):
         widths: Channels after each VFE layer, even numbers.
         channels: Features a voxel.
         max_points: Points of a voxel that count.
+        positions: Relative ones leave x and y out of a point's description.
     """
 
     def __init__(
@@ -68,11 +69,13 @@ class VoxelFeatureEncoder(nn.Module):
         widths: Sequence[int] = (32, 128),
         channels: int = 128,
         max_points: int = 35,
+        positions: Positions = "absolute",
     ) -> None:
         super().__init__()
         self.grid, self.multiple, self.max_points = grid, multiple, max_points
         self.extra = features_of(columns)
-        c_in = 6 + len(self.extra)
+        self.first = 0 if positions == "absolute" else 2  # of x, y and z
+        c_in = 6 - self.first + len(self.extra)
         self.layers = nn.ModuleList()
         for width in widths:
             self.layers.append(PointLayer(c_in, width // 2))
@@ -98,7 +101,9 @@ class VoxelFeatureEncoder(nn.Module):
         to_mean = xyz - (sums / member.bincount(minlength=voxel_count)[:, None])[member]
         grid = self.grid
         scale = xyz.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
-        return torch.cat([xyz / scale, points[:, self.extra], to_mean / xyz.new_tensor(grid.voxel_m)], 1)
+        return torch.cat(
+            [(xyz / scale)[:, self.first :], points[:, self.extra], to_mean / xyz.new_tensor(grid.voxel_m)], 1
+        )
 
 
 def grouped(points: Tensor, key: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:

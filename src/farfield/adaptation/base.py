@@ -1,0 +1,141 @@
+"""What all methods of adaptation share: checked settings, a share of the training that is done, a start, figures."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, ValidationError
+from torch import Tensor, distributed
+
+from farfield.detectors.contract import Network
+from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.weights import load_weights, resolve_weights
+from farfield.errors import ConfigError
+from farfield.training.method import Method
+
+_DRAWS = 5  # word of the generators, after those of the samples and the loop
+
+
+class Settings(BaseModel):
+    """Settings of a method, or of a part of it; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+Chosen = TypeVar("Chosen", bound=Settings)
+
+
+def settings_of(kind: type[Chosen], method: str, given: Mapping[str, Any]) -> Chosen:
+    """Check the settings of a method.
+
+    Raises:
+        ConfigError: If one is unknown or does not fit; the message names each.
+    """
+    try:
+        return kind.model_validate(dict(given))
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg']}" for item in error.errors()]
+        known = ", ".join(field.alias or name for name, field in kind.model_fields.items())
+        raise ConfigError(
+            f"method {method}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines) + f"\nIt has: {known}."
+        ) from error
+
+
+class Adaptation(Method):
+    """A method that knows how far its training is, draws by seed and step, and keeps figures for the log."""
+
+    def __init__(self) -> None:
+        self.steps, self.seed = 0, 0
+        self.noted: dict[str, Tensor | float] = {}
+
+    def begins(self, steps: int, seed: int) -> None:
+        """Learn how long the training is and how its draws are seeded."""
+        self.steps, self.seed = steps, seed
+
+    def progress(self, step: int) -> float:
+        """Share of the training that is done before a step.
+
+        Raises:
+            ConfigError: If the training has not said how long it is.
+        """
+        if self.steps < 1:
+            raise ConfigError("Expected begins(steps, seed) before the first step; got no number of steps.")
+        return step / self.steps
+
+    def generator(self, step: int, *, shared: bool = False) -> np.random.Generator:
+        """The generator of a step: of this process, or one that all processes share."""
+        rank = distributed.get_rank() if process_count() > 1 else 0
+        words = (_DRAWS, step) if shared else (_DRAWS, step, rank)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
+
+    def note(self, **values: Tensor | float) -> None:
+        """Keep figures of this step for the log."""
+        self.noted |= {name: value.detach() if isinstance(value, Tensor) else value for name, value in values.items()}
+
+    def figures(self) -> Mapping[str, float]:
+        """The figures of the last step, and the spread of the features that it kept by domain."""
+        found: dict[str, float] = {}
+        for name, value in self.noted.items():
+            if isinstance(value, Tensor) and value.ndim == 2:
+                found |= {f"variance_{name}": mean_variance(value), f"rank_{name}": effective_rank(value)}
+            elif math.isfinite(float(value)):  # JSON has no NaN: what could not be measured is left out
+                found[name] = float(value)
+        return found
+
+
+@torch.no_grad()
+def common_variance(rows: Tensor) -> Tensor:
+    """Mean over the channels of the variance over the rows of all processes, shape (n, c), a scalar, at least 1e-6."""
+    rows = rows.float()
+    count = sum_over_processes(rows.new_tensor(float(len(rows)))).clamp(min=1)
+    mean = sum_over_processes(rows.sum(0)) / count
+    return (sum_over_processes((rows - mean).square().sum(0)) / count).mean().clamp(min=1e-6)
+
+
+def mean_variance(rows: Tensor) -> float:
+    """Mean over the channels of the variance over the rows, shape (n, c); 0 for fewer than two rows."""
+    return float(rows.float().var(0).mean()) if len(rows) > 1 else 0.0
+
+
+def effective_rank(rows: Tensor) -> float:
+    """Exp of the entropy of the squared singular values' shares, of centred rows, shape (n, c).
+
+    1 for features that vary along one direction only (collapse), c for those that vary alike along all; 0 for none.
+    """
+    if len(rows) < 2:
+        return 0.0
+    centred = rows.float() - rows.float().mean(0)
+    power = torch.linalg.svdvals(centred).double().square()
+    share = power / power.sum().clamp(min=1e-30)
+    return float(torch.special.entr(share).sum().exp()) if bool(power.sum() > 0) else 0.0
+
+
+def start_from(network: Network, weights: Path | str, method: str) -> None:
+    """Give a network the weights of a trained detector.
+
+    Args:
+        network: The network, changed in place.
+        weights: A bundled detector's name, a run's folder or a weights file.
+        method: Name of the method, for messages.
+
+    Raises:
+        ConfigError: If they are those of a network of another shape.
+        FarfieldError: If there are none.
+    """
+    trained, _ = load_weights(resolve_weights(weights))
+    own, theirs = network.state_dict(), trained.state_dict()
+    wrong = sorted(
+        name
+        for name in own.keys() | theirs.keys()
+        if name not in own or name not in theirs or own[name].shape != theirs[name].shape
+    )
+    if wrong:
+        raise ConfigError(
+            f"method {method}: expected the weights {weights} to be those of the experiment's detector "
+            f"({network.config.name}); {len(wrong)} tensors differ, first {wrong[0]}. Copy the detector's settings "
+            "from the run that made them."
+        )
+    network.load_state_dict(theirs)

@@ -1,0 +1,127 @@
+"""Adaptation from one device to another (Cirrus, section V.B, Table IV: KITTI to Cirrus).
+
+The trunk is shared, and each domain has a head of its own, since their boxes differ (full bodies, visible parts). A
+discriminator tells the devices by the features of occupied cells, those of unlabelled target frames included, and its
+gradient reaches the trunk reversed. How many target frames are labelled is the experiment's (``data.target.part``).
+"""
+
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
+from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
+from farfield.adaptation.reversal import schedule
+from farfield.adaptation.twin import with_own_head, with_own_statistics
+from farfield.detectors.contract import Network
+from farfield.detectors.features import Features
+from farfield.detectors.inputs import Inputs
+from farfield.training.method import DETECTOR, Batch, Pace, Stream
+
+_SOURCE, _TARGET, _REST = "source", "target", "rest"
+
+
+class DeviceSettings(Settings):
+    """What the domains share, and how the devices are told apart; all are ours."""
+
+    adversarial: Adversarial | None = Field(Adversarial(), description="null: both devices, no further loss")
+    norm: Literal["shared", "per_domain"] = Field(
+        "shared", description="one forward of all frames with its statistics, or statistics by domain"
+    )
+    rest: bool = Field(False, description="read unlabelled target frames too, for the discriminator: data.rest")
+    rest_share: float = Field(1.0, gt=0, description="unlabelled target frames in a batch over labelled ones")
+    source_weight: float = Field(1.0, ge=0, description="of the source's losses")
+    min_range_m: float = Field(0.0, ge=0, description="nearer cells do not count for the discriminator")
+    max_range_m: float = Field(1e3, gt=0, description="nor farther ones: beyond it the source has no points")
+    start: str | None = Field(None, description="weights to start from, such as the source detector's")
+
+
+class DeviceAdaptation(Adaptation):
+    """Learn from labelled frames of two devices with one trunk and two heads.
+
+    ``weights.safetensors`` is the target's detector and ``weights_source.safetensors`` the source's.
+
+    Args:
+        network: The detector's network: the target's.
+        **settings: See :class:`DeviceSettings`.
+
+    Raises:
+        ConfigError: If a setting is unknown or does not fit, or the detector's head is no module.
+    """
+
+    def __init__(self, network: Network, **settings: object) -> None:
+        super().__init__()
+        self.settings = settings_of(DeviceSettings, "device", settings)
+        streams = {_SOURCE: Stream(), _TARGET: Stream()}
+        if self.settings.rest:
+            streams[_REST] = Stream(labelled=False, share=self.settings.rest_share)
+        self.streams = streams  # type: ignore[misc]
+        if self.settings.start is not None:
+            start_from(network, self.settings.start, "device")
+        own = self.settings.norm == "per_domain"
+        twin = with_own_statistics(network, own_head=True) if own else with_own_head(network)
+        self.modules = nn.ModuleDict({DETECTOR: network, _SOURCE: twin})
+        if self.settings.adversarial is not None:
+            self.modules["discriminator"] = discriminator(network, self.settings.adversarial.form)
+
+    def paces(self) -> Mapping[str, Pace]:
+        """The discriminator learns at its own rate."""
+        return {} if self.settings.adversarial is None else self.settings.adversarial.paces
+
+    def exported(self) -> Mapping[str, str]:
+        """The target's detector, and the source's beside it."""
+        return {"weights": DETECTOR, "weights_source": _SOURCE}
+
+    def meant_for(self) -> Mapping[str, str]:
+        """Each is for its own domain."""
+        return {"weights": _TARGET, "weights_source": _SOURCE}
+
+    def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
+        """The losses of both heads, and the discriminator's."""
+        source, target = self._features(batch)
+        losses = self._of_head(self.modules[DETECTOR], target, batch[_TARGET], "target", 1.0)
+        losses |= self._of_head(self.modules[_SOURCE], source, batch[_SOURCE], "source", self.settings.source_weight)
+        if self.settings.adversarial is not None:
+            losses["device"] = self._adversarial(batch, source, target, step)
+        return losses
+
+    def _features(self, batch: Mapping[str, Batch]) -> tuple[Features, Features]:
+        """Features of the source's frames, and of the target's, labelled ones first."""
+        of_target = batch[_TARGET].inputs
+        if _REST in batch:
+            of_target = of_target + batch[_REST].inputs
+        network, count = self.modules[DETECTOR], len(batch[_SOURCE])
+        if self.settings.norm == "per_domain":
+            return self.modules[_SOURCE].encode(batch[_SOURCE].inputs), network.encode(of_target)
+        source, target = network.encode(batch[_SOURCE].inputs + of_target).split(count)
+        return source, target
+
+    @staticmethod
+    def _of_head(network: nn.Module, features: Features, frames: Batch, name: str, weight: float) -> dict[str, Tensor]:
+        if len(features) > len(frames):
+            features, _ = features.split(len(frames))
+        outputs = network.head(features, frames.targets)
+        with torch.autocast(next(network.parameters()).device.type, enabled=False):
+            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
+        return {f"{name}_{part}": weight * value for part, value in losses.items()}
+
+    def _adversarial(self, batch: Mapping[str, Batch], source: Features, target: Features, step: int) -> Tensor:
+        """The mean of each device's cells; the features of both are judged one after the other."""
+        assert self.settings.adversarial is not None
+        of_target = batch[_TARGET].inputs + batch[_REST].inputs if _REST in batch else batch[_TARGET].inputs
+        one, other = self._cells(source, batch[_SOURCE].inputs), self._cells(target, of_target)
+        self.note(source=shown(source, one), target=shown(target, other))
+        adversary = AdversarialLoss(self.settings.adversarial, self.modules["discriminator"])
+        now = schedule(self.progress(step))
+        loss = adversary.between((source, one), (target, other), now, self.generator(step))
+        self.note(**adversary.noted)
+        return loss
+
+    def _cells(self, features: Features, inputs: Inputs) -> Cells:
+        cells = occupied(features, inputs, z_range_m(self.modules[DETECTOR].config))
+        range_m = cells.place_m.norm(dim=1)
+        return cells[(range_m >= self.settings.min_range_m) & (range_m < self.settings.max_range_m)]

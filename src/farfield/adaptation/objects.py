@@ -1,0 +1,152 @@
+"""Features and descriptors of objects: what the local loss of range adaptation compares (Wang et al., ICCVW 2019)."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from farfield.adaptation.cells import device_of, in_boxes
+from farfield.detectors.features import FeatureMap, Features
+from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.geometry.boxes import Boxes
+
+_STEPS = (-1 / 3, 0.0, 1 / 3)
+
+
+class Objects(NamedTuple):
+    """Labelled objects of a batch.
+
+    Attributes:
+        feature: Shape (n, c), float32, with gradient.
+        descriptor: Shape (n, d), float32.
+        kind: Number of the class of each, shape (n,), int64.
+        range_m: On the ground, shape (n,).
+        points: Points in each, shape (n,), int64.
+    """
+
+    feature: Tensor
+    descriptor: Tensor
+    kind: Tensor
+    range_m: Tensor
+    points: Tensor
+
+    def chosen(self, rows: Tensor) -> "Objects":
+        """Those of a mask, or at indices."""
+        return Objects(*(part[rows] for part in self))
+
+
+def objects_of(
+    features: Features, boxes: Sequence[Boxes], classes: Sequence[str], extent: Literal["full", "visible"]
+) -> Objects:
+    """The objects of a batch that are of the classes and, on a map, stand on it.
+
+    Args:
+        features: Of the batch.
+        boxes: Of each frame, with point counts.
+        classes: Names by number.
+        extent: What the boxes show; see :func:`descriptors`.
+    """
+    kept = [_of_classes(features, each, classes) for each in boxes]
+    count = sum(map(len, kept))
+    frame = np.repeat(np.arange(len(kept)), [len(each) for each in kept])
+    device = device_of(features)
+    every = Boxes.concatenate(kept) if kept else Boxes.empty()
+    number = {name: index for index, name in enumerate(classes)}
+    kind = np.array([number[str(name)] for name in every.label], dtype=np.int64)
+    points = np.zeros(count, dtype=np.int64) if every.point_count is None else every.point_count
+    return Objects(
+        _features(features, every, torch.from_numpy(frame).to(device)),
+        torch.from_numpy(descriptors(every, extent)).float().to(device),
+        torch.from_numpy(kind).to(device),
+        torch.from_numpy(np.hypot(*every.centre_m[:, :2].T)).float().to(device),
+        torch.from_numpy(points).to(device),
+    )
+
+
+def _of_classes(features: Features, boxes: Boxes, classes: Sequence[str]) -> Boxes:
+    keep = np.isin(boxes.label, list(classes))
+    if isinstance(features, FeatureMap):
+        upper = np.array(features.values.shape[-2:]) * features.cell_m
+        place = boxes.centre_m[:, :2] - np.array(features.origin_m)
+        keep &= ((place >= 0) & (place < upper)).all(axis=1)
+    return boxes[keep]
+
+
+def descriptors(boxes: Boxes, extent: Literal["full", "visible"]) -> Float[np.ndarray, "n d"]:
+    """What makes objects alike: log length, log width, log height, sine and cosine of the angle that they are seen at.
+
+    The angle is the heading from the direction of sight: it decides which faces are seen. Length and width of visible
+    parts depend on the range (a far car is its rear), so with ``"visible"`` they are left out.
+
+    Args:
+        boxes: The objects.
+        extent: Whether the boxes hold whole objects or their visible parts.
+    """
+    seen_rad = boxes.yaw_rad - np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
+    sizes = np.log(boxes.size_m if extent == "full" else boxes.size_m[:, 2:])
+    return np.column_stack([sizes, np.sin(seen_rad), np.cos(seen_rad)])
+
+
+def _features(features: Features, boxes: Boxes, frame: Tensor) -> Tensor:
+    """The mean feature of each object, shape (n, c), float32."""
+    if isinstance(features, FeatureMap) and not isinstance(features.values, SparseTensor):
+        return sampled(features, boxes, frame)
+    return _mean_of_rows(features, boxes, frame)
+
+
+def sampled(features: FeatureMap, boxes: Boxes, frame: Tensor) -> Tensor:
+    """The mean of 3 x 3 bilinear samples in each turned box, at its centre and a third of its size off, (n, c).
+
+    Args:
+        features: A dense map.
+        boxes: The objects.
+        frame: Frame of each, shape (n,), int64.
+    """
+    grid = np.stack(np.meshgrid(_STEPS, _STEPS, indexing="ij"), axis=-1).reshape(1, 9, 2) * boxes.size_m[:, None, :2]
+    cos, sin = np.cos(boxes.yaw_rad)[:, None], np.sin(boxes.yaw_rad)[:, None]
+    x = boxes.centre_m[:, :1] + grid[..., 0] * cos - grid[..., 1] * sin
+    y = boxes.centre_m[:, 1:2] + grid[..., 0] * sin + grid[..., 1] * cos
+    place = np.stack([x, y], axis=-1)
+    cell = (place - np.array(features.origin_m)) / features.cell_m - 0.5
+    at = torch.from_numpy(cell).float().to(frame.device).reshape(-1, 2)
+    return bilinear(features.dense, frame.repeat_interleave(9), at).view(len(boxes), 9, -1).mean(1)
+
+
+def bilinear(image: Tensor, frame: Tensor, at: Tensor) -> Tensor:
+    """Values between the centres of cells, those beyond the edge by the nearest cell, shape (n, c), float32.
+
+    Args:
+        image: Shape (b, c, nx, ny).
+        frame: Shape (n,), int64.
+        at: Place in cells, 0 at the first one's centre, shape (n, 2).
+    """
+    limit = at.new_tensor([image.shape[2] - 1, image.shape[3] - 1])
+    at = torch.minimum(at.clamp(min=0), limit)
+    low = at.floor()
+    high, part = torch.minimum(low + 1, limit), at - low
+    total = image.new_zeros(len(at), image.shape[1], dtype=torch.float32)
+    for ix, wx in ((low[:, 0], 1 - part[:, 0]), (high[:, 0], part[:, 0])):
+        for iy, wy in ((low[:, 1], 1 - part[:, 1]), (high[:, 1], part[:, 1])):
+            total = total + image[frame, :, ix.long(), iy.long()].float() * (wx * wy)[:, None]
+    return total
+
+
+def _mean_of_rows(features: Features, boxes: Boxes, frame: Tensor) -> Tensor:
+    """The mean of the rows in each box, grown by a cell; without any the nearest row; zero in an empty frame."""
+    rows = features.rows()
+    margin_m = features.cell_m if isinstance(features, FeatureMap) else 0.0
+    found = rows.values.new_zeros(len(boxes), rows.values.shape[1], dtype=torch.float32)
+    for index in range(len(boxes)):
+        of_frame = (rows.frame == frame[index]).nonzero().squeeze(1)
+        if not len(of_frame):
+            continue
+        place = rows.place_m[of_frame].float()
+        chosen = of_frame[in_boxes(place, boxes[index : index + 1], margin_m).squeeze(1)]
+        if not len(chosen):
+            centre = place.new_tensor(boxes.centre_m[index, :2])
+            chosen = of_frame[(place - centre).norm(dim=1).argmin()][None]
+        found[index] = rows.values[chosen].float().mean(0)
+    return found

@@ -1,0 +1,112 @@
+"""Pseudo boxes of a teacher: which are kept, which leave a band that is ignored, and the strong view that learns them.
+
+The thresholds are those of self-training in the literature (ST3D++, arXiv 2108.06682: positive 0.6, negative 0.25).
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from farfield.adaptation.base import Settings
+from farfield.detectors.contract import Assigner
+from farfield.detectors.inputs import Inputs
+from farfield.errors import ConfigError
+from farfield.geometry.boxes import Boxes
+from farfield.training.augmentation import Change, draw_change
+from farfield.training.config import AugmentationConfig
+
+
+class Strong(Settings):
+    """Random changes of the view that the student sees; the teacher sees the frame as it is."""
+
+    flip_probability: float = Field(0.5, ge=0, le=1)
+    rotation_rad: float = Field(0.1, ge=0)
+    scale: float = Field(0.05, ge=0, lt=1)
+    height_m: float = Field(0.0, ge=0)
+    thinning: float = Field(0.3, ge=0, lt=1, description="drop up to this share of the points")
+
+    def draw(self, rng: np.random.Generator) -> Change:
+        """Draw the motion of one frame."""
+        return draw_change(AugmentationConfig(**self.model_dump()), rng)
+
+
+class Pseudo(NamedTuple):
+    """What a teacher found in a frame.
+
+    Attributes:
+        sure: Boxes with at least the higher score, without scores.
+        unsure: Boxes with a score between the thresholds.
+    """
+
+    sure: Boxes
+    unsure: Boxes
+
+    def moved(self, change: Change) -> "Pseudo":
+        """The same boxes after a motion."""
+        return Pseudo(change.boxes(self.sure), change.boxes(self.unsure))
+
+
+def sorted_by_score(boxes: Boxes, positive: float, negative: float) -> Pseudo:
+    """Part a teacher's boxes by their scores; those below ``negative`` are dropped.
+
+    Args:
+        boxes: Scored boxes.
+        positive: Score from which a box is an object.
+        negative: Score below which it is background.
+    """
+    score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
+    bare = boxes.replace(score=None)
+    return Pseudo(bare[score >= positive], bare[(score >= negative) & (score < positive)])
+
+
+def strong_view(
+    inputs: Mapping[str, list[Tensor]], changes: list[Change], thinning: float, rng: np.random.Generator
+) -> Inputs:
+    """The frames moved, each by its change, and thinned.
+
+    Args:
+        inputs: Clouds of each frame by input, x, y, z first.
+        changes: One a frame.
+        thinning: Largest share of the points that is dropped.
+        rng: The only source of randomness.
+    """
+    shares = rng.uniform(0, thinning, size=len(changes))
+    named = {}
+    for name, clouds in inputs.items():
+        with torch.autocast(clouds[0].device.type, enabled=False):  # bfloat16 has steps of a metre at 250 m
+            named[name] = [_changed(*each, rng) for each in zip(clouds, changes, shares, strict=True)]
+    return Inputs(named)
+
+
+def _changed(cloud: Tensor, change: Change, share: float, rng: np.random.Generator) -> Tensor:
+    kept = torch.from_numpy(rng.random(len(cloud)) >= share).to(cloud.device)
+    linear = torch.from_numpy(change.linear).to(cloud.device, cloud.dtype)
+    moved = cloud[kept]
+    moved[:, :3] = moved[:, :3] @ linear.T
+    moved[:, 2] += change.rise_m
+    return moved
+
+
+def targets_of(assigner: Assigner, pseudo: Pseudo, inputs: Mapping[str, Tensor]) -> Any:
+    """Targets of a frame: sure boxes are objects, and what is near unsure ones is ignored.
+
+    Args:
+        assigner: The network's.
+        pseudo: Boxes in the coordinates of the inputs.
+        inputs: The frame's clouds.
+
+    Raises:
+        ConfigError: If the detector's targets know of nothing that is ignored.
+    """
+    clouds = {name: cloud.cpu().numpy() for name, cloud in inputs.items()}
+    targets, unsure = (assigner(boxes, clouds) for boxes in pseudo)
+    if not hasattr(targets, "ignoring"):
+        raise ConfigError(
+            f"method teacher: expected targets that can ignore unsure boxes; {type(targets).__name__} cannot. Take "
+            "pointpillars, second, voxelnet, sparsecentre, rtn or rtnh."
+        )
+    return targets.ignoring(unsure)

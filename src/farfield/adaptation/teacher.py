@@ -1,0 +1,166 @@
+"""Mean teacher (Tarvainen and Valpola, NeurIPS 2017) for another weather, or for recordings without labels.
+
+The teacher is the slow average of the student. It looks at target frames as they are; the student sees the same frames
+moved and thinned and learns the teacher's boxes, of which those with a middling score are ignored, neither object nor
+background. Labelled source frames are in every batch. The number of steps is fixed: the best step on the target's
+labels is not looked for, for whoever has these would train on them.
+"""
+
+import copy
+from collections.abc import Collection, Mapping
+from typing import ClassVar, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor, nn
+
+from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.pseudo import Pseudo, Strong, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.twin import with_own_statistics
+from farfield.detectors.contract import Network
+from farfield.detectors.features import Features
+from farfield.detectors.inputs import Inputs
+from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.errors import ConfigError, FarfieldError
+from farfield.training.method import DETECTOR, Batch, Stream
+
+_SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
+
+
+class TeacherSettings(Settings):
+    """Thresholds and average; 0.999, 0.6 and 0.25 are the literature's, the rest is ours."""
+
+    start: str = Field(description="weights of the source's detector; without them a teacher has nothing to teach")
+    decay: float = Field(0.999, ge=0, le=1, description="of the teacher's average, a step")
+    positive: float = Field(0.6, gt=0, le=1, description="score from which a box of the teacher is an object")
+    negative: float = Field(0.25, ge=0, le=1, description="score below which it is background; between, ignored")
+    weight: float = Field(1.0, ge=0, description="of the target's losses; 0 leaves the statistics alone: the control")
+    source_weight: float = Field(1.0, ge=0, description="of the source's losses")
+    norm: Literal["shared", "per_domain"] = Field(
+        "shared", description="one forward of all frames with its statistics, or statistics by domain"
+    )
+    strong: Strong = Strong()
+    patience: int = Field(200, ge=1, description="steps without any pseudo box after which the training stops")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "TeacherSettings":
+        if self.negative > self.positive:
+            raise ValueError(f"expected negative up to positive ({self.positive:g}), got {self.negative:g}")
+        return self
+
+
+class Counts(nn.Module):
+    """Steps in a row without a pseudo box: a module, so that the checkpoint holds it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.empty: Tensor
+        self.register_buffer("empty", torch.zeros((), dtype=torch.int64))
+
+
+class MeanTeacher(Adaptation):
+    """Learn from labelled source frames, and from what a slow copy of the network finds in unlabelled target frames.
+
+    Args:
+        network: The detector's network: the student.
+        **settings: See :class:`TeacherSettings`.
+
+    Raises:
+        ConfigError: If a setting is missing, unknown or does not fit.
+    """
+
+    streams: ClassVar[Mapping[str, Stream]] = {_SOURCE: Stream(), _TARGET: Stream(labelled=False, changed=False)}
+
+    def __init__(self, network: Network, **settings: object) -> None:
+        super().__init__()
+        self.settings = settings_of(TeacherSettings, "teacher", settings)
+        if network.config.score_threshold > self.settings.negative:
+            raise ConfigError(
+                f"method teacher: expected detector.score_threshold up to negative ({self.settings.negative:g}), or "
+                f"boxes that are to be ignored would be background; got {network.config.score_threshold:g}."
+            )
+        start_from(network, self.settings.start, "teacher")
+        self.modules = nn.ModuleDict({DETECTOR: network, _TEACHER: copy.deepcopy(network), _COUNTS: Counts()})
+        if self.settings.norm == "per_domain":
+            self.modules[_SOURCE] = with_own_statistics(network, own_head=False)
+
+    def frozen(self) -> Collection[str]:
+        """The teacher follows; it is not trained."""
+        return (_TEACHER,)
+
+    def meant_for(self) -> Mapping[str, str]:
+        """The weights are for the target's clouds."""
+        return {"weights": _TARGET}
+
+    def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
+        """The losses of the source's labels, and those of the pseudo boxes."""
+        rng = self.generator(step)
+        found = self.found(batch[_TARGET].inputs)
+        changes = [self.settings.strong.draw(rng) for _ in found]
+        view = strong_view(batch[_TARGET].inputs, changes, self.settings.strong.thinning, rng)
+        moved = [pseudo.moved(change) for pseudo, change in zip(found, changes, strict=True)]
+        source, target = self._features(batch[_SOURCE].inputs, view)
+        student, of_source = self.modules[DETECTOR], self.modules[self._of_source]
+        losses = _losses(of_source, source, batch[_SOURCE].targets, self.settings.source_weight, "source")
+        if self.settings.weight:
+            frames = [{name: view[name][frame] for name in view} for frame in range(len(view))]
+            pairs = zip(moved, frames, strict=True)
+            targets = [targets_of(student.assigner, pseudo, clouds) for pseudo, clouds in pairs]
+            losses |= _losses(student, target, targets, self.settings.weight, "target")
+        return losses
+
+    @property
+    def _of_source(self) -> str:
+        return _SOURCE if self.settings.norm == "per_domain" else DETECTOR
+
+    @torch.no_grad()
+    def found(self, inputs: Inputs) -> list[Pseudo]:
+        """What the teacher finds in frames.
+
+        Raises:
+            FarfieldError: If it found no object for too many steps in a row.
+        """
+        teacher = self.modules[_TEACHER].eval()
+        boxes = teacher.predict(inputs)
+        found = [sorted_by_score(each, self.settings.positive, self.settings.negative) for each in boxes]
+        sure, unsure = (sum(map(len, part)) for part in zip(*found, strict=True))
+        self.note(pseudo_boxes=sure / len(found), ignored_boxes=unsure / len(found))
+        self._count(sure)
+        return found
+
+    def _count(self, sure: int) -> None:
+        empty = self.modules[_COUNTS].empty
+        total = sum_over_processes(torch.tensor(float(sure), device=empty.device)) if process_count() > 1 else sure
+        empty.copy_((empty + 1) * (0 if total else 1))
+        if int(empty) >= self.settings.patience:
+            raise FarfieldError(
+                f"method teacher: in {int(empty)} steps the teacher found no box with a score of "
+                f"{self.settings.positive:g} or more in the target's frames, so there is nothing to learn there. Look "
+                "at what the start's weights detect in them; lower positive, or move the target into the coordinates "
+                "that these learnt in."
+            )
+
+    def _features(self, source: Inputs, target: Inputs) -> tuple[Features, Features]:
+        student = self.modules[DETECTOR]
+        if self.settings.norm == "per_domain":
+            return self.modules[_SOURCE].encode(source), student.encode(target)
+        one, other = student.encode(source + target).split(len(source))
+        return one, other
+
+    @torch.no_grad()
+    def after_step(self, step: int) -> None:
+        """Move the teacher towards the student: parameters and statistics."""
+        del step
+        student = self.modules[DETECTOR].state_dict()
+        for name, value in self.modules[_TEACHER].state_dict().items():
+            if value.is_floating_point():
+                value.lerp_(student[name].to(value.dtype), 1 - self.settings.decay)
+            else:
+                value.copy_(student[name])
+
+
+def _losses(network: nn.Module, features: Features, targets: object, weight: float, name: str) -> dict[str, Tensor]:
+    outputs = network.head(features, targets)
+    with torch.autocast(next(network.parameters()).device.type, enabled=False):
+        losses: dict[str, Tensor] = network.losses(outputs, targets)
+    return {f"{name}_{part}": weight * value for part, value in losses.items()}
