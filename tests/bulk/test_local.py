@@ -117,14 +117,14 @@ run(Copy(folder / "out", pause_s=0.2), units, Bulk(workers=2), journal=Journal(f
 def test_one_thread_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
     torch = pytest.importorskip("torch")
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     torch.set_num_threads(2)
     with one_thread():
         assert torch.get_num_threads() == 1
         assert {os.environ[name] for name in VARIABLES} == {"1"}
     assert torch.get_num_threads() == 2
     assert os.environ["OMP_NUM_THREADS"] == "3"
-    assert "NUMBA_NUM_THREADS" not in os.environ
+    assert "MKL_NUM_THREADS" not in os.environ
 
 
 def test_memory_limits_the_workers(tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ class _Hand(Thread):
 def _start() -> "subprocess.Popen[bytes]":
     """A worker in a session of its own: a Ctrl-C of the terminal is the command's to deal with."""
     path = os.pathsep.join(entry for entry in sys.path if entry)
-    environment = os.environ | dict.fromkeys(VARIABLES, "1") | {"PYTHONPATH": path}
+    environment = os.environ | dict.fromkeys((*VARIABLES, "NUMBA_NUM_THREADS"), "1") | {"PYTHONPATH": path}
     return subprocess.Popen(
         [sys.executable, "-m", "farfield.bulk.worker"],
         stdin=subprocess.PIPE,
