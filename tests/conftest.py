@@ -36,7 +36,6 @@ gc.disable()
 
 def pytest_collection_finish() -> None:
     """Leave what was collected out of all searches for garbage; these go on as often as ever."""
-    gc.collect()
     gc.freeze()
     gc.collect()  # counts what is left: the next whole search comes when there is a quarter more of that
     gc.enable()

@@ -124,12 +124,12 @@ def test_frozen_split_is_compared_with_its_record(tmp_path: Path, capsys: pytest
 
 
 def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp_path: Path) -> None:
-    """SIGKILL to all processes, three times: what carries labels is complete, and the end is as if nothing had been."""
+    """SIGKILL to all processes, twice: what carries labels is complete, and the end is as if nothing had been."""
     out = tmp_path / "killed"
     command = [sys.executable, "-m", "farfield.cli", "simulate", "cirrus-sim-mini", str(out)]
     command += ["--frames", "4", "--workers", "2"]
     quiet, fewer = subprocess.DEVNULL, 0
-    for frames in (1, 2, 3):
+    for frames in (1, 3):
         run = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True, cwd=tmp_path)
         until = time.monotonic() + 120
         while (
@@ -251,7 +251,7 @@ def test_kradar_frames_read_back_and_do_not_depend_on_the_workers(tmp_path: Path
     dataset = open_dataset(one)
     assert dataset.name == "kradar"
     assert list(dataset.sequences) == ["1", "2"]
-    frame, expected = dataset[1], simulate_frame("kradar-sim-mini", sequence=1, index=0)
+    frame, expected = dataset[1], simulate_frame("kradar-sim-mini", sequence=1, index=0, sensors=("os2-64", "sparse"))
     assert frame.conditions == {"road": "highway", "weather": "heavy_snow", "time": "night"} == expected.conditions
     np.testing.assert_array_equal(frame.clouds["os2-64"].points_m, expected.clouds["os2-64"].points_m)
     np.testing.assert_array_equal(frame.clouds["os2-64"].extra["ring"], expected.clouds["os2-64"].extra["ring"])
