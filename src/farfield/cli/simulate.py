@@ -1,4 +1,4 @@
-"""``farfield simulate``: write a simulated data set in the layout of Cirrus or of K-Radar."""
+"""``farfield simulate``: write a simulated data set in the layout of Cirrus, of K-Radar or of KITTI."""
 
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ def run(
     engine: str = "local",
     cache: bool = False,
 ) -> int:
-    """Write a simulated data set in the layout of Cirrus or of K-Radar.
+    """Write a simulated data set in the layout of Cirrus, of K-Radar or of KITTI.
 
     examples:
       farfield simulate cirrus-sim data/sim --frames 100
@@ -44,7 +44,8 @@ def run(
         preset: cirrus-sim (two scan patterns and a camera, highway and town in turn), cirrus-sim-ideal (patterns taken
             at the same moment), cirrus-sim-highway, cirrus-sim-urban, cirrus-sim-varied (many roads, sensor mountings
             and size priors, to train on), cirrus-sim-val-v2 (frozen), kradar-sim (58 sequences in seven weathers: two
-            Ousters, 4D radar, stereo cameras), cirrus-sim-mini, kradar-sim-mini.
+            Ousters, 4D radar, stereo cameras), kitti-sim (64 beams, full bodies, annotated in the camera's field),
+            cirrus-sim-mini, kradar-sim-mini, kitti-sim-mini.
         out: Folder to write into; made if absent. Cirrus frames go to Cirrus_dataset1 below it, K-Radar's to 1, 2, ...
         frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
         sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
