@@ -3,11 +3,11 @@
     python benchmarks/bulk_work.py [--frames 24] [--many 2000] [--output benchmarks/results/bulk_work.txt]
 
 Every verb runs with one process and with two workers on the same simulated frames; the digests of all files that both
-left must be equal (what the clock measured stands in timing.json, apart). Then the mechanism alone: 10,000 units of no
-work, and 35,000 finished units that a rerun finds intact. Then predict and evaluate over many frames with a small
-detector that gives as many boxes as it may: the largest memory of the command and of a worker. Exit status 1 if bytes
-differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes that over a quarter
-of them by more than a tenth.
+left must be equal (what the clock measured stands in timing.json, apart). MB is the largest worker. Then the mechanism
+alone: 10,000 units of no work, and 35,000 finished units that a rerun finds intact. Then predict and evaluate over many
+frames with a small detector that gives as many boxes as it may: the largest memory of the command and of a worker. Exit
+status 1 if bytes differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes that
+over a quarter of them by more than a tenth.
 """
 
 import argparse
@@ -113,7 +113,8 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
     subprocess.run([*record, "cirrus-sim", str(data), *few], check=True, stdout=subprocess.DEVNULL)
     cubes = ["--frames", str(max(frames // 2, 6)), "--sensors", "os2-64,cube"]
     subprocess.run([*record, "kradar-sim-mini", str(kradar), *cubes], check=True, stdout=subprocess.DEVNULL)
-    lines = [f"{'verb':26} {'1: CPU s':>9} {'wall s':>7} {'2: CPU s':>9} {'wall s':>7} {'speed-up':>9}  files, digest"]
+    heads = f"{'verb':26} {'1: CPU s':>9} {'wall s':>7} {'2: CPU s':>9} {'wall s':>7} {'speed-up':>9} {'MB':>5}"
+    lines = [f"{heads}  files, digest"]
     equal = True
     for name, (words, compared) in verbs(data, data, kradar, frames).items():
         costs, digests = [], []

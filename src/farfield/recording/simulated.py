@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk import Bulk, run
+from farfield.bulk import Bulk, Unit, run
+from farfield.bulk.journal import mark_of, state_of
 from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError
 from farfield.recording.frames import Simulate, check_disk, journal_of, units_of
@@ -16,6 +17,9 @@ from farfield.recording.words import announced, concluded
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
+
+
+_FINISHED = Unit("what belongs to whole sequences")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +141,11 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
         report(line)
     check_disk(recording, left)
     outcome = run(work, units, bulk, journal=journal)
-    if files_of(recording.preset).finishes:  # calibration, times, splits, odometry
-        writer_for(recording.preset, recording.out).finish()
+    if files_of(recording.preset).finishes and (outcome.written or not journal.has(_FINISHED)):
+        files = writer_for(recording.preset, recording.out).finish() or ()  # calibration, times, splits, odometry
+        marks = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in files}
+        journal.add(_FINISHED, state_of((), journal.setting), marks)
+        journal.finish()
     said = journal.values(units[place].name for place in sorted(outcome.clocks))
     verdicts = tuple(str(verdict or "written") for verdict in said)
     for line in concluded(recording, verdicts):

@@ -13,7 +13,7 @@ import numpy as np
 from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.layout import product_path
-from farfield.datasets.kradar.manifest import write_manifest
+from farfield.datasets.kradar.manifest import MANIFEST_NAME, write_manifest
 from farfield.datasets.kradar.products import read_radar, write_radar
 from farfield.datasets.kradar.tesseract import read_moments
 from farfield.errors import ConfigError, DatasetError
@@ -96,7 +96,8 @@ def convert_to_store(
         raise DatasetError(f"{dataset.root}: expected frames with {wanted} files to convert, found none")
     journal = Journal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
     outcome = run(Convert(target, settings), units, bulk, journal=journal)
-    write_manifest(dataset, target, settings.text)
+    if outcome.written or not (target / MANIFEST_NAME).is_file():
+        write_manifest(dataset, target, settings.text)
     return outcome
 
 
