@@ -6,8 +6,8 @@ Every verb runs with one process and with two workers on the same simulated fram
 left must be equal (what the clock measured stands in timing.json, apart). MB is the largest worker. Then the mechanism
 alone: 10,000 units of no work, and 35,000 finished units that a rerun finds intact. Then predict and evaluate over many
 frames with a small detector that gives as many boxes as it may: the largest memory of the command and of a worker. Exit
-status 1 if bytes differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes that
-over a quarter of them by more than a tenth.
+status 1 if bytes differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes
+that over a quarter of them by more than a tenth.
 """
 
 import argparse
