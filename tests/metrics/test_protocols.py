@@ -18,7 +18,15 @@ from farfield.metrics.protocol import ForeignProtocol, protocol_of
 from farfield.testing import check_protocol
 from farfield.testing.protocols import example
 
-NAMES = ("dds", "nuscenes", "kitti", "kradar", "kradar-compat:old_as_shipped@0.3", "kradar-compat:revised_yaw_fixed")
+NAMES = (
+    "dds",
+    "nuscenes",
+    "kitti",
+    "tracking",
+    "kradar",
+    "kradar-compat:old_as_shipped@0.3",
+    "kradar-compat:revised_yaw_fixed",
+)
 
 
 class Recall(Protocol):

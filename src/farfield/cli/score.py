@@ -12,20 +12,24 @@ from farfield.cli._words import deprecated, parse_options
 if TYPE_CHECKING:
     from farfield.metrics import Detections, Protocol
 
-_FLAGS = ("range_bins_m", "epsilons", "region", "label", "label_version", "bootstrap")
+_FLAGS = ("range_bins_m", "epsilons", "region", "label", "label_version", "bootstrap", "iou", "least_track_score")
 
 
 def run(
     predictions: tyro.conf.Positional[Path],
     labels: tyro.conf.Positional[Path],
     *,
-    protocol: Annotated[str, tyro.conf.arg(metavar="{dds,nuscenes,kitti,kradar,kradar-compat:VARIANT}")] = "dds",
+    protocol: Annotated[
+        str, tyro.conf.arg(metavar="{dds,nuscenes,kitti,kradar,kradar-compat:VARIANT,tracking}")
+    ] = "dds",
     format: Literal["boxes-csv", "kitti", "kitti-tracking"] = "boxes-csv",
     label: str | None = None,
     range_bins_m: str | None = None,
     epsilons: str = "",
     epsilon: str = "",
     region: str | None = None,
+    iou: float | None = None,
+    least_track_score: float | None = None,
     conditions: str | None = None,
     label_version: str | None = None,
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
@@ -39,6 +43,7 @@ def run(
       farfield score predictions.csv labels.csv --protocol dds --json scores.json
       farfield score detections/ label/ --protocol nuscenes --format kitti-tracking --label Car
       farfield score results/data label_2 --protocol kitti --format kitti --label Car
+      farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car --iou 0.25
       farfield score predictions.csv labels.csv --protocol kradar --conditions K-Radar --label-version v2.1
       farfield score predictions.csv labels.csv --protocol kradar-compat:revised_as_shipped@0.3 --label-version v2.0
       farfield score predictions.csv labels.csv --range-bins-m 0,50,100 --options ap=area distance=bev
@@ -52,7 +57,8 @@ def run(
         protocol: dds (DDS and wDDS of Cirrus), nuscenes (AP, translation, scale, orientation), kitti (AP R11, R40),
             kradar (AP3D and AP_BEV, R40), or kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped,
             old_yaw_fixed, revised_as_shipped, revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut;
-            rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide. A protocol of an installed package by its name.
+            rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide; tracking
+            (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D). A protocol of an installed package by its name.
         format: Format of both.
         label: The class that is scored; without it every class is, each for itself, the most annotated one first.
         range_bins_m: Edges of the range bins; without it the protocol's own: 0,70,150,250, for kradar 0,20,40,60,80.
@@ -62,6 +68,8 @@ def run(
         region: window: x 0..250, |y| <= 50 and the outermost bin edges; range: the outermost bin edges; none: all.
             Without it: window for dds on boxes-csv, none otherwise. For kradar: wide (without it), narrow, none or
             six bounds x,x,y,y,z,z in the radar's frame.
+        iou: For tracking: the overlap that a match needs at least; 0.25 unless given.
+        least_track_score: For tracking: tracks whose mean score is lower are left out.
         conditions: For kradar: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
             description.txt files; or the word published for the table of K-Radar's 58 sequences.
         label_version: For kradar: the annotation's version, which stands beside the result.
@@ -89,6 +97,7 @@ def run(
         given["region"] = region
     elif format != "boxes-csv" and chosen.default("region") == "window":
         given["region"] = "none"  # KITTI's ranges are a camera's
+    given |= {n: v for n, v in {"iou": iou, "least_track_score": least_track_score}.items() if v is not None}
     if label_version is not None:
         given["label_version"] = label_version
     found = read(predictions, labels, format=format)

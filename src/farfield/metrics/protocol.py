@@ -212,6 +212,7 @@ PROTOCOLS = Protocols(
         "kitti": "farfield.metrics.kitti.protocol:Kitti",
         "kradar": "farfield.metrics.kradar.protocol:KRadar",
         "kradar-compat": "farfield.metrics.kradar.protocol:KRadarCompat",
+        "tracking": "farfield.metrics.tracking.protocol:Tracking",
     },
 )
 

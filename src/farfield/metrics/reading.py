@@ -194,6 +194,8 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
     dontcare = tracks.objects.type == "DontCare"
     boxes, details = _split(side, path, tracks.objects)
+    if not commas:
+        boxes = boxes.replace(track_id=tracks.track_id[~dontcare])
     real = dict(_groups(tracks.frame[~dontcare]))
     regions = dict(_groups(tracks.frame[dontcare]))
     none = np.zeros(0, dtype=np.int64)

@@ -21,6 +21,7 @@ def example() -> Detections:
             size_m=np.tile([4.0, 2.0, 1.5], (many, 1)),
             yaw_rad=np.linspace(-1, 1, many),
             label=np.where(place % 5 == 0, "pedestrian", "vehicle"),
+            track_id=place,
         )
         key = (f"drive{number % 2}", str(number))
         annotations[key] = Annotation(boxes=marked)

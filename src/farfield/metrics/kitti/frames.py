@@ -71,10 +71,10 @@ def gather_kitti(
         used |= has_label(annotated, name, settings.relabel)
     used &= in_region(annotated, settings)
     scored = has_label(predicted, settings.label, settings.relabel) & in_region(predicted, settings)
-    box_px = _column(prediction_details, keys, found, "box_px", 4)
+    box_px = detail_column(prediction_details, keys, found, "box_px", 4)
     harmless = np.zeros(len(predicted), dtype=bool)
     if settings.dontcare == "image":
-        harmless = _in_dontcare(box_px, predicted_frame, keys, annotation_details or {}, settings.least_overlap)
+        harmless = in_dontcare(box_px, predicted_frame, keys, annotation_details or {}, settings.least_overlap)
     hardness = _hardness(annotation_details or {}, keys, given)
     height_px = np.full(len(predicted), np.inf) if box_px is None else np.abs(box_px[:, 3] - box_px[:, 1])
     predicted, annotated = predicted[scored], annotated[used]
@@ -152,7 +152,7 @@ def _pairs(
     return np.column_stack([box[near], detection[near]])
 
 
-def _column(
+def detail_column(
     details: Details, keys: list[Key], boxes: list[Boxes], name: str, width: int
 ) -> Float[np.ndarray, "n width"] | None:
     """One detail of all boxes, or None where no frame has it.
@@ -175,9 +175,9 @@ def _column(
 
 def _hardness(details: Details, keys: list[Key], boxes: list[Boxes]) -> dict[str, Bool[np.ndarray, " n"]]:
     """Which annotated boxes are beyond each difficulty; ``all`` alone where there are no 2D facts."""
-    columns = {name: _column(details, keys, boxes, name, 1) for name in ("truncation", "occlusion")}
+    columns = {name: detail_column(details, keys, boxes, name, 1) for name in ("truncation", "occlusion")}
     truncation, occlusion = columns["truncation"], columns["occlusion"]
-    box_px = _column(details, keys, boxes, "box_px", 4)
+    box_px = detail_column(details, keys, boxes, "box_px", 4)
     if truncation is None or occlusion is None or box_px is None:
         return {"all": np.zeros(sum(map(len, boxes)), dtype=bool)}
     height_px = np.abs(box_px[:, 3] - box_px[:, 1])
@@ -187,7 +187,7 @@ def _hardness(details: Details, keys: list[Key], boxes: list[Boxes]) -> dict[str
     }
 
 
-def _in_dontcare(
+def in_dontcare(
     box_px: Float[np.ndarray, "n 4"] | None,
     frame: Int[np.ndarray, " n"],
     keys: list[Key],

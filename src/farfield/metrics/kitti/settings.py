@@ -14,7 +14,7 @@ DIFFICULTIES: dict[str, tuple[float, int, float]] = {  # least height in pixels,
     "moderate": (25.0, 1, 0.30),
     "hard": (25.0, 2, 0.50),
 }
-_NEIGHBOURS = {"Car": ("Van",), "Pedestrian": ("Person_sitting",)}
+NEIGHBOURS = {"Car": ("Van",), "Pedestrian": ("Person_sitting",)}
 _STRICT = ("Car", "car", "Van", "vehicle", "Vehicle")
 
 
@@ -45,7 +45,7 @@ class KittiSettings:
     bootstrap: Bootstrap = field(default_factory=Bootstrap)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ignore", _NEIGHBOURS.get(self.label, ()) if self.ignore is None else self.ignore)
+        object.__setattr__(self, "ignore", NEIGHBOURS.get(self.label, ()) if self.ignore is None else self.ignore)
         object.__setattr__(self, "min_overlap", self.least_overlap)
         if not 0 < self.least_overlap < 1:
             raise ConfigError(f"min_overlap: expected a number between 0 and 1, got {self.min_overlap}")
