@@ -1,0 +1,89 @@
+"""Which detection continues which track."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from farfield.metrics.frames import same_owner
+from farfield.metrics.tracking.pairing import best_pairs, greedy_pairs
+from farfield.tracking.settings import TrackerSettings
+from farfield.tracking.similarity import iou_3d
+
+_Pairs = tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]
+
+
+def associate(
+    tracks: Float[np.ndarray, "n 7"],
+    track_drive: Int[np.ndarray, " n"],
+    track_label: Int[np.ndarray, " n"],
+    seen: Float[np.ndarray, "m 7"],
+    seen_drive: Int[np.ndarray, " m"],
+    seen_label: Int[np.ndarray, " m"],
+    settings: TrackerSettings,
+    gate: Float[np.ndarray, " labels"],
+) -> _Pairs:
+    """Pair tracks and detections of the same drive, each once.
+
+    Args:
+        tracks: Predicted boxes as x, y, z (centre), length, width, height, yaw; by drive.
+        track_drive: Their drives, rising.
+        track_label: Their classes.
+        seen: The detections likewise, by drive, the best score first.
+        seen_drive: Their drives, rising.
+        seen_label: Their classes.
+        settings: Similarity, assignment, gate's order.
+        gate: Gate of each class: least similarity, or largest distance.
+
+    Returns:
+        Rows of the tracks and rows of their detections.
+    """
+    drives = int(max(track_drive.max(initial=-1), seen_drive.max(initial=-1))) + 1
+    a, b = same_owner(track_drive, seen_drive, drives)
+    if settings.same_class:
+        alike = track_label[a] == seen_label[b]
+        a, b = a[alike], b[alike]
+    if settings.gate_first or settings.similarity == "iou":
+        near = _may_pass(tracks, seen, a, b, settings, gate[seen_label[b]])
+        a, b = a[near], b[near]
+    if not len(a):
+        return a, b
+    worth = _worth(tracks[a], seen[b], settings)
+    least = gate[seen_label[b]] if settings.similarity != "distance" else -gate[seen_label[b]]
+    if settings.gate_first:
+        passed = worth >= least
+        a, b, worth, least = a[passed], b[passed], worth[passed], least[passed]
+    if settings.assignment == "greedy":
+        chosen = greedy_pairs(a, b, np.lexsort([-worth, b]))
+    else:
+        chosen = best_pairs(a, b, worth + _lift(worth, settings), track_drive[a])
+    chosen = chosen[worth[chosen] >= least[chosen]]
+    return a[chosen], b[chosen]
+
+
+def _lift(worth: Float[np.ndarray, " p"], settings: TrackerSettings) -> float:
+    """What makes every possible pair better than none; overlaps are so already."""
+    return 0.0 if settings.similarity == "iou" else 1.0 - float(worth.min(initial=0.0))
+
+
+def _worth(a: Float[np.ndarray, "p 7"], b: Float[np.ndarray, "p 7"], settings: TrackerSettings) -> np.ndarray:
+    if settings.similarity == "distance":
+        return -np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1])
+    return iou_3d(a, b, generalised=settings.similarity == "giou")
+
+
+def _may_pass(
+    tracks: Float[np.ndarray, "n 7"],
+    seen: Float[np.ndarray, "m 7"],
+    a: Int[np.ndarray, " p"],
+    b: Int[np.ndarray, " p"],
+    settings: TrackerSettings,
+    gate: Float[np.ndarray, " p"],
+) -> np.ndarray:
+    """Pairs that are near enough for the gate, by their centres alone."""
+    gap_m = np.hypot(tracks[a, 0] - seen[b, 0], tracks[a, 1] - seen[b, 1])
+    if settings.similarity == "distance":
+        return np.asarray(gap_m <= gate)
+    reach = (np.hypot(tracks[:, 3], tracks[:, 4])[a] + np.hypot(seen[:, 3], seen[:, 4])[b]) / 2
+    if settings.similarity == "iou":
+        return np.asarray(gap_m < reach)
+    # Of disjoint boxes the hull is larger than the union by at least the strip between the circles round them.
+    return np.asarray(gap_m < reach * 2 / np.maximum(1 + gate, 0.05))

@@ -1,0 +1,169 @@
+"""The tracker's loop: predict, associate, update, births, report, deaths; one frame of many drives a step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from farfield.tracking.association import associate
+from farfield.tracking.kalman import Tracks, predict, update
+from farfield.tracking.settings import TrackerSettings
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Seen:
+    """Detections of one frame of each of several drives.
+
+    Args:
+        drive: Numbers of the drives, rising, shape (n,).
+        rows: x, y, z (the filtered point), length, width, height, yaw, shape (n, 7).
+        velocity_m_s: Where the detector gives it, else 0, shape (n, 2).
+        ray_m: From the sensor to the box along the axes of the rows, shape (n, 2).
+        score: Scores, shape (n,), falling within a drive.
+        label: Numbers of the classes, shape (n,).
+        source: What they are called, shape (n,).
+    """
+
+    drive: Int[np.ndarray, " n"]
+    rows: Float[np.ndarray, "n 7"]
+    velocity_m_s: Float[np.ndarray, "n 2"]
+    ray_m: Float[np.ndarray, "n 2"]
+    score: Float[np.ndarray, " n"]
+    label: Int[np.ndarray, " n"]
+    source: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Seen":
+        return Seen(**{name: values[rows] for name, values in vars(self).items()})
+
+
+class Engine:
+    """Tracks of several drives, kept from frame to frame.
+
+    Args:
+        settings: The tracker's options.
+        drives: Number of drives.
+        labels: Names of the classes.
+    """
+
+    def __init__(self, settings: TrackerSettings, *, drives: int, labels: Sequence[str]) -> None:
+        self.settings, self.tracks = settings, Tracks.none()
+        self.names, self.frames = np.zeros(drives, dtype=np.int64), np.zeros(drives, dtype=np.int64)
+        self.gate = np.array([settings.gates_m.get(name.lower(), settings.gate) for name in labels] or [settings.gate])
+
+    def step(self, seen: Seen, dt: Float[np.ndarray, " drives"], running: Bool[np.ndarray, " drives"]) -> Tracks:
+        """Take one frame of each running drive.
+
+        Args:
+            seen: Detections of these frames.
+            dt: Seconds since the frame before.
+            running: Drives that have such a frame.
+
+        Returns:
+            The tracks that are reported.
+        """
+        self.frames += running
+        self._forget(seen, running)
+        step = np.ones_like(dt) if self.settings.time == "frames" else dt
+        predict(self.tracks, step[self.tracks.drive], self.settings)
+        strong = np.ones(len(seen), dtype=bool)
+        if self.settings.strong_score is not None:
+            strong = seen.score >= self.settings.strong_score
+        free = self._take(seen[strong], np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)
+        left = seen[strong][free]
+        if self.settings.weak_gate is not None and not strong.all():
+            gate = np.full(len(self.gate), self.settings.weak_gate)
+            self._take(seen[~strong], self.tracks.misses > 0, gate, weak=True)
+        self.tracks = self.tracks.joined(self._born(left))
+        shown = self.tracks[self._shown()]
+        self.tracks = self.tracks[self.tracks.misses < self.settings.max_age]
+        return shown
+
+    def _forget(self, seen: Seen, running: Bool[np.ndarray, " drives"]) -> None:
+        kept = running.copy()
+        if self.settings.forget_when_empty:
+            kept &= np.bincount(seen.drive, minlength=len(kept)) > 0
+        if not kept.all():
+            self.tracks = self.tracks[kept[self.tracks.drive]]
+
+    def _take(
+        self, seen: Seen, waiting: Bool[np.ndarray, " n"], gate: Float[np.ndarray, " labels"], *, weak: bool
+    ) -> Bool[np.ndarray, " m"]:
+        """Continue waiting tracks; returns the detections that are left."""
+        free = np.ones(len(seen), dtype=bool)
+        places = np.flatnonzero(waiting)
+        if not len(seen) or not len(places):
+            return free
+        t = self.tracks if waiting.all() else self.tracks[places]
+        rows = np.column_stack([t.place_m, t.size_m, t.yaw_rad])
+        theirs = seen.rows
+        if self.settings.anchor == "bottom":
+            rows, theirs = _lifted(rows), _lifted(theirs)
+        a, b = associate(rows, t.drive, t.label, theirs, seen.drive, seen.label, self.settings, gate)
+        a = places[a]
+        free[b] = False
+        t = self.tracks
+        t.misses[a] = 0
+        if weak and not self.settings.weak_updates:
+            return free
+        t.hits[a] += 1
+        t.source[a], t.score[a] = seen.source[b], seen.score[b]
+        if self.settings.motion == "kalman":
+            update(t, a, seen.rows[b], self._variance(seen.ray_m[b]), self.settings)
+        else:
+            t.place_m[a], t.size_m[a], t.yaw_rad[a] = seen.rows[b, :3], seen.rows[b, 3:6], seen.rows[b, 6]
+            t.speed[a, :2] = seen.velocity_m_s[b]
+        return free
+
+    def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+        """Variances of places: the same for all, or by range and direction."""
+        s = self.settings
+        variance = np.full((len(ray_m), 3), s.measurement_variance)
+        if s.range_sigma_m is not None:
+            range_m = np.hypot(*ray_m.T)
+            unit2 = (ray_m / np.maximum(range_m, 1e-9)[:, None]) ** 2
+            across = (range_m * s.azimuth_sigma_rad) ** 2
+            variance[:, :2] = s.range_sigma_m**2 * unit2 + across[:, None] * unit2[:, ::-1]
+        return variance
+
+    def _born(self, seen: Seen) -> Tracks:
+        n, s = len(seen), self.settings
+        rank = np.arange(n) - np.searchsorted(seen.drive, seen.drive)
+        name = self.names[seen.drive] + rank
+        self.names += np.bincount(seen.drive, minlength=len(self.names))
+        speed = np.zeros((n, 3))
+        if s.motion == "detection" or s.time == "seconds":
+            speed[:, :2] = seen.velocity_m_s
+        start = np.full((n, 3), s.initial_variance)
+        return Tracks(
+            drive=seen.drive,
+            name=name,
+            label=seen.label,
+            place_m=seen.rows[:, :3].copy(),
+            speed=speed,
+            pp=start,
+            pv=np.zeros((n, 3)),
+            vv=np.full((n, 3), s.initial_speed_variance),
+            size_m=seen.rows[:, 3:6].copy(),
+            yaw_rad=seen.rows[:, 6].copy(),
+            spread=start[:, 0].copy(),
+            hits=np.ones(n, dtype=np.int64),
+            misses=np.zeros(n, dtype=np.int64),
+            source=seen.source.copy(),
+            score=seen.score.copy(),
+        )
+
+    def _shown(self) -> Bool[np.ndarray, " n"]:
+        t, s = self.tracks, self.settings
+        proven = (t.hits >= s.min_hits) | (self.frames[t.drive] <= s.warm_up)
+        return proven & ((t.misses < s.max_age) if s.report_coasted else (t.misses == 0))
+
+
+def _lifted(rows: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:
+    """Rows of bottoms' centres as rows of centres."""
+    lifted = rows.copy()
+    lifted[:, 2] += rows[:, 5] / 2
+    return lifted

@@ -1,0 +1,70 @@
+"""Trackers as published, by name."""
+
+from typing import Any
+
+from farfield.errors import ConfigError
+from farfield.tracking.settings import TrackerSettings
+
+_AB3DMOT: dict[str, Any] = {
+    # Weng et al., IROS 2020: constant velocity in metres a frame in the sensor's own coordinates, no ego motion.
+    "similarity": "giou",
+    "gate": -0.2,
+    "gate_first": False,
+    "same_class": True,
+    "time": "frames",
+    "ego_motion": False,
+    "anchor": "bottom",
+    "initial_variance": 10.0,
+    "initial_speed_variance": 1e4,
+    "process_variance": 1.0,
+    "process_speed_variance": 0.01,
+    "acceleration": None,
+    "measurement_variance": 1.0,
+    "min_hits": 3,
+    "warm_up": 3,
+    "max_age": 2,
+    "report_coasted": True,
+    "output": "filtered",
+}
+PRESETS: dict[str, TrackerSettings] = {
+    "default": TrackerSettings(),
+    "ab3dmot": TrackerSettings(**_AB3DMOT),
+    "ab3dmot-paper": TrackerSettings(**_AB3DMOT | {"similarity": "iou", "gate": 0.01}),
+    # Yin et al., CVPR 2021: greedy on distances, the last centre moved by the detection's velocity.
+    "centerpoint": TrackerSettings(
+        similarity="distance",
+        gate=4.0,
+        gates_m={
+            "car": 4.0,
+            "truck": 4.0,
+            "bus": 5.5,
+            "trailer": 3.0,
+            "pedestrian": 1.0,
+            "motorcycle": 13.0,
+            "bicycle": 3.0,
+        },
+        assignment="greedy",
+        motion="detection",
+        min_hits=1,
+        warm_up=0,
+        max_age=3,
+        forget_when_empty=True,
+    ),
+    # Pang et al., ECCV workshops 2022, its Waymo settings: two stages on generalised IoU.
+    "simpletrack": TrackerSettings(
+        **_AB3DMOT
+        | {"gate": -0.5, "ego_motion": True, "suppress_iou": 0.25, "strong_score": 0.7, "anchor": "centre"}
+        | {"least_score": 0.1, "weak_gate": -0.5, "weak_updates": False, "report_coasted": False}
+    ),
+}
+
+
+def preset(name: str) -> TrackerSettings:
+    """The settings of a preset.
+
+    Raises:
+        ConfigError: If there is none of this name.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
+    return PRESETS[name]

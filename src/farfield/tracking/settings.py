@@ -1,0 +1,110 @@
+"""The options of the tracker."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from farfield.errors import ConfigError
+
+_WORDS = {
+    "similarity": ("iou", "giou", "distance"),
+    "assignment": ("hungarian", "greedy"),
+    "motion": ("kalman", "detection"),
+    "time": ("frames", "seconds"),
+    "anchor": ("bottom", "centre"),
+    "output": ("filtered", "detection"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerSettings:
+    """Every choice of the tracker. The defaults are ours; :data:`~farfield.tracking.presets.PRESETS` has published ones.
+
+    Args:
+        similarity: How alike a track and a detection are: 3D IoU, generalised 3D IoU, or distance of the centres in x
+            and y.
+        gate: Least IoU or generalised IoU of a pair; largest distance in metres where no class is named.
+        gates_m: For distances: the largest one by class.
+        gate_first: Whether pairs beyond the gate are taken out before the assignment (True) or after it (AB3DMOT).
+        assignment: ``"hungarian"`` for the best sum, ``"greedy"`` for the detections' turn: they choose in their order.
+        same_class: Whether a track and its detections are of one class.
+        motion: ``"kalman"``: constant velocity; ``"detection"``: the last detection, moved by its own velocity.
+        time: Steps of one frame each, so that velocities are metres a frame, or true seconds.
+        step_s: Seconds between frames where the data have no stamps.
+        ego_motion: Whether tracks are kept in the world, where the data have poses.
+        anchor: Which point of the box is filtered.
+        initial_variance: Of place, size and heading at birth, m^2 and rad^2.
+        initial_speed_variance: Of the velocity at birth, (m/s)^2 or (m/frame)^2.
+        process_variance: Of place, size and heading, added each step.
+        process_speed_variance: Of the velocity, added each step.
+        acceleration: White acceleration, (m/s^2)^2, instead of ``process_variance`` of places and velocities.
+        measurement_variance: Of place, size and heading of a detection.
+        range_sigma_m: Instead of it, for places: error along the ray; with ``azimuth_sigma_rad``.
+        azimuth_sigma_rad: Error across the ray, as an angle. Errors along x and y are taken as independent.
+        min_hits: Frames with a match, that of birth counted, from which on a track is reported.
+        warm_up: First frames of a drive in which every track is reported at once.
+        max_age: Frames without a match at which a track dies.
+        report_coasted: Whether tracks are reported in frames without a match.
+        forget_when_empty: Whether a frame without detections forgets all tracks.
+        least_score: Detections of a lower score are left out.
+        suppress_iou: Detections that overlap a better one of their frame by more 3D IoU are left out.
+        strong_score: Detections of a lower score neither enter the first stage nor give birth.
+        weak_gate: Gate of the second stage, in which tracks left over take weak detections; None for no second stage.
+        weak_updates: Whether a weak detection updates a track (True) or keeps it alive only.
+        output: Whether the filter's box is reported or the detection's.
+    """
+
+    similarity: Literal["iou", "giou", "distance"] = "giou"
+    gate: float = -0.5
+    gates_m: Mapping[str, float] = field(default_factory=dict)
+    gate_first: bool = True
+    assignment: Literal["hungarian", "greedy"] = "hungarian"
+    same_class: bool = True
+    motion: Literal["kalman", "detection"] = "kalman"
+    time: Literal["frames", "seconds"] = "seconds"
+    step_s: float = 0.1
+    ego_motion: bool = True
+    anchor: Literal["bottom", "centre"] = "centre"
+    initial_variance: float = 1.0
+    initial_speed_variance: float = 100.0
+    process_variance: float = 0.01
+    process_speed_variance: float = 0.04
+    acceleration: float | None = 3.0
+    measurement_variance: float = 0.05
+    range_sigma_m: float | None = None
+    azimuth_sigma_rad: float = 0.002
+    min_hits: int = 2
+    warm_up: int = 2
+    max_age: int = 3
+    report_coasted: bool = False
+    forget_when_empty: bool = False
+    least_score: float | None = None
+    suppress_iou: float | None = None
+    strong_score: float | None = None
+    weak_gate: float | None = None
+    weak_updates: bool = True
+    output: Literal["filtered", "detection"] = "detection"
+
+    def __post_init__(self) -> None:
+        for name, words in _WORDS.items():
+            if getattr(self, name) not in words:
+                raise ConfigError(f"{name}: expected one of {', '.join(words)}, got {getattr(self, name)!r}")
+        positive = ("step_s", "initial_variance", "initial_speed_variance", "measurement_variance")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
+        for name in ("min_hits", "max_age"):
+            if not getattr(self, name) >= 1:
+                raise ConfigError(f"{name}: expected 1 or more, got {getattr(self, name)!r}")
+
+    def changed(self, **changes: Any) -> "TrackerSettings":
+        """The same with other values.
+
+        Raises:
+            ConfigError: If an option is unknown or a value impossible.
+        """
+        names = {each.name for each in fields(self)}
+        unknown = sorted(set(changes) - names)
+        if unknown:
+            raise ConfigError(f"tracker: expected options among {', '.join(sorted(names))}; got {', '.join(unknown)}")
+        return TrackerSettings(**{name: getattr(self, name) for name in names} | changes)

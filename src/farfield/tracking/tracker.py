@@ -1,0 +1,203 @@
+"""Detections of drives to detections with identities and velocities."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.frame.drive import Key
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.iou import pairwise_iou
+from farfield.metrics.detections import Detections
+from farfield.metrics.frames import frame_order
+from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.kalman import Tracks
+from farfield.tracking.presets import preset
+from farfield.tracking.settings import TrackerSettings
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Timeline:
+    """The frames of a drive: keys in time order, steps in seconds, poses."""
+
+    keys: tuple[Key, ...]
+    step_s: Float[np.ndarray, " n"]
+    world_T_frame: Float[np.ndarray, "n 4 4"] | None
+
+
+def track(found: Detections, settings: TrackerSettings | str = "default", **changes: Any) -> Detections:
+    """Give detections identities and velocities, frame by frame, without looking ahead.
+
+    Drives come from ``found.drives`` with their stamps and poses. Without drives, a sequence is a drive; frames whose
+    names are whole numbers are taken in their order from 0 on, the missing ones as frames without detections.
+
+    Args:
+        found: Scored boxes.
+        settings: Options, or a preset's name.
+        **changes: Options that differ from these.
+
+    Returns:
+        The same with boxes that bear ``track_id``, from 0 in each drive, and ``velocity_m_s`` over ground where steps
+        are seconds; ``box_px`` is that of the track's last detection. Notes say what was assumed.
+
+    Raises:
+        ConfigError: If an option is impossible.
+    """
+    chosen = (preset(settings) if isinstance(settings, str) else settings).changed(**changes)
+    notes: list[str] = []
+    drives = _timelines(found, chosen, notes)
+    labels = sorted({str(name) for boxes in found.boxes.values() for name in np.unique(boxes.label)})
+    table = _Table(found, drives, labels, chosen)
+    engine = Engine(chosen, drives=len(drives), labels=labels)
+    shown: list[tuple[int, Tracks]] = []
+    for number in range(max((len(drive.keys) for drive in drives), default=0)):
+        running = np.array([number < len(drive.keys) for drive in drives])
+        dt = np.array([drive.step_s[number] if number < len(drive.keys) else 0.0 for drive in drives])
+        shown.append((number, engine.step(table.frame(number), dt, running)))
+    boxes, details = table.assembled(shown)
+    kept = {key: {"box_px": rows} for key, rows in details.items()} if found.prediction_details else {}
+    return replace(found, boxes=boxes, prediction_details=kept, notes=(*found.notes, *notes))
+
+
+def _timelines(found: Detections, settings: TrackerSettings, notes: list[str]) -> list[_Timeline]:
+    if found.drives:
+        lines = []
+        for drive in found.drives:
+            step_s = np.full(len(drive.keys), settings.step_s)
+            if drive.times_ns is not None:
+                step_s = np.diff(drive.times_ns, prepend=drive.times_ns[:1]) / 1e9
+            pose = drive.world_T_frame if settings.ego_motion else None
+            lines.append(_Timeline(keys=drive.keys, step_s=step_s, world_T_frame=pose))
+        times, poses = any(d.times_ns is None for d in found.drives), any(line.world_T_frame is None for line in lines)
+    else:
+        by_name: dict[str, list[Key]] = {}
+        for key in sorted({*found.boxes, *found.annotations}, key=frame_order):
+            by_name.setdefault(key[0], []).append(key)
+        filled = [_filled(keys) for keys in by_name.values()]
+        lines = [
+            _Timeline(keys=keys, step_s=np.full(len(keys), settings.step_s), world_T_frame=None) for keys in filled
+        ]
+        times = poses = True
+    if times and settings.time == "seconds":
+        notes.append(f"tracked with steps of {settings.step_s:g} s, as the data have no stamps")
+    if poses and settings.ego_motion:
+        notes.append("tracked in the sensor's own coordinates, as the data have no poses")
+    return lines
+
+
+def _filled(keys: list[Key]) -> tuple[Key, ...]:
+    """Keys of a sequence with those of the whole numbers that are missing between 0 and the last."""
+    names = [frame for _, frame in keys]
+    if not all(name.isascii() and name.isdigit() and len(name) <= 9 for name in names):
+        return tuple(keys)
+    width = len(names[0]) if len({len(name) for name in names}) == 1 else 0
+    present = {int(frame): (sequence, frame) for sequence, frame in keys}
+    return tuple(present.get(n, (keys[0][0], f"{n:0{width}d}")) for n in range(max(present) + 1))
+
+
+class _Table:
+    """All detections as rows by frame number, then drive, then falling score."""
+
+    def __init__(
+        self, found: Detections, drives: Sequence[_Timeline], labels: Sequence[str], settings: TrackerSettings
+    ) -> None:
+        self.drives, self.labels, self.settings = drives, labels, settings
+        number_of = {name: number for number, name in enumerate(labels)}
+        parts: list[dict[str, np.ndarray]] = []
+        for place, drive in enumerate(drives):
+            for number, key in enumerate(drive.keys):
+                if key in found.boxes and len(found.boxes[key]):
+                    pose = None if drive.world_T_frame is None else drive.world_T_frame[number]
+                    known = found.prediction_details.get(key, {}).get("box_px")
+                    parts.append(_frame_rows(found.boxes[key], place, number, pose, known, number_of, settings))
+        empty = _frame_rows(Boxes.empty(scored=True), 0, 0, None, None, number_of, settings)
+        joined = {name: np.concatenate([part[name] for part in (empty, *parts)]) for name in empty}
+        order = np.lexsort(
+            [joined["rows"][:, 1], joined["rows"][:, 0], -joined["score"], joined["drive"], joined["number"]]
+        )
+        self.columns = {name: values[order] for name, values in joined.items()}
+        most = max((len(drive.keys) for drive in drives), default=0)
+        self.start = np.searchsorted(self.columns["number"], np.arange(most + 1))
+        fields = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label")
+        self.seen = Seen(**{name: self.columns[name] for name in fields}, source=np.arange(len(order)))
+
+    def frame(self, number: int) -> Seen:
+        """Detections of the frame of this number of all drives."""
+        return self.seen[slice(self.start[number], self.start[number + 1])]
+
+    def assembled(self, shown: list[tuple[int, Tracks]]) -> tuple[dict[Key, Boxes], dict[Key, np.ndarray]]:
+        """Reported tracks as boxes in their frames' coordinates, and the boxes in the image."""
+        boxes = {key: Boxes.empty(scored=True) for drive in self.drives for key in drive.keys}
+        box_px = {key: np.zeros((0, 4)) for key in boxes}
+        for number, tracks in shown:
+            bounds = np.searchsorted(tracks.drive, np.arange(len(self.drives) + 1))
+            for place in np.unique(tracks.drive).tolist():
+                part = tracks[np.arange(bounds[place], bounds[place + 1])]
+                key = self.drives[place].keys[number]
+                boxes[key] = self._boxes(part, place, number)
+                box_px[key] = self.columns["box_px"][part.source]
+        return boxes, box_px
+
+    def _boxes(self, part: Tracks, place: int, number: int) -> Boxes:
+        rows = np.column_stack([part.place_m, part.size_m, part.yaw_rad])
+        if self.settings.output == "detection":
+            rows = np.where((part.misses == 0)[:, None], self.seen.rows[part.source], rows)
+        if self.settings.anchor == "bottom":
+            rows[:, 2] += rows[:, 5] / 2
+        boxes = Boxes(
+            centre_m=rows[:, :3],
+            size_m=np.maximum(rows[:, 3:6], 1e-3),
+            yaw_rad=rows[:, 6],
+            label=[self.labels[number] for number in part.label.tolist()],
+            score=part.score,
+            track_id=part.name,
+            velocity_m_s=part.speed if self.settings.time == "seconds" else None,
+        )
+        pose = self.drives[place].world_T_frame
+        return boxes if pose is None else boxes.transform(np.linalg.inv(pose[number]))
+
+
+def _frame_rows(
+    boxes: Boxes,
+    drive: int,
+    number: int,
+    pose: Float[np.ndarray, "4 4"] | None,
+    box_px: np.ndarray | None,
+    number_of: dict[str, int],
+    settings: TrackerSettings,
+) -> dict[str, np.ndarray]:
+    """The columns of one frame's detections that take part."""
+    score = np.ones(len(boxes)) if boxes.score is None else boxes.score
+    kept = np.ones(len(boxes), dtype=bool) if settings.least_score is None else score >= settings.least_score
+    if settings.suppress_iou is not None:
+        kept = _unsuppressed(boxes, score, kept, settings.suppress_iou)
+    boxes, score = boxes[kept], score[kept]
+    ray = boxes.centre_m
+    if pose is not None:
+        ray = ray @ pose[:3, :3].T
+        boxes = boxes.transform(pose)
+    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+    if settings.anchor == "bottom":
+        rows[:, 2] -= rows[:, 5] / 2
+    speed = np.zeros((len(boxes), 2)) if boxes.velocity_m_s is None else np.nan_to_num(boxes.velocity_m_s[:, :2])
+    return {
+        "drive": np.full(len(boxes), drive),
+        "number": np.full(len(boxes), number),
+        "rows": rows,
+        "velocity_m_s": speed,
+        "ray_m": ray[:, :2],
+        "score": score,
+        "label": np.array([number_of[str(name)] for name in boxes.label], dtype=np.int64),
+        "box_px": np.full((len(boxes), 4), -1.0) if box_px is None else np.asarray(box_px, dtype=np.float64)[kept],
+    }
+
+
+def _unsuppressed(boxes: Boxes, score: np.ndarray, kept: np.ndarray, most: float) -> np.ndarray:
+    """Boxes that overlap no better one that stays."""
+    iou = pairwise_iou(boxes, boxes)
+    left = np.zeros(len(boxes), dtype=bool)
+    for row in np.argsort(-score, kind="stable").tolist():
+        left[row] = kept[row] and not (iou[row, left] > most).any()
+    return left
