@@ -45,11 +45,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
     notes: list[str] = []
     predicted, annotated = _Collected(scored=True), _Collected(scored=False)
-    read: Callable[[_Collected, Path, str], None] = {
-        "boxes-csv": _read_csv,
-        "kitti": _read_kitti,
-        "kitti-tracking": _read_kitti_tracking,
-    }[format]
+    read = _READERS[format]
     for predicted_path, label_path in _pairs(Path(predictions), Path(labels), notes):
         stem = label_path.stem if Path(labels).is_dir() or format == "kitti-tracking" else ""
         read(annotated, label_path, stem)
@@ -63,6 +59,33 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
         prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
         notes=tuple(notes),
+    )
+
+
+def read_predictions(predictions: Path | str, *, format: str = "boxes-csv") -> Detections:
+    """Read a detector's boxes alone, of a file or of the files of a folder, without annotations.
+
+    Args:
+        predictions: File or folder.
+        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame) or ``"kitti-tracking"`` (a file a sequence).
+
+    Raises:
+        ConfigError: If there is nothing to read, or the format is unknown.
+        FileFormatError: If a file does not have its format.
+    """
+    if format not in FORMATS:
+        raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    root, predicted = Path(predictions), _Collected(scored=True)
+    if not root.exists():
+        raise ConfigError(f"{root}: expected a file or a folder, found nothing there")
+    for stem, path in sorted(_files(root).items()) if root.is_dir() else [(root.stem, root)]:
+        _READERS[format](predicted, path, stem if root.is_dir() or format != "boxes-csv" else "")
+    note = f"{predicted.without_score} predictions have no score; each counts with score 1"
+    return Detections(
+        boxes=predicted.boxes,
+        annotations={},
+        prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
+        notes=(note,) if predicted.without_score else (),
     )
 
 
@@ -223,6 +246,13 @@ def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, 
         "dontcare_px": objects.box_px[dontcare],
     }
     return kitti_boxes(real, score=side.scores(real.score, len(real))), details
+
+
+_READERS: dict[str, Callable[[_Collected, Path, str], None]] = {
+    "boxes-csv": _read_csv,
+    "kitti": _read_kitti,
+    "kitti-tracking": _read_kitti_tracking,
+}
 
 
 def kitti_boxes(objects: KittiObjects, *, score: np.ndarray | None = None) -> Boxes:

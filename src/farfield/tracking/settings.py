@@ -18,7 +18,7 @@ _WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
-    """Every choice of the tracker. The defaults are ours; :data:`~farfield.tracking.presets.PRESETS` has published ones.
+    """Every choice of the tracker. The defaults are ours; published ones stand in ``farfield.tracking.PRESETS``.
 
     Args:
         similarity: How alike a track and a detection are: 3D IoU, generalised 3D IoU, or distance of the centres in x

@@ -1,37 +1,30 @@
 """Detections of drives to detections with identities and velocities."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.metrics.detections import Detections
-from farfield.metrics.frames import frame_order
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.kalman import Tracks
 from farfield.tracking.presets import preset
 from farfield.tracking.settings import TrackerSettings
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Timeline:
-    """The frames of a drive: keys in time order, steps in seconds, poses."""
-
-    keys: tuple[Key, ...]
-    step_s: Float[np.ndarray, " n"]
-    world_T_frame: Float[np.ndarray, "n 4 4"] | None
+from farfield.tracking.timeline import Timeline, assumed, is_number, timelines
 
 
 def track(found: Detections, settings: TrackerSettings | str = "default", **changes: Any) -> Detections:
     """Give detections identities and velocities, frame by frame, without looking ahead.
 
     Drives come from ``found.drives`` with their stamps and poses. Without drives, a sequence is a drive; frames whose
-    names are whole numbers are taken in their order from 0 on, the missing ones as frames without detections.
+    names are whole numbers are taken in their order from 0 on, the missing ones as frames without detections and
+    without annotated boxes.
 
     Args:
         found: Scored boxes.
@@ -46,8 +39,8 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
         ConfigError: If an option is impossible.
     """
     chosen = (preset(settings) if isinstance(settings, str) else settings).changed(**changes)
-    notes: list[str] = []
-    drives = _timelines(found, chosen, notes)
+    drives = timelines(found, step_s=chosen.step_s, ego_motion=chosen.ego_motion)
+    notes = assumed(drives, seconds=chosen.time == "seconds", ego_motion=chosen.ego_motion, step_s=chosen.step_s)
     labels = sorted({str(name) for boxes in found.boxes.values() for name in np.unique(boxes.label)})
     table = _Table(found, drives, labels, chosen)
     engine = Engine(chosen, drives=len(drives), labels=labels)
@@ -58,50 +51,27 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
         shown.append((number, engine.step(table.frame(number), dt, running)))
     boxes, details = table.assembled(shown)
     kept = {key: {"box_px": rows} for key, rows in details.items()} if found.prediction_details else {}
-    return replace(found, boxes=boxes, prediction_details=kept, notes=(*found.notes, *notes))
+    return replace(
+        found,
+        boxes=boxes,
+        prediction_details=kept,
+        annotations=_with_filled(found.annotations, boxes),
+        notes=(*found.notes, *notes),
+    )
 
 
-def _timelines(found: Detections, settings: TrackerSettings, notes: list[str]) -> list[_Timeline]:
-    if found.drives:
-        lines = []
-        for drive in found.drives:
-            step_s = np.full(len(drive.keys), settings.step_s)
-            if drive.times_ns is not None:
-                step_s = np.diff(drive.times_ns, prepend=drive.times_ns[:1]) / 1e9
-            pose = drive.world_T_frame if settings.ego_motion else None
-            lines.append(_Timeline(keys=drive.keys, step_s=step_s, world_T_frame=pose))
-        times, poses = any(d.times_ns is None for d in found.drives), any(line.world_T_frame is None for line in lines)
-    else:
-        by_name: dict[str, list[Key]] = {}
-        for key in sorted({*found.boxes, *found.annotations}, key=frame_order):
-            by_name.setdefault(key[0], []).append(key)
-        filled = [_filled(keys) for keys in by_name.values()]
-        lines = [
-            _Timeline(keys=keys, step_s=np.full(len(keys), settings.step_s), world_T_frame=None) for keys in filled
-        ]
-        times = poses = True
-    if times and settings.time == "seconds":
-        notes.append(f"tracked with steps of {settings.step_s:g} s, as the data have no stamps")
-    if poses and settings.ego_motion:
-        notes.append("tracked in the sensor's own coordinates, as the data have no poses")
-    return lines
-
-
-def _filled(keys: list[Key]) -> tuple[Key, ...]:
-    """Keys of a sequence with those of the whole numbers that are missing between 0 and the last."""
-    names = [frame for _, frame in keys]
-    if not all(name.isascii() and name.isdigit() and len(name) <= 9 for name in names):
-        return tuple(keys)
-    width = len(names[0]) if len({len(name) for name in names}) == 1 else 0
-    present = {int(frame): (sequence, frame) for sequence, frame in keys}
-    return tuple(present.get(n, (keys[0][0], f"{n:0{width}d}")) for n in range(max(present) + 1))
+def _with_filled(annotations: Mapping[Key, Annotation], boxes: Mapping[Key, Boxes]) -> dict[Key, Annotation]:
+    """Annotations, and empty ones for the missing frames of annotated sequences, where a track may coast."""
+    annotated = {sequence for sequence, _ in annotations}
+    missing = [key for key in boxes if key not in annotations and key[0] in annotated and is_number(key[1])]
+    return {**annotations} | {key: Annotation(boxes=Boxes.empty()) for key in missing}
 
 
 class _Table:
     """All detections as rows by frame number, then drive, then falling score."""
 
     def __init__(
-        self, found: Detections, drives: Sequence[_Timeline], labels: Sequence[str], settings: TrackerSettings
+        self, found: Detections, drives: Sequence[Timeline], labels: Sequence[str], settings: TrackerSettings
     ) -> None:
         self.drives, self.labels, self.settings = drives, labels, settings
         number_of = {name: number for number, name in enumerate(labels)}

@@ -135,7 +135,9 @@ def _changes(scene: Scene, row: Int[np.ndarray, " m"]) -> tuple[Bool[np.ndarray,
     counted = ~first & ~aside & (known >= 0) & (name >= 0)
     switch, fragment = np.zeros(len(row), dtype=bool), np.zeros(len(row), dtype=bool)
     switch[order] = counted & (name != known) & (before >= 0)
-    fragment[order] = counted & (name != before) & (last | (after >= 0))
+    # At a track's last frame KITTI counts one that is found there for the first time, too.
+    at_last = last & ~first & ~aside & (name >= 0)
+    fragment[order] = (name != before) & (at_last | (counted & (after >= 0)))
     return switch, fragment
 
 
@@ -152,9 +154,14 @@ def _last_known(
 
 
 def _whole_tracks(scene: Scene, hit: Bool[np.ndarray, " m"]) -> dict[str, int]:
+    """Tracks found as wholes; a match in a track's first frame counts even where it is ignored, as in KITTI."""
     track, valid = scene.annotated.track, ~scene.annotated.aside
-    frames = np.bincount(track[valid], minlength=1)
-    share = np.bincount(track[valid & hit], minlength=len(frames)) / np.maximum(frames, 1)
+    order = np.lexsort([scene.annotated.frame, track])
+    begins = np.zeros(len(track), dtype=bool)
+    begins[order[np.flatnonzero(np.diff(track[order], prepend=-1))]] = True
+    frames = np.bincount(track[valid], minlength=int(track.max(initial=0)) + 1)
+    found = np.bincount(track[(valid | begins) & hit], minlength=len(frames))
+    share = found / np.maximum(frames, 1)
     counts = {"MT": share > _FOUND_WHOLE, "ML": share < _FOUND_LOST, "tracks": share >= 0}
     return {name: int((mask & (frames > 0)).sum()) for name, mask in counts.items()}
 

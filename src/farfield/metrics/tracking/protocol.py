@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
 
 _HEADLINE = ("sAMOTA", "AMOTA", "AMOTP", "MOTA", "MOTP", "HOTA", "DetA", "AssA", "IDF1")
+_OF_TRACKS = ("MT", "ML", "tracks")
+"""Counts of whole tracks, which no range bin has."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,7 +32,7 @@ class TrackingResult(Result):
 
     def _cell(self, part: str, name: str) -> str:
         value = (self.figures if part == "overall" else self.ranges[part]).get(name)
-        if name.split("/")[1] in ("IDS", "FRAG", "TP", "FP", "FN", "MT", "ML", "tracks"):
+        if name.split("/")[1] in ("IDS", "FRAG", "TP", "FP", "FN", *_OF_TRACKS):
             return "-" if value is None else f"{value:.0f}"
         return self.cell(part, name, scale=1.0 if name.endswith("threshold") else 100.0)
 
@@ -65,7 +67,8 @@ class Tracking(Protocol):
             of: Figures = count(scene, integrals.matched, bin_m).figures() | hota.figures(bin_m)
             named = {f"tracking/{name}": value for name, value in of.items()}
             named |= {f"all_tracks/{name}": v for name, v in count(scene, every, bin_m).figures().items()}
-            ranges[part] = named
+            whole = bin_m is None
+            ranges[part] = {name: v for name, v in named.items() if whole or name.split("/")[1] not in _OF_TRACKS}
         figures |= ranges.pop("overall")
         figures["tracking/IDF1"] = identity_f1(counted, settings.iou)
         figures["tracking/threshold"] = integrals.thresholds[integrals.best] if integrals.best >= 0 else None

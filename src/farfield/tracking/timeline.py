@@ -1,0 +1,80 @@
+"""The frames over which is tracked: their order, time steps and poses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.frame.drive import Drive, Key
+from farfield.metrics.detections import Detections
+from farfield.metrics.frames import frame_order
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Timeline:
+    """The frames of a drive in the order of time.
+
+    Args:
+        keys: (sequence, frame) of each.
+        step_s: Seconds since the frame before, shape (n,).
+        stamped: Whether these come from stamps.
+        world_T_frame: Poses, shape (n, 4, 4), or None.
+    """
+
+    keys: tuple[Key, ...]
+    step_s: Float[np.ndarray, " n"]
+    stamped: bool
+    world_T_frame: Float[np.ndarray, "n 4 4"] | None
+
+
+def timelines(found: Detections, *, step_s: float, ego_motion: bool = True) -> list[Timeline]:
+    """The drives of detections, those of ``found.drives`` or the sequences.
+
+    Args:
+        found: The detections.
+        step_s: Seconds between frames where there are no stamps.
+        ego_motion: Whether poses are taken, where there are any.
+    """
+    if found.drives:
+        return [_of_drive(drive, step_s, ego_motion) for drive in found.drives]
+    by_name: dict[str, list[Key]] = {}
+    for key in sorted({*found.boxes, *found.annotations}, key=frame_order):
+        by_name.setdefault(key[0], []).append(key)
+    filled = [_filled(keys) for keys in by_name.values()]
+    return [
+        Timeline(keys=keys, step_s=np.full(len(keys), step_s), stamped=False, world_T_frame=None) for keys in filled
+    ]
+
+
+def _of_drive(drive: Drive, step_s: float, ego_motion: bool) -> Timeline:
+    steps = np.full(len(drive.keys), step_s)
+    if drive.times_ns is not None:
+        steps = np.diff(drive.times_ns, prepend=drive.times_ns[:1]) / 1e9
+    pose = drive.world_T_frame if ego_motion else None
+    return Timeline(keys=drive.keys, step_s=steps, stamped=drive.times_ns is not None, world_T_frame=pose)
+
+
+def assumed(drives: Sequence[Timeline], *, seconds: bool, ego_motion: bool, step_s: float) -> list[str]:
+    """Sentences on what the data do not tell."""
+    notes = []
+    if seconds and not all(drive.stamped for drive in drives):
+        notes.append(f"tracked with steps of {step_s:g} s, as the data have no stamps")
+    if ego_motion and any(drive.world_T_frame is None for drive in drives):
+        notes.append("tracked in the sensor's own coordinates, as the data have no poses")
+    return notes
+
+
+def _filled(keys: list[Key]) -> tuple[Key, ...]:
+    """Keys of a sequence with those of the whole numbers that are missing between 0 and the last."""
+    names = [frame for _, frame in keys]
+    if not all(map(is_number, names)):
+        return tuple(keys)
+    width = len(names[0]) if len({len(name) for name in names}) == 1 else 0
+    present = {int(frame): (sequence, frame) for sequence, frame in keys}
+    return tuple(present.get(n, (keys[0][0], f"{n:0{width}d}")) for n in range(max(present) + 1))
+
+
+def is_number(name: str) -> bool:
+    """Whether a frame is named by a whole number."""
+    return name.isascii() and name.isdigit() and len(name) <= 9
