@@ -1,0 +1,84 @@
+"""``farfield track`` from detections to a score: KITTI's text, our CSV, nuScenes' JSON."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield import cli
+from farfield.files.boxes_csv import read_boxes_csv
+from farfield.files.kitti import read_tracking
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Path:
+    """Two cars in two sequences: detections, and labels of the same."""
+    (tmp_path / "found").mkdir()
+    (tmp_path / "label").mkdir()
+    for sequence in ("0000", "0001"):
+        found, label = [], []
+        for frame in range(8):
+            for car, x in enumerate((-3.0, 4.0)):
+                z = 12.0 + 10 * car + 0.4 * frame
+                px = f"{300 + 100 * car},150,{380 + 100 * car},210"
+                found.append(f"{frame},2,{px},{5.5 - car},1.5,1.6,4.0,{x},1.7,{z},-1.57,0.1")
+                label.append(f"{frame} {car + 3} Car 0 0 0.1 {px.replace(',', ' ')} 1.5 1.6 4.0 {x} 1.7 {z} -1.57")
+        (tmp_path / "found" / f"{sequence}.txt").write_text("\n".join(found) + "\n")
+        (tmp_path / "label" / f"{sequence}.txt").write_text("\n".join(label) + "\n")
+    return tmp_path
+
+
+def test_detections_become_tracks_that_score_whole(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "ab3dmot", "--out"]
+    assert cli.main(["track", *arguments, str(drives / "tracks")]) == 0
+    assert "4 tracks, 32 boxes in 16 frames" in capsys.readouterr().out
+    written = read_tracking(drives / "tracks" / "0001.txt")
+    assert sorted({*written.track_id.tolist()}) == [0, 1]
+    assert written.objects.score is not None
+    np.testing.assert_allclose(written.objects.box_px[0], [300, 150, 380, 210])
+    scored = [str(drives / "tracks"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
+    out = drives / "score.json"
+    assert cli.main(["score", *scored, "--protocol", "tracking", "--iou", "0.25", "--json", str(out)]) == 0
+    got = json.loads(out.read_text())["tracking"]
+    assert {name: got[name] for name in ("MOTA", "IDS", "FRAG", "AssA")} == {"MOTA": 1, "IDS": 0, "FRAG": 0, "AssA": 1}
+    assert {"sAMOTA", "AMOTA", "AMOTP", "MOTP", "HOTA", "DetA"} <= set(got)
+    assert cli.main(["score", *scored, "--protocol", "tracking", "--least-track-score", "5", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["tracking"]["DetRe"] == pytest.approx(0.5)
+    # The same command again gives the same bytes.
+    before = (drives / "tracks" / "0000.txt").read_bytes()
+    assert cli.main(["track", *arguments, str(drives / "again")]) == 0
+    assert (drives / "again" / "0000.txt").read_bytes() == before
+
+
+def test_csv_and_nuscenes_hold_identities_and_velocities(drives: Path) -> None:
+    common = ["track", str(drives / "found"), "--format", "kitti-tracking"]
+    assert cli.main([*common, "--smooth", "--to", "boxes-csv", "--out", str(drives / "tracks.csv")]) == 0
+    rows = read_boxes_csv(drives / "tracks.csv")
+    assert rows.track_id is not None
+    assert rows.velocity_m_s is not None
+    np.testing.assert_allclose(rows.velocity_m_s[:, 0], 4.0, atol=0.2)
+    again = drives / "again.csv"
+    assert cli.main(["track", str(drives / "tracks.csv"), "--out", str(again), "--least-track-score", "5"]) == 0
+    assert len(read_boxes_csv(again)) == len(rows) // 2
+    # nuScenes' scores lie in [0, 1], and a token stands for one sample.
+    assert cli.main([*common, "--to", "nuscenes", "--out", str(drives / "bad.json")]) == 1
+    text = (drives / "again.csv").read_text().replace(",5.5,", ",0.5,")
+    (drives / "one.csv").write_text("\n".join(line for line in text.splitlines() if not line.startswith("0001")) + "\n")
+    assert cli.main(["track", str(drives / "one.csv"), "--to", "nuscenes", "--out", str(drives / "one.json")]) == 0
+    results = json.loads((drives / "one.json").read_text())["results"]
+    first = results["3"][0]
+    assert first["size"] == pytest.approx([1.6, 4.0, 1.5])
+    assert first["tracking_id"] == "0000:0"
+    assert first["velocity"][0] == pytest.approx(4.0, abs=0.5)
+
+
+def test_what_cannot_be_is_said(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["track", str(drives / "nowhere"), "--out", "x"]) == 1
+    assert "found nothing there" in capsys.readouterr().err
+    arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "sort", "--out", str(drives / "x")]
+    assert cli.main(["track", *arguments]) == 1
+    assert "preset: expected one of default, ab3dmot" in capsys.readouterr().err
+    scored = ["score", str(drives / "found"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
+    assert cli.main([*scored, "--protocol", "tracking"]) == 1
+    assert "farfield track" in capsys.readouterr().err

@@ -1,0 +1,175 @@
+"""The tracker: its filter and overlaps against plain forms, births and deaths, presets, order of detections."""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from farfield.errors import ConfigError
+from farfield.frame.annotation import Annotation
+from farfield.frame.drive import Drive
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.iou import paired_iou
+from farfield.geometry.poses import pose_from_yaw
+from farfield.metrics.detections import Detections
+from farfield.tracking import PRESETS, TrackerSettings, track
+from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
+
+
+def random_boxes(rng: np.random.Generator, n: int, spread_m: float = 4.0) -> Boxes:
+    return Boxes(
+        centre_m=rng.uniform(-spread_m, spread_m, (n, 3)) * [1, 1, 0.2],
+        size_m=rng.uniform([3, 1.5, 1.4], [5, 2.2, 2.0], (n, 3)),
+        yaw_rad=rng.uniform(-np.pi, np.pi, n),
+        label="car",
+        score=rng.uniform(0, 1, n),
+    )
+
+
+def seen(rows: np.ndarray) -> Seen:
+    n = len(rows)
+    whole = np.zeros(n, dtype=np.int64)
+    return Seen(
+        drive=whole,
+        rows=rows,
+        velocity_m_s=np.zeros((n, 2)),
+        ray_m=rows[:, :2],
+        score=np.ones(n),
+        label=whole,
+        source=np.arange(n),
+    )
+
+
+def test_hulls_are_those_of_qhull_whatever_the_points() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200, 8, 2))
+    points[100:, 4:] = points[100:, :4] + np.array([1.0, 0.0])
+    wanted = [ConvexHull(each).volume for each in points]
+    np.testing.assert_allclose(hull_area_m2(points), wanted, rtol=1e-9)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+    np.testing.assert_allclose(hull_area_m2(np.stack([np.concatenate([square, square])])), [1.0])
+    np.testing.assert_allclose(hull_area_m2(np.stack([np.concatenate([square, square + np.array([1.0, 0.0])])])), [2.0])
+
+
+def test_overlaps_are_the_exact_ones_and_the_general_one_is_below() -> None:
+    rng = np.random.default_rng(1)
+    a, b = random_boxes(rng, 300), random_boxes(rng, 300)
+    np.testing.assert_allclose(iou_3d(rows_of(a), rows_of(b)), paired_iou(a, b), atol=1e-12)
+    general = iou_3d(rows_of(a), rows_of(b), generalised=True)
+    assert (general <= paired_iou(a, b) + 1e-12).all()
+    assert (general > -1).all()
+    np.testing.assert_allclose(iou_3d(rows_of(a), rows_of(a), generalised=True), 1.0)
+
+
+def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:
+    rng = np.random.default_rng(2)
+    rows = np.cumsum(rng.normal(0, 0.2, (12, 7)), axis=0) + np.array([20, 0, 0, 4, 2, 1.5, 0])
+    engine = Engine(PRESETS["ab3dmot-paper"].changed(gate=1e-9), drives=1, labels=("car",))
+    state, p = np.r_[rows[0], np.zeros(3)], np.diag([10.0] * 7 + [1e4] * 3)
+    move, q, h = np.eye(10), np.diag([1.0] * 7 + [0.01] * 3), np.eye(7, 10)
+    move[:3, 7:] = np.eye(3)
+    for number, row in enumerate(rows):
+        shown = engine.step(seen(row[None]), np.ones(1), np.ones(1, dtype=bool))
+        if number:
+            state, p = move @ state, move @ p @ move.T + q
+            gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.eye(7))
+            state, p = state + gain @ (row - h @ state), p - gain @ h @ p
+        assert len(shown) == 1
+        np.testing.assert_allclose(
+            np.r_[shown.place_m[0], shown.size_m[0], shown.yaw_rad[0], shown.speed[0]], state, atol=1e-9
+        )
+
+
+def line(xs: list[float | None], **changes: object) -> Detections:
+    one = [
+        Boxes.empty(scored=True)
+        if x is None
+        else Boxes(
+            centre_m=np.array([[x, 0.0, 0.0]]),
+            size_m=np.array([[4.0, 2.0, 1.5]]),
+            yaw_rad=np.zeros(1),
+            label="car",
+            score=np.array([0.9]),
+        )
+        for x in xs
+    ]
+    return Detections(boxes={("a", str(number)): boxes for number, boxes in enumerate(one)}, annotations={})
+
+
+def shown_in(found: Detections) -> list[list[int]]:
+    return [[] if boxes.track_id is None else boxes.track_id.tolist() for boxes in found.boxes.values()]
+
+
+def test_births_coasting_and_deaths_of_the_recipe() -> None:
+    found = track(line([10, 10, None, None, 10, 10, 10, 10]), "ab3dmot")
+    # Reported from the start in the first three frames; one frame of coasting; reborn, and proven at the third match.
+    assert shown_in(found) == [[0], [0], [0], [], [], [], [1], [1]]
+    assert shown_in(track(line([10, 10, None, None, 10]), "ab3dmot", max_age=3)) == [[0], [0], [0], [], [0]]
+
+
+def test_missing_numbers_are_frames_without_detections() -> None:
+    whole = line([10, 10, None, None, 10])
+    sparse = Detections(boxes={key: boxes for key, boxes in whole.boxes.items() if len(boxes)}, annotations={})
+    assert shown_in(track(sparse, "ab3dmot")) == shown_in(track(whole, "ab3dmot"))
+    marked = Detections(boxes=sparse.boxes, annotations=dict.fromkeys(sparse.boxes, Annotation(boxes=Boxes.empty())))
+    assert set(track(marked, "ab3dmot").annotations) == set(whole.boxes)
+
+
+def test_velocity_follows_the_stamps_and_the_sensors_own_motion() -> None:
+    """A standing car seen from a sensor that drives at 10 m/s, at uneven steps."""
+    times_ns = np.cumsum([0, 1, 1, 2, 1, 1, 3, 1, 1, 1]) * 100_000_000
+    ego_x = 10.0 * times_ns / 1e9
+    found = line((60.0 - ego_x).tolist())
+    poses = np.stack([pose_from_yaw(0.0) for _ in ego_x])
+    poses[:, 0, 3] = ego_x
+    keys = tuple(found.boxes)
+    for pose, speed in ((poses, 0.0), (None, -10.0)):
+        drive = Drive(name="a", indices=np.arange(10), keys=keys, times_ns=times_ns, world_T_frame=pose)
+        followed = track(
+            Detections(boxes=found.boxes, annotations={}, drives=(drive,)), similarity="distance", gate=6.0
+        )
+        last = followed.boxes[keys[-1]]
+        assert last.track_id.tolist() == [0]  # type: ignore[union-attr]
+        assert last.velocity_m_s is not None
+        np.testing.assert_allclose(last.velocity_m_s[0, :2], [speed, 0], atol=0.2)
+        np.testing.assert_allclose(last.centre_m[0, 0], 60 - ego_x[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_the_order_of_detections_does_not_matter(preset: str) -> None:
+    rng = np.random.default_rng(3)
+    boxes = {("a", str(n)): random_boxes(rng, 12, spread_m=40.0) for n in range(8)}
+    turned = {key: part[rng.permutation(len(part))] for key, part in boxes.items()}
+    one, other = (track(Detections(boxes=each, annotations={}), preset) for each in (boxes, turned))
+    for key, part in one.boxes.items():
+        np.testing.assert_array_equal(part.centre_m, other.boxes[key].centre_m)
+        if len(part):
+            np.testing.assert_array_equal(part.track_id, other.boxes[key].track_id)
+    assert sum(map(len, one.boxes.values())) > 0
+
+
+def test_a_weak_detection_keeps_a_track_alive_or_moves_it() -> None:
+    found = line([10.0, 10.0, 10.0, 10.5, 10.5, 10.5, 10.0])
+    weak = {
+        key: boxes.replace(score=np.array([0.2])) if key[1] in "345" else boxes for key, boxes in found.boxes.items()
+    }
+    settings = TrackerSettings(strong_score=0.5, weak_gate=-0.5, max_age=2)
+    assert shown_in(track(Detections(boxes=weak, annotations={}), settings)) == [[0]] * 7
+    assert shown_in(track(Detections(boxes=weak, annotations={}), settings, weak_gate=None))[3:6] == [[], [], []]
+
+
+def test_distances_gate_by_class_and_greedy_goes_by_score() -> None:
+    found = line([10.0, 13.0, 16.0])
+    assert shown_in(track(found, "centerpoint")) == [[0], [0], [0]]
+    assert shown_in(track(found, "centerpoint", gates_m={"car": 1.0})) == [[0], [1], [2]]
+    # A frame without detections forgets all tracks.
+    assert shown_in(track(line([10.0, None, 10.0]), "centerpoint")) == [[0], [], [1]]
+
+
+def test_impossible_options_are_refused() -> None:
+    with pytest.raises(ConfigError, match="preset: expected one of default"):
+        track(line([1.0]), "sort")
+    with pytest.raises(ConfigError, match="max_age: expected 1 or more"):
+        TrackerSettings().changed(max_age=0)
+    with pytest.raises(ConfigError, match="expected options among"):
+        track(line([1.0]), far=3)
