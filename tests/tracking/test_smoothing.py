@@ -60,7 +60,7 @@ def followed(xs: list[float | None], yaws: list[float] | None = None) -> Detecti
 
 
 def test_gaps_are_filled_sizes_are_one_and_flips_are_mended() -> None:
-    found = followed([10.0, 11.0, None, 13.0, 14.0, 15.0], [0.0, np.pi - 0.01, 0, 0.02, 0.01, -0.02])
+    found = followed([10.0, 11.0, None, 13.0, 14.0, 15.0], [0.0, np.pi - 0.01, 0.0, 0.02, 0.01, -0.02])
     result = smoothed(found)
     assert [len(boxes) for boxes in result.boxes.values()] == [1] * 6
     filled = result.boxes["a", "2"]

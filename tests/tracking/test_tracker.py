@@ -12,6 +12,7 @@ from farfield.geometry.iou import paired_iou
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import PRESETS, TrackerSettings, track
+from farfield.tracking.association import associate
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
 
@@ -59,6 +60,17 @@ def test_overlaps_are_the_exact_ones_and_the_general_one_is_below() -> None:
     assert (general <= paired_iou(a, b) + 1e-12).all()
     assert (general > -1).all()
     np.testing.assert_allclose(iou_3d(rows_of(a), rows_of(a), generalised=True), 1.0)
+
+
+def test_the_gate_by_centres_loses_no_pair() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rows_of(random_boxes(rng, 120, spread_m=15.0)), rows_of(random_boxes(rng, 120, spread_m=15.0))
+    drive, gate = np.arange(120), np.full(1, -0.5)
+    label = np.zeros(120, dtype=np.int64)
+    for least in (-0.8, -0.5, -0.2, 0.1):
+        settings = TrackerSettings(gate=least)
+        rows, _ = associate(a, drive, label, b, drive, label, settings, gate * 0 + least)
+        np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
 
 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:

@@ -85,5 +85,10 @@ def _may_pass(
     reach = (np.hypot(tracks[:, 3], tracks[:, 4])[a] + np.hypot(seen[:, 3], seen[:, 4])[b]) / 2
     if settings.similarity == "iou":
         return np.asarray(gap_m < reach)
-    # Of disjoint boxes the hull is larger than the union by at least the strip between the circles round them.
-    return np.asarray(gap_m < reach * 2 / np.maximum(1 + gate, 0.05))
+    # The hull holds the outer halves of both, seen from above, and between them a trapezoid over the line of the centres.
+    flat_m2 = tracks[a, 3] * tracks[a, 4] + seen[b, 3] * seen[b, 4]
+    solid_m3 = np.prod(tracks[a, 3:6], axis=1) + np.prod(seen[b, 3:6], axis=1)
+    high_m = np.maximum(tracks[a, 5], seen[b, 5])
+    across_m = np.minimum(tracks[a, 3], tracks[a, 4]) + np.minimum(seen[b, 3], seen[b, 4])
+    most_m2 = solid_m3 / (np.maximum(1 + gate, 1e-3) * high_m)
+    return np.asarray((gap_m < reach) | (gap_m <= (2 * most_m2 - flat_m2) / across_m))

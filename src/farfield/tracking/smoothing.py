@@ -120,7 +120,7 @@ def _smooth_track(
         velocity_m_s=speed,
     )
     px = np.where(is_seen[:, None], track.box_px[seen], -1.0)
-    return [(int(here[row]), out[row], px[row : row + 1]) for row in np.flatnonzero(kept)]
+    return [(int(here[row]), out[row], px[row : row + 1]) for row in np.flatnonzero(kept).tolist()]
 
 
 def _one_way(yaw_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
