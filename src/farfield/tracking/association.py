@@ -85,7 +85,7 @@ def _may_pass(
     reach = (np.hypot(tracks[:, 3], tracks[:, 4])[a] + np.hypot(seen[:, 3], seen[:, 4])[b]) / 2
     if settings.similarity == "iou":
         return np.asarray(gap_m < reach)
-    # The hull holds the outer halves of both, seen from above, and between them a trapezoid over the line of the centres.
+    # Seen from above, the hull holds the outer halves of both, and a trapezoid over the line between the centres.
     flat_m2 = tracks[a, 3] * tracks[a, 4] + seen[b, 3] * seen[b, 4]
     solid_m3 = np.prod(tracks[a, 3:6], axis=1) + np.prod(seen[b, 3:6], axis=1)
     high_m = np.maximum(tracks[a, 5], seen[b, 5])

@@ -50,13 +50,13 @@ def smoothed(
                 pose = None if drive.world_T_frame is None else drive.world_T_frame[number]
                 back = boxes if pose is None else boxes.transform(np.linalg.inv(pose))
                 parts.setdefault(key, []).append((back, box_px))
-    boxes = {key: Boxes.concatenate([b for b, _ in rows]) if rows else _NOTHING for key, rows in parts.items()}
+    joined = {key: Boxes.concatenate([b for b, _ in rows]) if rows else _NOTHING for key, rows in parts.items()}
     details: Mapping[Key, dict[str, np.ndarray]] = {}
     if tracks.prediction_details:
         details = {
             key: {"box_px": np.concatenate([np.zeros((0, 4)), *[px for _, px in rows]])} for key, rows in parts.items()
         }
-    return replace(tracks, boxes=boxes, prediction_details=details)
+    return replace(tracks, boxes=joined, prediction_details=details)
 
 
 _NOTHING = Boxes.empty(scored=True)

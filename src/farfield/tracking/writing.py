@@ -55,7 +55,7 @@ def _kitti_tracks(keys: list[Key], tracks: Detections) -> KittiTracks:
     bottom, size, rotation = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad)
     box_px = [_box_px(tracks.prediction_details.get(key, {}), len(tracks.boxes[key])) for key in keys]
     objects = KittiObjects(
-        type=boxes.label,
+        type=np.asarray(boxes.label),
         truncation=np.zeros(len(boxes)),
         occlusion=np.zeros(len(boxes), dtype=np.int64),
         alpha_rad=np.mod(rotation - np.arctan2(bottom[:, 0], bottom[:, 2]) + np.pi, 2 * np.pi) - np.pi,
@@ -91,7 +91,7 @@ def _csv_parts(tracks: Detections) -> Iterator[BoxRows]:
         yield BoxRows(
             sequence=np.full(len(boxes), key[0]),
             frame=np.full(len(boxes), key[1]),
-            label=boxes.label,
+            label=np.asarray(boxes.label),
             centre_m=boxes.centre_m,
             size_m=boxes.size_m,
             yaw_rad=boxes.yaw_rad,
