@@ -129,10 +129,8 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
         same = digests[0] == digests[1]
         equal &= same
         said = f"{digests[0][1]} {digests[0][0]}" if same else f"DIFFER: {digests}"
-        numbers = (
-            f"{one.cpu_s:9.1f} {one.wall_s:7.1f} {two.cpu_s:9.1f} {two.wall_s:7.1f} {one.wall_s / two.wall_s:9.2f}"
-        )
-        lines.append(f"{name:26} {numbers}  {said}")
+        numbers = f"{one.cpu_s:9.1f} {one.wall_s:7.1f} {two.cpu_s:9.1f} {two.wall_s:7.1f}"
+        lines.append(f"{name:26} {numbers} {one.wall_s / two.wall_s:9.2f} {two.worker_mb:5.0f}  {said}")
     return lines, equal
 
 
