@@ -134,3 +134,18 @@ def test_whatever_ends_a_command_the_next_one_completes_it(
         assert subprocess.run(words, env=ENVIRONMENT, stdout=quiet, stderr=quiet).returncode == 0
     assert hashes(tmp_path / NAMES.get(name, "out")) == whole(name)
     assert not [path for path in tmp_path.iterdir() if path.name != NAMES.get(name, "out")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["doctor", "DATA", "--json"], ["convert", "DATA", "--to", "cache", "--overwrite"]])
+def test_what_stands_elsewhere_is_equal_too(words: list[str], tmp_path: Path) -> None:
+    """The doctor prints, and a cache stands beside its clouds."""
+    data = tmp_path / "data"
+    cirrus(data)
+    words = [str(data) if word == "DATA" else word for word in words]
+    said = []
+    for workers in ("1", "2"):
+        run = [sys.executable, "-m", "farfield.cli", *words, "--workers", workers]
+        done = subprocess.run(run, env=ENVIRONMENT, stdout=subprocess.PIPE, check=True)
+        said.append((done.stdout, hashes(data)))
+    assert said[0] == said[1]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Int
 
-import farfield
 from farfield.bulk import Done, Unit
 from farfield.datasets.base import Dataset
 from farfield.detection.seeing import Frames, motion
 from farfield.frame import Annotation, Boxes, Cloud, Frame
+from farfield.frame.provenance import environment
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Detecting:
         if digest is None or not hasattr(self.seen, "files"):
             return None
         views = [getattr(frames, "recipe", None) for frames in (self.seen, self.own)]
-        return json.dumps([farfield.__version__, digest(), views, self.cloud, self.annotated_only])
+        return json.dumps([environment(), digest(), views, self.cloud, self.annotated_only])
 
 
 def points_in(annotation: Annotation, cloud: Cloud) -> Int[np.ndarray, " n"]:
