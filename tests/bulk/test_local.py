@@ -68,6 +68,17 @@ def test_a_unit_that_kills_its_worker_twice_is_named_and_all_others_are_done() -
     assert not workers_of(os.getpid())
 
 
+def test_a_worker_that_dies_on_its_way_is_started_once_more(tmp_path: Path) -> None:
+    (tmp_path / "once").touch()
+    work = works.DiesOnArrival(tmp_path)
+    assert [done.value for done in values(work, UNITS, TWO)] == list(range(24))
+    for number in range(8):
+        (tmp_path / str(number)).touch()
+    with pytest.raises(BulkError, match="could not start: it was ended by SIGKILL"):
+        list(values(work, UNITS, TWO))
+    assert not workers_of(os.getpid())
+
+
 def test_what_cannot_travel_is_refused() -> None:
     with pytest.raises(BulkError, match="can be sent to another process"):
         list(values(lambda unit: unit, UNITS, TWO))

@@ -54,3 +54,20 @@ class Copy:
         path = self.folder / f"{unit.name}.txt"
         write_text(path, f"{unit.parameters} {text}")
         return Done(files=(path,), value={"length": len(text)}, clock=time.time())
+
+
+@dataclass
+class DiesOnArrival:
+    """Kills the process in which it is unpacked, as often as there are files to take away."""
+
+    folder: Path
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.__dict__.update(state)
+        left = next(self.folder.iterdir(), None)
+        if left is not None:
+            left.unlink(missing_ok=True)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def __call__(self, unit: Unit) -> Done:
+        return Done(value=unit.parameters)

@@ -178,18 +178,23 @@ class _Hand(Thread):
         return Lost(why)
 
     def _begin(self) -> "subprocess.Popen[bytes]":
-        with self.crew.lock:
-            if self.crew.stopping.is_set():
-                raise OSError("the work is over")
-            self.process = process = _start()
-        try:
-            send(process.stdin, self.crew.work, packed=True)
-            kind, result = receive(process.stdout)
-        except (EOFError, OSError):
-            raise BulkError(f"a worker process could not start: it {self._ended()}") from None
-        if kind != "ready":
-            raise _rebuilt(result)
-        return process
+        """Start a worker and give it the work; one that dies on the way is started once more."""
+        why = ""
+        for _ in range(2):
+            with self.crew.lock:
+                if self.crew.stopping.is_set():
+                    raise OSError("the work is over")
+                self.process = process = _start()
+            try:
+                send(process.stdin, self.crew.work, packed=True)
+                kind, result = receive(process.stdout)
+            except (EOFError, OSError):
+                why = self._ended()
+                continue
+            if kind != "ready":
+                raise _rebuilt(result)
+            return process
+        raise BulkError(f"a worker process could not start: it {why}")
 
     def _ended(self) -> str:
         """Wait until the worker, who has nothing left to read, has ended; how, in words."""
