@@ -14,6 +14,7 @@ from bulk import works
 from farfield.bulk import ENGINES, HERE, Bulk, BulkError, Journal, Unit, run, values
 from farfield.bulk.local import Local
 from farfield.bulk.memory import available_bytes, fitting
+from farfield.bulk.signals import ended_by_sigterm
 from farfield.bulk.threads import VARIABLES, one_thread
 from farfield.errors import ConfigError, FileFormatError
 
@@ -179,3 +180,28 @@ def test_an_engine_of_another_package_does_the_work_of_any_verb(tmp_path: Path) 
     assert asked == [(24, 3), (1, 1)]
     with pytest.raises(ConfigError, match="Expected a bulk engine, one of local"):
         list(values(works.square, UNITS, Bulk(engine="cluster")))
+
+
+class Swallows:
+    """Python drops what is raised while an object is cleared away, a signal's exit too."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+
+
+def counted_under_a_lost_signal(done: list[int]) -> None:
+    with ended_by_sigterm():
+        for result in values(works.square, UNITS):
+            done.append(result.value)
+            if len(done) == 3:
+                Swallows()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_signal_whose_exit_was_lost_ends_the_work_after_the_unit() -> None:
+    done: list[int] = []
+    with pytest.raises(SystemExit) as ended:
+        counted_under_a_lost_signal(done)
+    assert ended.value.code == 143
+    assert len(done) == 3

@@ -169,7 +169,7 @@ class Journal:
 
 
 def _line(name: str, source: str, files: dict[str, Mark], value: Any) -> bytes:
-    head = json.dumps({"unit": name, "source": source, "files": files})
+    head = json.dumps({"unit": name, "source": source, "files": dict(sorted(files.items()))})
     tail = "" if value is None else "\t" + json.dumps(value, separators=(",", ":"))
     return f"{head}{tail}\n".encode()
 

@@ -10,6 +10,7 @@ from farfield.bulk.engines import ENGINES, BulkError, Lost
 from farfield.bulk.folders import locked, sweep_out
 from farfield.bulk.journal import Journal, Mark, mark_of, state_of
 from farfield.bulk.memory import fitting
+from farfield.bulk.signals import check
 from farfield.bulk.units import Done, Unit, Work
 from farfield.errors import ConfigError
 
@@ -143,6 +144,7 @@ def _work(work: Work, units: Sequence[Unit], bulk: Bulk, *, ordered: bool) -> It
                 lost.append((units[index].name, done.why))
             else:
                 yield index, done
+            check()
             next(numbers, None)
     finally:
         results.close()  # type: ignore[attr-defined]

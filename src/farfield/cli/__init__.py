@@ -1,13 +1,9 @@
 """The ``farfield`` command: one file a verb. Only the chosen verb's module is imported."""
 
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib import import_module
-from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 from farfield.errors import FarfieldError
 
@@ -62,8 +58,10 @@ def main(arguments: list[str] | None = None) -> int:
     if verb not in VERBS:
         print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
         return 2
+    from farfield.bulk.signals import ended_by_sigterm
+
     try:
-        with _ended_by_sigterm():
+        with ended_by_sigterm():
             return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
     except FarfieldError as error:
         print(f"farfield {verb}: {error}", file=sys.stderr)
@@ -73,24 +71,6 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 141
-
-
-@contextmanager
-def _ended_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM unwind the work as Ctrl-C does, so that nothing is left half-written, with exit status 143."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, _terminated)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _terminated(number: int, frame: FrameType | None) -> NoReturn:
-    del frame
-    raise SystemExit(128 + number)
 
 
 def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:
