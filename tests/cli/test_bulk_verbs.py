@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -104,9 +105,10 @@ def begun(folder: Path, running: subprocess.Popen) -> list[psutil.Process]:
     """Wait until both workers are at work; a moment later something is written and something is not."""
     until = time.monotonic() + 120
     while running.poll() is None and time.monotonic() < until:
-        workers = [p for p in psutil.Process(running.pid).children() if "farfield.bulk.worker" in p.cmdline()]
-        if len(workers) == 2 and any(path.is_file() for path in folder.rglob("*.jsonl")):
-            return workers
+        with suppress(psutil.Error, OSError):  # what comes and goes meanwhile: other processes, folders
+            workers = [p for p in psutil.Process(running.pid).children() if "farfield.bulk.worker" in p.cmdline()]
+            if len(workers) == 2 and any(path.is_file() for path in folder.rglob("*.jsonl")):
+                return workers
         time.sleep(0.005)
     raise AssertionError("the workers were never seen at work")
 
