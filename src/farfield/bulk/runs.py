@@ -102,6 +102,8 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
             outcome.written, outcome.clocks[places[index]] = outcome.written + 1, done.clock
     finally:
         journal.commit()
+        if journal.files and places:  # a worker that was killed left what it was at
+            sweep_out(journal.folder)
     journal.finish()
     return outcome
 
