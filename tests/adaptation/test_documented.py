@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
+from pydantic import ValidationError
 
 pytest.importorskip("torch")
 
@@ -29,7 +30,10 @@ SETTINGS = {
 @pytest.mark.parametrize("tree", BLOCKS, ids=lambda tree: tree["method"]["name"])
 def test_the_pages_experiments_are_valid(tree: dict[str, Any]) -> None:
     experiment = Experiment.model_validate({"name": "shown", **tree})
-    SETTINGS[experiment.method.name].model_validate(experiment.method.settings)
+    kind, given = SETTINGS[experiment.method.name], experiment.method.settings
+    assert given.keys() <= kind.model_validate(given).model_dump(by_alias=True).keys()
+    with pytest.raises(ValidationError, match="no_such_setting"):
+        kind.model_validate({**given, "no_such_setting": 1})
 
 
 def test_the_page_shows_each_method() -> None:

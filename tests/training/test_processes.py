@@ -74,7 +74,7 @@ def test_torchrun_follows_the_course_of_one_process(experiment, tmp_path):
     from farfield.experiments.plan import Plan
     from farfield.experiments.schema import load_experiment
 
-    settings = ["training.steps=4", "training.batch_size=4"]
+    settings = ["training.steps=10", "training.batch_size=4"]
     Plan(load_experiment(experiment, settings), tmp_path / "one").run()
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command += ["-m", "farfield.cli", "train", str(experiment), "--out", str(tmp_path)]
@@ -85,9 +85,9 @@ def test_torchrun_follows_the_course_of_one_process(experiment, tmp_path):
         [json.loads(line) for line in (tmp_path / run / "log.jsonl").read_text().splitlines()]
         for run in ("one", "tiny")
     )
-    assert [line["step"] for line in one] == [line["step"] for line in two] == list(range(1, 5))
+    assert [line["step"] for line in one] == [line["step"] for line in two] == list(range(1, 11))
     for alone, shared in zip(one, two, strict=True):
         assert shared["loss"] == pytest.approx(alone["loss"], rel=1e-3)
     alone, shared = (load_weights(tmp_path / run / "weights.safetensors")[0].state_dict() for run in ("one", "tiny"))
     assert all(close(alone[name], shared[name], 1e-2) for name in alone)
-    assert done.stderr.count("step 4/4") == 1  # only the first process reports
+    assert done.stderr.count("step 10/10") == 1  # only the first process reports

@@ -113,7 +113,7 @@ class Journal:
 
         Args:
             unit: The unit.
-            source: What :func:`state_of` said of its sources before it was done.
+            source: State of its sources before it was done, see :func:`state_of`.
             files: Size and checksum of each file by its name below the journal's folder.
             value: What was computed.
         """
