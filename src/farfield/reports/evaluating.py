@@ -71,8 +71,7 @@ def evaluate_clouds(
             overwrite=overwrite,
         )
         results[name] = found.score(protocol, **options).to_json()
-        annotated = {key: annotation.boxes for key, annotation in found.annotations.items()}
-        objects[name] = annotated_objects(found.boxes, annotated)
+        objects[name] = annotated_objects(found.boxes, found.annotated)
         predicted[name] = found.boxes
         if clocks is not None and found.ms:
             clocks[name] = {"frames": len(found.ms), "median_ms": round(median_ms(found), 1)}
