@@ -63,13 +63,13 @@ def test_sectors_hold_the_boxes_of_both_sides_by_their_own_azimuth(found: Detect
 
 def test_an_edge_belongs_to_the_outer_sector() -> None:
     edge = Detections(boxes={}, annotations={("a", "0"): Annotation(boxes=at((10.0, 10.0)))})
-    held = parts(edge, ["azimuth"], azimuths_deg=(0, 45, 90))["azimuth"]
+    held = parts(edge, ["azimuth"], azimuths_deg=(0.0, 45.0, 90.0))["azimuth"]
     assert [len(part.annotated["a", "0"]) for part in held.values()] == [0, 1]
 
 
 def test_what_is_not_stated_gives_no_part_and_what_is_not_annotated_no_figure(found: Detections) -> None:
     assert [*parts(found)] == ["road", "azimuth"]
-    far = by_part(found, kinds=["azimuth"], azimuths_deg=(0, 60, 90), region="none", **STILL)
+    far = by_part(found, kinds=["azimuth"], azimuths_deg=(0.0, 60.0, 90.0), region="none", **STILL)
     tree = parts_json(far)
     assert tree["conditions"]["azimuth"]["60-90"] is None
     assert tree["conditions"]["azimuth"]["0-60"]["dds"]["0"]["dds"] > 0

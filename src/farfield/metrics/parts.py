@@ -183,31 +183,41 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
     annotated, learnt = _labels(found.annotated), set(found.classes) or set(_labels(found.boxes))
     relabel = {**(settings.get("relabel") or chosen.default("relabel") or {})}
     relabel = {name: other for name, other in relabel.items() if name not in learnt}
+    given = {**settings, "relabel": relabel}
     rows, seen = list[ClassRow](), set[str]()
     for name, label in chosen.classes.items():
         other = relabel.get(label, label)
         number = sum(count for each, count in annotated.items() if relabel.get(each, each) == label)
-        if other in seen or (other != label and other in chosen.classes.values()):
-            rows.append(ClassRow(name, 0 if other in seen else annotated.get(label, 0), None, f"counted as {other}"))
+        if label in seen:
+            rows.append(ClassRow(name, 0, None, f"counted as {label}"))
+        elif other != label and other in chosen.classes.values():
+            rows.append(ClassRow(name, annotated.get(label, 0), None, f"counted as {other}"))
         elif not number:
             rows.append(ClassRow(name, 0, None, "not annotated"))
         elif not any(relabel.get(each, each) == label for each in learnt):
             rows.append(ClassRow(name, number, None, "not learnt"))
         else:
-            rows.append(ClassRow(name, number, _figures_of(found, chosen, label, {**settings, "relabel": relabel}), ""))
+            figures = _figures_of(found, chosen, label, settings if chosen.several_classes else given)
+            rows.append(ClassRow(name, number, figures, "" if figures else f"not scored by {chosen}"))
         seen.add(label)
     return rows
 
 
 def _figures_of(
     found: Detections, protocol: Protocol, label: str, settings: Mapping[str, Any]
-) -> dict[str, float | None]:
+) -> dict[str, float | None] | None:
+    """The headline of one class; None where the protocol leaves the class out."""
     given = dict(settings)
     if "ignore" in protocol.options():
         ignore = settings.get("ignore") or protocol.default("ignore") or ()
         given["ignore"] = tuple(name for name in ignore if name != label)
-    result = found.evaluated(protocol, protocol.settings(found, label=label, **given)).to_json()
-    return {name.removeprefix(f"ap/{label}/"): value for name, value in protocol.headline(result).items()}
+    if not protocol.several_classes:
+        given["label"] = label
+    result = found.evaluated(protocol, protocol.settings(found, **given)).to_json()
+    figures, prefix = protocol.headline(result), f"ap/{label}/"
+    if not protocol.several_classes:
+        return dict(figures)
+    return {name.removeprefix(prefix): value for name, value in figures.items() if name.startswith(prefix)} or None
 
 
 def _labels(boxes: BoxesByFrame) -> dict[str, int]:

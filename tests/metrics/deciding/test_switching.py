@@ -68,7 +68,7 @@ def test_the_rule_gains_nothing_over_a_pattern_that_is_best_everywhere() -> None
     ]
     gains = switching_gains({"gaussian": both, "uniform": bad}, replicates=50, **STILL)
     assert gains["gaussian"].by_seed == (0.0, 0.0)
-    assert gains["uniform"].interval()[0] > 0
+    assert min(gains["uniform"].by_seed) > 0.2
 
 
 def test_frames_of_unknown_scenario_and_too_few_drives_are_refused() -> None:
