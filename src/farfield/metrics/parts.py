@@ -148,7 +148,7 @@ class ClassRow:
 
     Args:
         label: The class.
-        annotated: How many boxes of it are annotated.
+        annotated: How many boxes of it are annotated; where it is scored by itself, in the region that counts.
         figures: Its figures by name; None where there is none.
         why: Why there is none: ``"not annotated"``, ``"not learnt"``, or ``"counted as vehicle"``; empty if there is.
     """
@@ -197,16 +197,17 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
         elif not any(relabel.get(each, each) == label for each in learnt):
             rows.append(ClassRow(name, number, None, "not learnt"))
         else:
-            figures = _figures_of(found, chosen, label, settings if chosen.several_classes else given)
-            rows.append(ClassRow(name, number, figures, "" if figures else f"not scored by {chosen}"))
+            figures, counted = _figures_of(found, chosen, label, settings if chosen.several_classes else given)
+            why = "" if figures else f"not scored by {chosen}"
+            rows.append(ClassRow(name, number if counted is None else counted, figures, why))
         seen.add(label)
     return rows
 
 
 def _figures_of(
     found: Detections, protocol: Protocol, label: str, settings: Mapping[str, Any]
-) -> dict[str, float | None] | None:
-    """The headline of one class; None where the protocol leaves the class out."""
+) -> tuple[dict[str, float | None] | None, int | None]:
+    """The headline of one class, None where the protocol leaves the class out, and how many boxes of it counted."""
     given = dict(settings)
     if "ignore" in protocol.options():
         ignore = settings.get("ignore") or protocol.default("ignore") or ()
@@ -216,8 +217,10 @@ def _figures_of(
     result = found.evaluated(protocol, protocol.settings(found, **given)).to_json()
     figures, prefix = protocol.headline(result), f"ap/{label}/"
     if not protocol.several_classes:
-        return dict(figures)
-    return {name.removeprefix(prefix): value for name, value in figures.items() if name.startswith(prefix)} or None
+        counted = result["counts"].get("annotated")
+        return dict(figures), counted if isinstance(counted, int) else None
+    own = {name.removeprefix(prefix): value for name, value in figures.items() if name.startswith(prefix)}
+    return own or None, None
 
 
 def _labels(boxes: BoxesByFrame) -> dict[str, int]:
