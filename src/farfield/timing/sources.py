@@ -1,0 +1,147 @@
+"""Where a recording's stamps stand: lists of a known form, KITTI raw's folders, or a data set that we read."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int64
+
+from farfield.datasets import Dataset, open_dataset
+from farfield.errors import DatasetError
+from farfield.files.clock_logs import is_clock_log
+from farfield.files.radiate import read_times
+from farfield.files.stamps import StampList, Unit, read_stamps, recognise_stamps
+from farfield.frame import Drive
+
+LISTS = (".txt", ".csv")
+LOGS = (".txt", ".log")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Source:
+    """One stream's stamps.
+
+    Args:
+        blocks: Reads them, block by block.
+        labels: The messages' names in their order; None: counted from 0.
+        said: How the stamps are read, in words, where that was guessed or is not obvious.
+    """
+
+    blocks: Callable[[], Iterator[Int64[np.ndarray, " _"]]]
+    labels: Sequence[str] | None = None
+    said: str = ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """Streams that ran at the same time.
+
+    Args:
+        name: Name of the drive, or of the folder.
+        streams: The streams.
+        logs: Logs of clocks that were kept by two-way exchanges.
+    """
+
+    name: str
+    streams: Mapping[str, Source]
+    logs: tuple[Path, ...] = field(default=())
+
+
+def recordings(root: Path | str, *, unit: Unit = "auto") -> list[Recording]:
+    """Find the recordings in a folder: KITTI raw's drives, lists of stamps, or the drives of a data set.
+
+    Args:
+        root: The folder.
+        unit: Unit of numbers that do not say theirs.
+
+    Raises:
+        DatasetError: If there is none, or none whose times are known.
+    """
+    root = Path(root).expanduser()
+    if not root.is_dir():
+        raise DatasetError(f"{root}: expected a folder of stamps or a data set's, found {_kind(root)}.")
+    found = _kitti_raw(root, unit) or _lists(root, unit)
+    if found:
+        return found
+    data = open_dataset(root)
+    drives = [recording for drive in data.drives() if (recording := _of_drive(data, drive)) is not None]
+    if not drives:
+        raise DatasetError(
+            f"{root}: a data set of the format {data.name}, but nothing in it says when its frames were taken. Give a "
+            "folder of lists of stamps, one a stream (see farfield sync --help)."
+        )
+    return drives
+
+
+def _kind(path: Path) -> str:
+    return "a file" if path.exists() else "nothing"
+
+
+def _kitti_raw(root: Path, unit: Unit) -> list[Recording]:
+    """Drives with ``<stream>/timestamps.txt``; a lidar has the start, the middle and the end of its turns."""
+    places = [path for depth in ("*", "*/*", "*/*/*") for path in root.glob(f"{depth}/timestamps*.txt")]
+    drives: dict[Path, dict[str, Source]] = {}
+    for path in sorted(places):
+        part = path.stem.removeprefix("timestamps").lstrip("_")
+        name = path.parent.name + (f"/{part}" if part else "")
+        if (known := recognise_stamps(path, unit=unit)) is not None:
+            drives.setdefault(path.parent.parent, {})[name] = _source(known)
+    return [
+        Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder)) for folder, streams in drives.items()
+    ]
+
+
+def _lists(root: Path, unit: Unit) -> list[Recording]:
+    """Lists in the folder itself, or in each of its folders, one a stream; a recording has two or more."""
+    for folders in ([root], sorted(path for path in root.iterdir() if path.is_dir())):
+        found = [(folder, _lists_in(folder, unit)) for folder in folders]
+        several = [(folder, streams) for folder, streams in found if len(streams) > 1]
+        if several:
+            return [
+                Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder))
+                for folder, streams in several
+            ]
+    return []
+
+
+def _lists_in(folder: Path, unit: Unit) -> dict[str, Source]:
+    found = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix in LISTS and path.is_file():
+            known = recognise_stamps(path, unit=unit)
+            if known is not None:
+                found[path.stem] = _source(known)
+    return found
+
+
+def _source(known: StampList) -> Source:
+    labels = [f"{number:06d}" for number in read_times(known.path)] if known.form == "radiate" else None
+    said = f"unit taken as {known.unit}, by the size of the first number" if known.guessed else ""
+    said = "local time without a zone, taken as UTC" if known.form == "date" else said
+    return Source(blocks=partial(read_stamps, known), labels=labels, said=said)
+
+
+def _logs(folder: Path) -> tuple[Path, ...]:
+    paths = sorted(path for path in folder.iterdir() if path.suffix in LOGS and path.is_file())
+    return tuple(path for path in paths if is_clock_log(path))
+
+
+def _of_drive(data: Dataset, drive: Drive) -> Recording | None:
+    """Times of a drive's frames and of the sensors that are at hand for each of them."""
+    streams: dict[str, Source] = {}
+    if drive.times_ns is not None:
+        labels = [key[1] for key in drive.keys]
+        streams["frames"] = Source(blocks=partial(iter, [drive.times_ns]), labels=labels)
+    times: dict[str, list[int]] = {}
+    labels_of: dict[str, list[str]] = {}
+    for index, key in zip(drive.indices.tolist(), drive.keys, strict=True):
+        for name, sensor in data[index].sensors.items():
+            if sensor.time_ns is not None:
+                times.setdefault(name, []).append(sensor.time_ns)
+                labels_of.setdefault(name, []).append(key[1])
+    for name, stamps in times.items():
+        blocks = partial(iter, [np.array(stamps, dtype=np.int64)])
+        streams[name] = Source(blocks=blocks, labels=labels_of[name])
+    return Recording(name=drive.name, streams=streams) if streams else None
