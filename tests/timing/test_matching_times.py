@@ -76,9 +76,9 @@ def test_cost_is_the_least_at_the_rates_of_sensors(case: tuple[float, ...], rng:
 def test_nearest_is_not_enough() -> None:
     """Two references claim one message: the nearer gets it, the other goes without or takes the next."""
     a, b = array([0, 10]), array([7, 18])
-    assert nearest(a, b, windows(a, b, 9)).tolist() == [0, 0]
-    assert assign(a, b, 9).tolist() == [0, 1]
-    assert assign(a, b, 7).tolist() == [-1, 0]
+    assert nearest(a, b, windows(a, b, 13)).tolist() == [0, 0]
+    assert assign(a, b, 13).tolist() == [0, 1]  # 7 + 8 is less than 3 + 13
+    assert assign(a, b, 9).tolist() == [-1, 0]
 
 
 def test_halfway_takes_the_earlier_one() -> None:
@@ -175,7 +175,7 @@ def test_streaming_equals_batch_within_the_lateness(seed: int, tolerance_ms: int
 
 def test_streaming_cuts_endless_clusters_and_stays_near_the_optimum(rng: np.random.Generator) -> None:
     times = {"lidar": stream(rng, 10, 20, span_s=120), "other": stream(rng, 10, 20, 0.5, span_s=120)}
-    tolerance = 90_000_000
+    tolerance = 140_000_000
     groups, matcher, most = streamed(times, 50_000_000, tolerance, rng)
     assert matcher.counts["cut", "lidar"] > 0
     assert most < 100

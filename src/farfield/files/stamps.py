@@ -70,7 +70,7 @@ def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | No
     names = first.decode("utf-8", "replace").strip().lower().split(",")
     column = next((names.index(name) for name in _COLUMNS if name in names), None)
     values = second.strip().split(b",")
-    if column is None or (second and (len(values) != len(names) or not _NUMBER.match(values[column]))):
+    if column is None or len(values) != len(names) or not _NUMBER.match(values[column]):
         return None
     form: Literal["number", "csv"] = "number" if len(names) == 1 else "csv"
     return StampList(path, form, *_unit(path, names[column], values[column], unit), header=True, column=column)
@@ -81,8 +81,8 @@ def _unit(path: Path, name: str, number: bytes, unit: Unit) -> tuple[Literal["s"
         return unit, False
     if (known := _SUFFIX.search(name)) is not None:
         return known.group(1), False  # type: ignore[return-value]
-    if b"." in number or not number:
-        return "s", not number
+    if b"." in number:
+        return "s", False
     size = len(number.strip().lstrip(b"-"))
     for which, digits in (("ns", 18), ("us", 15), ("ms", 12), ("s", 9)):
         if size >= digits:

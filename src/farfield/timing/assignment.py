@@ -12,6 +12,7 @@ runs.
 from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
+from inspect import unwrap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -192,4 +193,4 @@ def align(
 def _compiled() -> Any:
     from numba import njit
 
-    return njit(align)
+    return njit(unwrap(align))

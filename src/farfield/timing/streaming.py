@@ -139,8 +139,17 @@ class StreamMatcher:
         if held[0] > own.latest:
             return self._take(stream, own, held) + self._take(stream, own, message)
         self.warnings.append(f"{stream}: its clock was set back by {(own.latest - held[0]) / 1e9:.3f} s")
+        return self._begin_anew({stream: held}) + self._take(stream, own, message)
+
+    def _begin_anew(self, first: dict[str, tuple[int, int]]) -> list[Group]:
+        """End the recording so far; what other streams kept aside that lies before their latest goes on with it, too."""
+        for name, other in self._streams.items():
+            if other.doubtful is not None and other.latest is not None and other.doubtful[0] < other.latest:
+                first[name], other.doubtful = other.doubtful, None
         found = self.close()
-        return found + self._take(stream, own, held) + self._take(stream, own, message)
+        for name, message in first.items():
+            found += self._take(name, self._streams[name], message)
+        return found
 
     def _take(self, stream: str, own: _Waiting, message: tuple[int, int]) -> list[Group]:
         stamp = message[0]
