@@ -142,7 +142,7 @@ class StreamMatcher:
         return self._begin_anew({stream: held}) + self._take(stream, own, message)
 
     def _begin_anew(self, first: dict[str, tuple[int, int]]) -> list[Group]:
-        """End the recording so far; what other streams kept aside that lies before their latest goes on with it, too."""
+        """End the recording so far; what other streams kept aside that lies before their latest comes after it."""
         for name, other in self._streams.items():
             if other.doubtful is not None and other.latest is not None and other.doubtful[0] < other.latest:
                 first[name], other.doubtful = other.doubtful, None
