@@ -1,15 +1,17 @@
 """ROS 2 bags: folders with ``metadata.yaml``, or a lone ``.mcap`` or ``.db3`` file, read through ``rosbags``.
 
-Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than it
-says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled it in);
-SQLite has none, and an altered message without a checksum reads as another message.
+Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
+it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
+it in); SQLite has none, and an altered message without a checksum reads as another message.
 """
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
+from weakref import finalize
 
 import numpy as np
 from jaxtyping import Int64
@@ -62,10 +64,14 @@ class Bag:
             if part.suffix == ".db3":
                 _check_size(part)
         with guarded(self.path, "the bag"):
+            reader = self._reader()
             self.topics = tuple(
                 Topic(str(name), str(topic.msgtype), int(topic.msgcount))
-                for name, topic in sorted(self._reader().topics.items())
+                for name, topic in sorted(reader.topics.items())
             )
+            said = int(reader.message_count)
+        if (counted := sum(topic.count for topic in self.topics)) != said:
+            raise _wrong(self.path, counted, f"{said} messages in all topics", f"{counted}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": None}
@@ -73,20 +79,25 @@ class Bag:
     def _reader(self) -> Any:
         if self._open is None:
             try:
-                from rosbags.highlevel import AnyReader
-                from rosbags.typesys import Stores, get_typestore
+                from rosbags.rosbag2 import Reader
             except ImportError as error:
                 raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
-            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
+            reader = Reader(self.path)
             reader.open()
             self._open = reader
+            finalize(self, _closed, reader)
         return self._open
+
+    def _store(self, kind: str) -> Any:
+        """What knows a type: by the definition in the bag, or, where there is none, ROS 2's own."""
+        defined = next((c.msgdef for c in self._reader().connections if c.msgtype == kind), None)
+        return _types(kind, defined)
 
     def close(self) -> None:
         """Let the files go; the bag opens again when it is read."""
         reader, self._open = self._open, None
         if reader is not None:
-            reader.close()
+            _closed(reader)
 
     def messages(
         self, names: Collection[str] = (), *, start_ns: int | None = None, stop_ns: int | None = None
@@ -117,13 +128,13 @@ class Bag:
             if start_ns is None and stop_ns is None and counts[name] != topic.count:
                 raise FileFormatError(
                     self.path, where=f"topic {name}", expected=f"{topic.count} messages",
-                    found=f"{counts[name]}", mend="The bag is cut or damaged; `ros2 bag reindex` may save what is left.",
+                    found=f"{counts[name]}", mend="The bag is cut; `ros2 bag reindex` may save what is left.",
                 )  # fmt: skip
 
     def stamps(self, names: Collection[str] = ()) -> dict[str, Stamps]:
         """When the messages of each topic were recorded and taken; reads the whole bag once.
 
-        A message's own stamp is its header's, for types that begin with one; a TFMessage's is its first transform's.
+        A message's own stamp is its header's, for types that begin with one.
         """
         log: dict[str, list[int]] = {topic.name: [] for topic in self.topics if not names or topic.name in names}
         header: dict[str, list[int]] = {name: [] for name in log}
@@ -141,8 +152,10 @@ class Bag:
         }
 
     def _is_headed(self, kind: str) -> bool:
+        if kind.split("/")[1:2] != ["msg"]:  # services and actions
+            return False
         with guarded(self.path, f"the definition of {kind}"):
-            fields = self._reader().typestore.fielddefs.get(kind, ((), ()))[1]
+            fields = self._store(kind).fielddefs.get(kind, ((), ()))[1]
             return bool(fields) and fields[0][1][1] == HEADER
 
     def decode(self, topic: Topic, raw: bytes) -> Any:
@@ -152,7 +165,7 @@ class Bag:
             FileFormatError: If the bytes do not fit the definition.
         """
         with guarded(self.path, f"a message of {topic.name} ({topic.kind})"):
-            return self._reader().deserialize(raw, topic.kind)
+            return self._store(topic.kind).deserialize_cdr(raw, topic.kind)
 
     def at(self, name: str, log_ns: int, place: int = 0) -> Any:
         """The message of a topic that was recorded at a moment, decoded; the ``place``-th where there are several.
@@ -174,6 +187,24 @@ def header_ns(path: Path, number: int, raw: bytes) -> int:
     if len(raw) < 12 or fraction >= 1_000_000_000:
         raise _wrong(path, number, "a header with a stamp", f"{len(raw)} bytes, {fraction} ns")
     return seconds * 1_000_000_000 + fraction
+
+
+@lru_cache(maxsize=256)
+def _types(kind: str, defined: Any) -> Any:
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if defined is None or defined.format == MessageDefinitionFormat.NONE:
+        return get_typestore(Stores.LATEST)
+    store = get_typestore(Stores.EMPTY)
+    by_msg = defined.format == MessageDefinitionFormat.MSG
+    store.register(get_types_from_msg(defined.data, kind) if by_msg else get_types_from_idl(defined.data))
+    return store
+
+
+def _closed(reader: Any) -> None:
+    if reader.is_open:
+        reader.close()
 
 
 def _next(path: Path, source: Iterator[Any], number: int) -> Any:

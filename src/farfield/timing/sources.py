@@ -10,6 +10,7 @@ from jaxtyping import Int64
 
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import DatasetError
+from farfield.files.bags import Bag, is_bag
 from farfield.files.clock_logs import is_clock_log
 from farfield.files.radiate import read_times
 from farfield.files.stamps import StampList, Unit, read_stamps, recognise_stamps
@@ -60,6 +61,8 @@ def recordings(root: Path | str, *, unit: Unit = "auto") -> list[Recording]:
         DatasetError: If there is none, or none whose times are known.
     """
     root = Path(root).expanduser()
+    if is_bag(root) or (root.is_dir() and any(map(is_bag, root.iterdir()))):
+        return [_of_bag(path) for path in ([root] if is_bag(root) else sorted(filter(is_bag, root.iterdir())))]
     if not root.is_dir():
         raise DatasetError(f"{root}: expected a folder of stamps or a data set's, found {_kind(root)}.")
     found = _kitti_raw(root, unit) or _lists(root, unit)
@@ -126,6 +129,25 @@ def _source(known: StampList) -> Source:
 def _logs(folder: Path) -> tuple[Path, ...]:
     paths = sorted(path for path in folder.iterdir() if path.suffix in LOGS and path.is_file())
     return tuple(path for path in paths if is_clock_log(path))
+
+
+def _of_bag(path: Path) -> Recording:
+    """Topics whose messages have a stamp of their own; the others by the time of recording, which is said."""
+    stamps = Bag(path).stamps()
+    streams = {}
+    for topic, found in stamps.items():
+        if len(found.log_ns):
+            times = found.log_ns if found.header_ns is None else found.header_ns
+            order = np.argsort(times, kind="stable")  # a bag is in the order of recording
+            moved = int((np.diff(times) < 0).sum())
+            said = "no stamp of its own: times of recording" if found.header_ns is None else ""
+            said = f"{moved} stamps are earlier than the one recorded before; taken in order" if moved else said
+            streams[topic] = Source(
+                blocks=partial(iter, [times[order]]),
+                labels=[str(place) for place in order] if moved else None,
+                said=said,
+            )
+    return Recording(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
 
 
 def _of_drive(data: Dataset, drive: Drive) -> Recording | None:
