@@ -108,7 +108,7 @@ def test_what_was_written_is_read_bit_for_bit(bag: Path) -> None:
     """Every message's bytes, and the points of the clouds."""
     opened = Bag(bag)
     read = list(opened.messages())
-    assert len(read) == sum(topic.count for topic in opened.topics) == 41
+    assert len(read) == sum(topic.size for topic in opened.topics) == 41
     for topic, _, raw in read:
         message = opened.decode(topic, raw)
         again = rosbag.STORE.deserialize_cdr(raw, topic.kind)

@@ -28,7 +28,7 @@ class Topic(NamedTuple):
 
     name: str
     kind: str
-    count: int
+    size: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Bag:
                 for name, topic in sorted(reader.topics.items())
             )
             said = int(reader.message_count)
-        if (counted := sum(topic.count for topic in self.topics)) != said:
+        if (counted := sum(topic.size for topic in self.topics)) != said:
             raise _wrong(self.path, counted, f"{said} messages in all topics", f"{counted}")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -125,9 +125,9 @@ class Bag:
             counts[connection.topic] += 1
             yield known[connection.topic], int(log_ns), bytes(raw)
         for name, topic in known.items():
-            if start_ns is None and stop_ns is None and counts[name] != topic.count:
+            if start_ns is None and stop_ns is None and counts[name] != topic.size:
                 raise FileFormatError(
-                    self.path, where=f"topic {name}", expected=f"{topic.count} messages",
+                    self.path, where=f"topic {name}", expected=f"{topic.size} messages",
                     found=f"{counts[name]}", mend="The bag is cut; `ros2 bag reindex` may save what is left.",
                 )  # fmt: skip
 

@@ -44,14 +44,16 @@ def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, 
         raise _wrong(
             path, "the sizes", f"{height} rows of {rows} bytes, {width} points of {step}", f"{len(data)} bytes"
         )
-    whole = {
+    whole: Any = {
         "names": list(names),
         "formats": [form for form, _ in names.values()],
         "offsets": [offset for _, offset in names.values()],
         "itemsize": step,
     }
-    points = np.ndarray((height, width), np.dtype(whole), buffer=data, strides=(rows, step)) if height * width else None
-    empty = np.zeros(0, dtype=np.dtype(whole))
+    points: Any = (
+        np.ndarray((height, width), np.dtype(whole), buffer=data, strides=(rows, step)) if height * width else None
+    )
+    empty: Any = np.zeros(0, dtype=np.dtype(whole))
     table = empty if points is None else points
     native = {name: np.dtype(form).newbyteorder("=") for name, (form, _) in names.items()}
     return {name: np.ascontiguousarray(table[name]).astype(native[name]).reshape(-1) for name in names}

@@ -97,7 +97,7 @@ def residuals(found: Synchronised) -> "Figure":
 def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     values = pair.residual_ns / 1e6
     limit = max(float(np.abs(values).max()), 1e-3)
-    axes.hist(values, bins=np.linspace(-limit, limit, 61), color=ANNOTATED)
+    axes.hist(values, bins=np.linspace(-limit, limit, 61).tolist(), color=ANNOTATED)
     axes.axvline(0, color=RULE, lw=0.8)
     axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:g} ms")
     axes.set_ylabel("pairs")

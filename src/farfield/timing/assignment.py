@@ -123,7 +123,8 @@ def _solve(
         _compiled()(*numbers, tolerance_ns, np.empty(cells, dtype=np.uint8), rows)
     else:  # on lists: several times as fast as on arrays where nothing is compiled
         listed = [0] * (last - first)
-        align(*(part.tolist() for part in numbers), tolerance_ns, bytearray(cells), listed)
+        a, b, lows, highs, begins = (part.tolist() for part in numbers)
+        align(a, b, lows, highs, begins, tolerance_ns, bytearray(cells), listed)
         rows = np.array(listed, dtype=np.int64)
     partner[first:last] = np.where(rows >= 0, rows + begin, -1)
 

@@ -70,12 +70,12 @@ class Recorded:
     @property
     def clouds(self) -> list[Topic]:
         """Topics of point clouds that hold any."""
-        return [topic for topic in self.bag.topics if topic.kind == CLOUD and topic.count]
+        return [topic for topic in self.bag.topics if topic.kind == CLOUD and topic.size]
 
     @cached_property
     def topics(self) -> dict[str, Messages]:
         """Clouds and images by our names, which are the topics' with ``_`` for ``/``."""
-        kept = [topic for topic in self.bag.topics if topic.kind in _KINDS and topic.count]
+        kept = [topic for topic in self.bag.topics if topic.kind in _KINDS and topic.size]
         stamps = self.bag.stamps([topic.name for topic in kept]) if kept else {}
         return {our_name(topic.name): self._indexed(topic, stamps[topic.name]) for topic in kept}
 
@@ -141,7 +141,7 @@ class Bags(Dataset):
             raise DatasetError(f"{root}: expected bags of different names")
         self._recorded = {name: Recorded(path, stamp, intensity_max) for name, path in self._bags.items()}
         self._clouds = {name: self._reference(name, cloud) for name in self._bags}
-        counts = {name: 0 if topic is None else topic.count for name, topic in self._clouds.items()}
+        counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
         if not sum(counts.values()):
             held = sorted({t.name for r in self._recorded.values() for t in r.clouds}) or ["none"]
             error = DatasetError if cloud is None else ConfigError
@@ -154,7 +154,7 @@ class Bags(Dataset):
         topics = self._recorded[name].clouds
         if cloud is not None:
             return next((topic for topic in topics if cloud in (topic.name, our_name(topic.name))), None)
-        return max(topics, key=lambda topic: ("radar" not in topic.name.lower(), topic.count), default=None)
+        return max(topics, key=lambda topic: ("radar" not in topic.name.lower(), topic.size), default=None)
 
     def _of(self, sequence: str) -> tuple[Recorded, str, Messages]:
         topic = self._clouds[sequence]
