@@ -19,6 +19,13 @@ def test_gaps_losses_duplicates_and_steps_back() -> None:
     assert found.step_ns == 100 * MS
     assert found.gap_starts_ns.tolist() == [1900 * MS, 4900 * MS]
     assert found.to_json()["rate_hz"] == 10
+    assert found.tick_ns == 100 * MS
+
+
+def test_jitter_and_losses_do_not_bias_the_rate(rng: np.random.Generator) -> None:
+    times = np.arange(5000) * 100 * MS + rng.normal(0, 5 * MS, 5000).astype(np.int64)
+    found = health(times[rng.random(5000) > 0.05])
+    assert found.tick_ns == pytest.approx(100 * MS, rel=1e-4)
 
 
 @pytest.mark.parametrize("block", [1, 13, 100])

@@ -61,7 +61,7 @@ def table(found: Synchronised) -> list[tuple[str, ...]]:
     """A row a stream, under :data:`HEADS`, as words."""
     rows = []
     for name, health in found.streams.items():
-        rate = "" if not health.period_ns else f"{1e9 / health.period_ns:.3f}"
+        rate = "" if not health.tick_ns else f"{1e9 / health.tick_ns:.3f}"
         row = [name, f"{health.count:,}", rate, f"{health.gaps:,}", f"{health.lost:,}"]
         pair = found.pairs.get(name)
         row += ["reference", "", "", "", ""] if pair is None else _matched(pair)

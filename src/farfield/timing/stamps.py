@@ -27,6 +27,8 @@ class Health:
         first_ns: The first; None without stamps.
         last_ns: The latest; None without stamps.
         period_ns: Median interval between stamps that rise (of the first million); None for fewer than two.
+        tick_ns: Mean interval a message, those lost within intervals of five periods counted: what jitter and losses do
+            not bias.
         duplicates: Stamps that equal the one before.
         backwards: Stamps that are earlier than the one before.
         gaps: Intervals longer than :data:`GAP_PERIODS` periods.
@@ -41,6 +43,7 @@ class Health:
     first_ns: int | None
     last_ns: int | None
     period_ns: int | None
+    tick_ns: float | None
     duplicates: int
     backwards: int
     gaps: int
@@ -52,7 +55,7 @@ class Health:
 
     def to_json(self) -> dict[str, Any]:
         """All of it but the single gaps, with the rate in hertz."""
-        rate = None if not self.period_ns else round(1e9 / self.period_ns, 6)
+        rate = None if not self.tick_ns else round(1e9 / self.tick_ns, 6)
         return {name: value for name, value in vars(self).items() if not isinstance(value, np.ndarray)} | {
             "rate_hz": rate
         }
@@ -63,6 +66,7 @@ class Counting:
 
     def __init__(self) -> None:
         self.count = self.duplicates = self.backwards = self.gaps = self.lost = self.longest = self.step = 0
+        self.covered = self.ticks = 0
         self.first: int | None = None
         self.last: int | None = None
         self.before: int | None = None
@@ -93,6 +97,9 @@ class Counting:
             self.period = int(np.median(steps[: 1 << 20]))
         self.longest = max(self.longest, int(steps.max()))
         self.step = int(np.gcd.reduce(np.append(steps, self.step)))
+        whole = steps[steps < (BREAK_PERIODS + 0.5) * self.period]
+        self.covered += int(whole.sum())
+        self.ticks += int(np.maximum(np.rint(whole / self.period), 1).sum())
         rows = np.flatnonzero(steps > GAP_PERIODS * self.period)
         self.gaps += len(rows)
         self.lost += int((np.rint(steps[rows] / self.period) - 1).sum())
@@ -108,6 +115,7 @@ class Counting:
             first_ns=self.first,
             last_ns=self.last,
             period_ns=self.period,
+            tick_ns=self.covered / self.ticks if self.ticks else None,
             duplicates=self.duplicates,
             backwards=self.backwards,
             gaps=self.gaps,

@@ -231,16 +231,16 @@ def _clock(
     times: Int64[np.ndarray, " k"], residual: Int64[np.ndarray, " k"], own: Health, other: Health
 ) -> tuple[Clock | None, str]:
     """Offset and drift of a stream where its rate and the reference's have a whole ratio, and what is left open."""
-    if len(times) < 20 or not own.period_ns or not other.period_ns:
+    if len(times) < 20 or not own.tick_ns or not other.tick_ns:
         return None, f"{len(times)} pairs: too few for an offset and a drift"
-    fast, slow = sorted((own.period_ns, other.period_ns))
+    fast, slow = sorted((own.tick_ns, other.tick_ns))
     away = abs(slow / fast - round(slow / fast))
     if away > WHOLE_RATIO:
         return None, (
-            f"rates of {1e9 / own.period_ns:.3f} and {1e9 / other.period_ns:.3f} Hz have no whole ratio: the "
+            f"rates of {1e9 / own.tick_ns:.3f} and {1e9 / other.tick_ns:.3f} Hz have no whole ratio: the "
             "streams run freely, and stamps alone show no offset between their clocks"
         )
-    clock = fit_clock(times, times + residual, modulo_ns=fast)
+    clock = fit_clock(times, times + residual, modulo_ns=round(fast))
     return clock, (
         f"the offset includes {clock.offset_includes} and is known up to multiples of {fast / 1e6:.3f} ms; stamps "
         "alone tell neither apart (a two-way exchange, or a moment that both sensors see, does)"
@@ -258,8 +258,9 @@ def _findings(
     alone = apart(streams, reference, max(tolerances.values(), default=0))
     found = list(alone.values())
     for name, pair in pairs.items():
-        if name not in alone and pair.lost > 0.1 * max(pair.matched + pair.lost, 1):
-            found.append(f"{name}: {pair.lost} of {pair.matched + pair.lost} messages of {reference} find no partner")
+        possible = min(pair.matched + pair.lost, streams[name].count)
+        if name not in alone and pair.matched < 0.9 * possible:
+            found.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
     for name, health in streams.items():
         if health.duplicates:
             found.append(f"{name}: {health.duplicates} stamps stand there twice")
