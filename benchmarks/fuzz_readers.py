@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from _fuzz_radar import radar_targets
+from _fuzz_time import time_targets
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
@@ -181,7 +182,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
         **{
             name: Target(suffix, read, seeds, valid, hostile=hostile)
-            for name, (suffix, read, seeds, valid, hostile) in radar_targets(folder).items()
+            for name, (suffix, read, seeds, valid, hostile) in (radar_targets(folder) | time_targets(folder)).items()
         },
     }
 

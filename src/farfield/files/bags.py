@@ -225,7 +225,7 @@ def _check_size(path: Path) -> None:
 
 
 @contextmanager
-def guarded(path: Path, where: str) -> Iterator[None]:
+def guarded(path: Path | str, where: str) -> Iterator[None]:
     """Turn whatever the library raises over a damaged bag into the error of a damaged file."""
     try:
         yield

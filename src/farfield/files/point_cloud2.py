@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import FileFormatError
+from farfield.files.bags import guarded
 
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """``PointField``'s codes."""
@@ -23,6 +24,11 @@ def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, 
     Raises:
         FileFormatError: If a field's type is unknown, a name stands twice, or sizes contradict each other.
     """
+    with guarded(path, "a point cloud"):  # a damaged definition leaves fields out
+        return _columns(message, path)
+
+
+def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n"]]:
     height, width, step, row = (int(getattr(message, n)) for n in ("height", "width", "point_step", "row_step"))
     data = np.asarray(message.data, dtype=np.uint8)
     order = ">" if message.is_bigendian else "<"

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from farfield.errors import FileFormatError
+from farfield.files.bags import guarded
 from farfield.files.images import MAX_PIXELS, decode_image
 
 CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "mono8": (0, 0, 0)}
@@ -20,6 +21,11 @@ def read_ros_image(message: Any, path: Path | str) -> UInt8[np.ndarray, "height 
     Raises:
         FileFormatError: If its encoding is another, or its sizes contradict each other.
     """
+    with guarded(path, "an image"):  # a damaged definition leaves fields out
+        return _pixels(message, path)
+
+
+def _pixels(message: Any, path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
     height, width, step = int(message.height), int(message.width), int(message.step)
     encoding, data = str(message.encoding), np.asarray(message.data, dtype=np.uint8)
     if encoding not in CHANNELS:
@@ -41,9 +47,10 @@ def read_ros_compressed(message: Any, path: Path | str) -> UInt8[np.ndarray, "he
     Raises:
         FileFormatError: If it holds something else, such as depth or video.
     """
-    kind = str(message.format)
+    with guarded(path, "a compressed image"):
+        kind, data = str(message.format), np.asarray(message.data, dtype=np.uint8).tobytes()
     if "compressedDepth" in kind:
         raise FileFormatError(
             path, where="a compressed image", expected="a JPEG or PNG", found=f"depth ({kind[:60]!r})"
         )
-    return decode_image(io.BytesIO(np.asarray(message.data, dtype=np.uint8).tobytes()), path, max_pixels=MAX_PIXELS)
+    return decode_image(io.BytesIO(data), path, max_pixels=MAX_PIXELS)

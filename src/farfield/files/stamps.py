@@ -23,6 +23,7 @@ _NUMBER = re.compile(rb"-?\d{1,19}(?:\.\d{1,30})?\s*$")
 _DATE = re.compile(rb"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?\s*$")
 _RADIATE = re.compile(rb"Frame: \d{1,9} Time: \d{1,12}\.\d{1,9}\s*$")
 _COLUMNS = ("time_ns", "timestamp_ns", "stamp_ns", "time_us", "time_ms", "time_s", "timestamp", "stamp", "time", "t")
+_LATEST_NS = 5 * 10**18 - 1  # leaves room to add a tolerance
 _SUFFIX = re.compile(r"_(ns|us|ms|s)$")
 
 Stamps = Int64[np.ndarray, " _"]
@@ -102,7 +103,11 @@ def read_stamps(stamps: StampList) -> Iterator[Int64[np.ndarray, " _"]]:
     if stamps.form == "radiate":
         from farfield.files.radiate import read_times
 
-        yield np.array(list(read_times(stamps.path).values()), dtype=np.int64)
+        times = list(read_times(stamps.path).values())
+        late = next((line for line, time in enumerate(times, start=1) if time > _LATEST_NS), None)
+        if late is not None:
+            raise _wrong(stamps.path, late, "a stamp before the year 2116", f"{times[late - 1]} ns")
+        yield np.array(times, dtype=np.int64)
         return
     for number, block in _blocks(stamps.path, stamps.header):
         if stamps.form == "date":
@@ -182,7 +187,7 @@ def _fill(
     exponents = whole + scale - 1 - np.arange(used.shape[1])
     fits = exponents <= 18
     sound &= ~(used[:, ~fits] != 0).any(axis=1)
-    sound &= ~((used[:, exponents == 18] > 4).any(axis=1))  # 4.99e18 ns: 158 years, and room to add a tolerance
+    sound &= ~((used[:, exponents == 18] > 4).any(axis=1))  # below 5e18: 158 years
     found[rows] = used[:, fits] @ 10 ** exponents[fits]
     return sound
 

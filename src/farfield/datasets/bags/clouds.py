@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, Shaped
 
 from farfield.errors import ConfigError, FileFormatError
-from farfield.files.bags import Bag
+from farfield.files.bags import Bag, guarded
 from farfield.files.point_cloud2 import read_points
 from farfield.frame import Cloud
 
@@ -55,12 +55,13 @@ def load_cloud(
     """
     message = bag.at(topic, log_ns, place)
     columns = read_points(message, bag.path)
-    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=_stamp(message))
+    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=_stamp(message, bag.path))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
 
 
-def _stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+def _stamp(message: Any, path: Path) -> int:
+    with guarded(path, "a cloud's header"):
+        return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_ns: int) -> Cloud:

@@ -14,7 +14,7 @@ from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError
-from farfield.files.bags import SUFFIXES, Bag, Topic, is_bag
+from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
 from farfield.files.point_cloud2 import read_points
 from farfield.files.ros_images import read_ros_compressed, read_ros_image
 from farfield.frame import Frame, Lazy, Sensor, camera_sensor
@@ -86,12 +86,14 @@ class Recorded:
         order = np.argsort(times, kind="stable")
         message = self.bag.at(topic.name, int(log[0]))
         columns = read_points(message, self.bag.path) if topic.kind == CLOUD else {}
+        with guarded(self.bag.path, f"the header of {topic.name}"):
+            frame_id = str(message.header.frame_id)
         return Messages(
             topic=topic,
             times_ns=times[order],
             log_ns=log[order],
             place=(np.arange(len(log)) - first_of_equal)[order],
-            frame_id=str(message.header.frame_id),
+            frame_id=frame_id,
             radar=is_radar(columns),
             limit=intensity_limit(columns) if self.intensity_max is None else self.intensity_max,
         )
@@ -227,15 +229,20 @@ class Bags(Dataset):
         if found is None:
             raise ConfigError(f"{sequence}: expected an IMU, got {[t.name for t in bag.topics if t.kind == IMU]}")
         messages = [bag.decode(found, raw) for _, _, raw in bag.messages([found.name])]
-        stamps = [(int(m.header.stamp.sec), int(m.header.stamp.nanosec)) for m in messages]
-        turn = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
-        push = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
-        return {
-            "time_ns": np.array([s * 1_000_000_000 + ns for s, ns in stamps], dtype=np.int64),
-            "angular_rad_s": np.array(turn, dtype=np.float64).reshape(-1, 3),
-            "acceleration_m_s2": np.array(push, dtype=np.float64).reshape(-1, 3),
-            "frame_id": np.array([str(m.header.frame_id) for m in messages]),
-        }
+        with guarded(bag.path, f"messages of {found.name}"):
+            return _imu_table(messages)
+
+
+def _imu_table(messages: Sequence[Any]) -> dict[str, np.ndarray]:
+    stamps = [(int(m.header.stamp.sec), int(m.header.stamp.nanosec)) for m in messages]
+    turn = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
+    push = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
+    return {
+        "time_ns": np.array([s * 1_000_000_000 + ns for s, ns in stamps], dtype=np.int64),
+        "angular_rad_s": np.array(turn, dtype=np.float64).reshape(-1, 3),
+        "acceleration_m_s2": np.array(push, dtype=np.float64).reshape(-1, 3),
+        "frame_id": np.array([str(m.header.frame_id) for m in messages]),
+    }
 
 
 def find_bags(root: Path) -> list[Path]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import FileFormatError
-from farfield.files.bags import Bag
+from farfield.files.bags import Bag, guarded
 from farfield.geometry.poses import pose, rotation_from_quaternion
 
 Pose = Float[np.ndarray, "4 4"]
@@ -75,8 +75,7 @@ class Transforms:
         fixed: dict[str, tuple[str, Pose]] = {}
         moving: dict[str, dict[int, tuple[str, Pose]]] = {}
         for topic, _, raw in self.bag.messages(names) if names else ():
-            for transform in self.bag.decode(topic, raw).transforms:
-                child, parent, time_ns, matrix = self._read(transform)
+            for child, parent, time_ns, matrix in self._listed(self.bag.decode(topic, raw)):
                 if topic.name.endswith(STATIC):
                     fixed[child] = (parent, matrix)
                 else:
@@ -89,6 +88,10 @@ class Transforms:
             kept = [time for time in times if stamped[time][0] == parent]
             edges[child] = Edge(parent, np.array(kept, dtype=np.int64), np.array([stamped[t][1] for t in kept]))
         return edges
+
+    def _listed(self, message: Any) -> list[tuple[str, str, int, Pose]]:
+        with guarded(self.bag.path, "transforms"):  # a damaged definition leaves fields out
+            return [self._read(transform) for transform in message.transforms]
 
     def _read(self, transform: Any) -> tuple[str, str, int, Pose]:
         stamp, turn, place = transform.header.stamp, transform.transform.rotation, transform.transform.translation
