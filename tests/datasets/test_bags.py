@@ -3,6 +3,7 @@
 import io
 import pickle
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import bag_messages as rosbag
 from farfield import cli
 from farfield.datasets import open_dataset
 from farfield.datasets.bags.clouds import cloud_of, offsets_ns
-from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.bags import Bag
 from farfield.files.point_cloud2 import read_points
 from farfield.frame import joined
@@ -195,6 +196,20 @@ def test_imu_and_choices(bag: Path) -> None:
         open_dataset(bag, cloud="/nothing")
 
 
+def test_a_bag_is_a_sound_data_set(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from farfield.testing import check_dataset
+
+    check_dataset(open_dataset(bag))
+    assert cli.main(["doctor", str(bag)]) in (0, 1)
+    assert "bags" in capsys.readouterr().out
+
+
+def test_a_missing_extra_is_named(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(MissingExtraError, match=r"farfield\[bags\]"):
+        open_dataset(bag)
+
+
 def test_sync_reads_bags(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["sync", str(bag), "--to", "/os/points", "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
@@ -261,3 +276,42 @@ def test_real_bags_of_ros2(shared_real: Path) -> None:
         if path.suffix != ".yaml" and path.suffix != ".md"
     }
     assert sorted(counts.values()) == [13, 75, 150]
+
+
+@pytest.mark.parametrize("mcap", [False, True])
+def test_kitti_and_radiate_as_bags(shared_real: Path, tmp_path: Path, mcap: bool) -> None:
+    """Real sweeps and real stamps, written as a bag and read back bit for bit."""
+    from farfield.files.clouds import read_bin
+    from farfield.files.radiate import read_times
+    from farfield.files.stamps import read_stamps, recognise_stamps
+
+    drive = shared_real / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync" / "velodyne_points"
+    known = recognise_stamps(drive / "timestamps_start.txt")
+    assert known is not None
+    (starts,) = read_stamps(known)
+    sweeps = [read_bin(path) for path in sorted((drive / "data").glob("*.bin"))[:3]]
+    dtype = np.dtype([(name, "<f4") for name in ("x", "y", "z", "intensity")])
+    rows = [
+        ("/velodyne", int(at) + 10**8, rosbag.cloud(sweep.view(dtype)[:, 0], int(at), "velodyne"))
+        for at, sweep in zip(starts, sweeps, strict=False)
+    ]
+    lists = shared_real / "time" / "radiate_tiny_foggy"
+    for name in ("Navtech_Polar", "velo_lidar", "GPS_IMU_Twist"):
+        stamps = read_times(lists / f"{name}.txt").values()
+        rows += [(f"/{name}", at + place, rosbag.imu(at, 0.0)) for place, at in enumerate(stamps)]
+    opened = Bag(rosbag.write_bag(tmp_path / "real", rows, mcap=mcap))
+    sent: dict[str, list[bytes]] = {}
+    for topic, _, message in sorted(rows, key=lambda row: row[1]):
+        sent.setdefault(topic, []).append(bytes(rosbag.STORE.serialize_cdr(message, message.__msgtype__)))
+    read: dict[str, list[bytes]] = {}
+    for topic, _, raw in opened.messages():
+        read.setdefault(topic.name, []).append(raw)
+    assert read == sent
+    for name in ("Navtech_Polar", "velo_lidar", "GPS_IMU_Twist"):
+        header_ns = opened.stamps([f"/{name}"])[f"/{name}"].header_ns
+        assert header_ns is not None
+        assert sorted(header_ns.tolist()) == sorted(read_times(lists / f"{name}.txt").values())
+    data = open_dataset(tmp_path / "real")
+    for index, sweep in enumerate(sweeps):
+        np.testing.assert_array_equal(data[index].cloud().points_m, sweep[:, :3])
+        np.testing.assert_array_equal(data[index].cloud().intensity, sweep[:, 3])
