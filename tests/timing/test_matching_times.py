@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from farfield.errors import ConfigError
-from farfield.timing import StreamMatcher, assignment, match_blocks, match_times
+from farfield.timing import StreamMatcher, assignment, blocks, match_blocks, match_times
 from farfield.timing.assignment import assign, cost_ns, nearest, windows
 
 small = st.lists(st.integers(0, 60), max_size=9, unique=True).map(sorted)
@@ -132,6 +132,18 @@ def test_blocks_give_what_the_whole_gives(block: int, jitter_ms: float, rng: np.
     np.testing.assert_array_equal(np.concatenate([part.reference_ns for part in parts]), whole.reference_ns)
     np.testing.assert_array_equal(np.concatenate([part.index for part in parts]), whole.index)
     np.testing.assert_array_equal(np.concatenate([part.residual_ns for part in parts]), whole.residual_ns)
+
+
+def test_endless_clusters_are_cut_in_blocks_too(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks, "LONGEST", 50)
+    a, b = np.arange(2000) * 100 + rng.integers(0, 60, 2000), np.arange(2000) * 100 + 50 + rng.integers(0, 60, 2000)
+    parts = match_blocks(
+        {"a": (a[k : k + 20] for k in range(0, 2000, 20)), "b": iter([b])}, reference="a", tolerance_ns=120
+    )
+    partner = np.concatenate([part.index[:, 0] for part in parts])
+    sound(a, b, partner, 120)
+    best = cost_ns(a, b, assign(a, b, 120), 120)
+    assert best <= cost_ns(a, b, partner, 120) <= 1.01 * best
 
 
 def streamed(times: dict[str, np.ndarray], late_ns: int, tolerance: int, rng: np.random.Generator, **options: int):
