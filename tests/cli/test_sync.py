@@ -128,6 +128,21 @@ def test_kitti_raw_has_start_middle_and_end(shared_real: Path, tmp_path: Path) -
     assert pairs["image_02"]["residual"]["worst_ms"] < 19.4
 
 
+def test_kitti_raw_with_a_lost_sweep_keeps_the_numbers(tmp_path: Path) -> None:
+    """Drives of KITTI raw lack single sweeps: a number is left out, and its line too."""
+    drive = tmp_path / "day" / "drive"
+    for name, numbers in (("velodyne_points", (0, 1, 3, 4)), ("image_02", range(5))):
+        (drive / name / "data").mkdir(parents=True)
+        lines = [f"2011-09-26 13:02:25.{100 * number:03d}000000" for number in numbers]
+        (drive / name / "timestamps.txt").write_text("\n".join(lines) + "\n")
+        for number in numbers:
+            (drive / name / "data" / f"{number:010d}.bin").touch()
+    assert cli.main(["sync", str(tmp_path / "day"), "--to", "image_02", "--out", str(tmp_path / "out")]) == 0
+    rows = read_match_table(tmp_path / "out" / "matches.csv")
+    assert rows["image_02_frame"] == [f"{number:010d}" for number in range(5)]
+    assert rows["velodyne_points_frame"] == ["0000000000", "0000000001", "", "0000000003", "0000000004"]
+
+
 def test_kitti_stamps_keep_their_period(shared_real: Path, tmp_path: Path) -> None:
     folder = shared_real / "time" / "kitti_raw_stamps"
     assert cli.main(["sync", str(folder), "--out", str(tmp_path), "--to", "timestamps", "--tolerance-ms", "60"]) == 0

@@ -161,6 +161,34 @@ def streamed(times: dict[str, np.ndarray], late_ns: int, tolerance: int, rng: np
     return groups + matcher.close(), matcher, most
 
 
+many = st.lists(st.tuples(st.integers(0, 300), st.integers(0, 20)), max_size=40, unique_by=lambda row: row[0])
+
+
+@given(many, many, many, st.integers(0, 30))
+def test_any_disorder_within_the_lateness_is_mended(a: list, b: list, c: list, tolerance: int) -> None:
+    rows = {"a": a, "b": b, "c": c}
+    order = sorted((stamp + late, name, stamp) for name, values in rows.items() for stamp, late in values)
+    far = 10**9
+    matcher = StreamMatcher(
+        ("a", "b", "c"),
+        reference="a",
+        tolerance_ns=tolerance,
+        lateness_ns=20,
+        stall_ns=far,
+        jump_ns=far,
+        longest_ns=far,
+    )
+    groups = [group for _, name, stamp in order for group in matcher.push(name, stamp)] + matcher.close()
+    assert not matcher.counts
+    times = {name: array(sorted(stamp for stamp, _ in values)) for name, values in rows.items()}
+    whole = match_times(times, reference="a", tolerance_ns=tolerance)
+    assert [group.stamp_ns for group in groups] == whole.reference_ns.tolist()
+    for column, name in enumerate(whole.names):
+        expected = [None if k < 0 else int(times[name][k]) for k in whole.index[:, column]]
+        got = [None if (partner := group.partners[name]) is None else partner[0] for group in groups]
+        assert got == expected
+
+
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("tolerance_ms", [16, 45])
 def test_streaming_equals_batch_within_the_lateness(seed: int, tolerance_ms: int) -> None:

@@ -90,7 +90,7 @@ def _kitti_raw(root: Path, unit: Unit) -> list[Recording]:
         part = path.stem.removeprefix("timestamps").lstrip("_")
         name = path.parent.name + (f"/{part}" if part else "")
         if (known := recognise_stamps(path, unit=unit)) is not None:
-            drives.setdefault(path.parent.parent, {})[name] = _source(known)
+            drives.setdefault(path.parent.parent, {})[name] = _source(known, path.parent / "data")
     return [
         Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder)) for folder, streams in drives.items()
     ]
@@ -119,8 +119,14 @@ def _lists_in(folder: Path, unit: Unit) -> dict[str, Source]:
     return found
 
 
-def _source(known: StampList) -> Source:
-    labels = [f"{number:06d}" for number in read_times(known.path)] if known.form == "radiate" else None
+def _source(known: StampList, data: Path | None = None) -> Source:
+    """A list as a stream; its messages are named as the files in ``data`` where there are as many as stamps."""
+    labels: list[str] | None = None
+    if known.form == "radiate":
+        labels = [f"{number:06d}" for number in read_times(known.path)]
+    elif data is not None and data.is_dir():  # lost messages have a number and no line
+        stems = sorted({path.stem for path in data.iterdir() if path.is_file()})
+        labels = stems if len(stems) == sum(map(len, read_stamps(known))) else None
     said = f"unit taken as {known.unit}, by the size of the first number" if known.guessed else ""
     said = "local time without a zone, taken as UTC" if known.form == "date" else said
     return Source(blocks=partial(read_stamps, known), labels=labels, said=said)
