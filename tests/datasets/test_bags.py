@@ -1,6 +1,7 @@
 """Bags that rosbags wrote, read back: every layout of points, images, transforms; damaged ones are refused."""
 
 import io
+import json
 import pickle
 import shutil
 import sys
@@ -215,6 +216,31 @@ def test_sync_reads_bags(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     shown = capsys.readouterr().out
     assert "/left: 5 matched, worst 5.000 ms" in shown
     assert "/radar: 5 matched, worst 30.000 ms" in shown
+
+
+def test_times_of_recording_show_the_computers_clock(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A computer that runs 50 ppm fast and gets messages 3 ms late or later."""
+    at = START + np.arange(600) * 100 * MS
+    log = at + 3 * MS + ((at - START) * 50e-6).astype(np.int64) + (rng.exponential(2, 600) * MS).astype(np.int64)
+    rows = [("/imu", int(late), rosbag.imu(int(taken), 0.0)) for taken, late in zip(at, log, strict=True)]
+    rows += [("/other", int(taken) + 1, rosbag.imu(int(taken) + 5 * MS, 0.0)) for taken in at]
+    path = rosbag.write_bag(tmp_path / "drive", rows, mcap=True)
+    for stamp in ("header", "log"):
+        arguments = ["sync", str(path), "--to", "/imu", "--stamp", stamp, "--out", str(tmp_path / stamp)]
+        assert cli.main(arguments) == 0
+    (found,) = json.loads((tmp_path / "header" / "sync.json").read_text())["recordings"]
+    clock = found["arrivals"]["/imu"]
+    assert clock["method"] == "hull"
+    assert clock["drift_ppm"] == pytest.approx(50, abs=1)
+    assert clock["offset_ns"] / MS == pytest.approx(3 + 50e-6 * 30_000, abs=0.1)
+    assert found["pairs"]["/other"]["residual"]["mean_ms"] == pytest.approx(5)
+    assert (
+        "+49.9" in (tmp_path / "header" / "sync.html").read_text()
+        or "+50." in (tmp_path / "header" / "sync.html").read_text()
+    )
+    (found,) = json.loads((tmp_path / "log" / "sync.json").read_text())["recordings"]
+    assert found["arrivals"] == {}
+    assert found["pairs"]["/other"]["residual"]["mean_ms"] < -3
 
 
 def test_a_bag_that_is_cut_is_an_error(bag: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Int64
@@ -16,6 +17,7 @@ from farfield.files.radiate import read_times
 from farfield.files.stamps import StampList, Unit, read_stamps, recognise_stamps
 from farfield.frame import Drive
 
+Stamp = Literal["header", "log"]
 LISTS = (".txt", ".csv")
 LOGS = (".txt", ".log")
 
@@ -28,11 +30,13 @@ class Source:
         blocks: Reads them, block by block.
         labels: The messages' names in their order; None: counted from 0.
         said: How the stamps are read, in words, where that was guessed or is not obvious.
+        arrived_ns: When each message was recorded, by the clock of the computer, where both are known, shape (n,).
     """
 
     blocks: Callable[[], Iterator[Int64[np.ndarray, " _"]]]
     labels: Sequence[str] | None = None
     said: str = ""
+    arrived_ns: Int64[np.ndarray, " n"] | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,19 +54,20 @@ class Recording:
     logs: tuple[Path, ...] = field(default=())
 
 
-def recordings(root: Path | str, *, unit: Unit = "auto") -> list[Recording]:
+def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header") -> list[Recording]:
     """Find the recordings in a folder: KITTI raw's drives, lists of stamps, or the drives of a data set.
 
     Args:
         root: The folder.
         unit: Unit of numbers that do not say theirs.
+        stamp: Which stamps of a bag's messages count: those of their headers, or when they were recorded.
 
     Raises:
         DatasetError: If there is none, or none whose times are known.
     """
     root = Path(root).expanduser()
     if is_bag(root) or (root.is_dir() and any(map(is_bag, root.iterdir()))):
-        return [_of_bag(path) for path in ([root] if is_bag(root) else sorted(filter(is_bag, root.iterdir())))]
+        return [_of_bag(path, stamp) for path in ([root] if is_bag(root) else sorted(filter(is_bag, root.iterdir())))]
     if not root.is_dir():
         raise DatasetError(f"{root}: expected a folder of stamps or a data set's, found {_kind(root)}.")
     found = _kitti_raw(root, unit) or _lists(root, unit)
@@ -137,13 +142,13 @@ def _logs(folder: Path) -> tuple[Path, ...]:
     return tuple(path for path in paths if is_clock_log(path))
 
 
-def _of_bag(path: Path) -> Recording:
+def _of_bag(path: Path, stamp: Stamp) -> Recording:
     """Topics whose messages have a stamp of their own; the others by the time of recording, which is said."""
     stamps = Bag(path).stamps()
     streams = {}
     for topic, found in stamps.items():
         if len(found.log_ns):
-            times = found.log_ns if found.header_ns is None else found.header_ns
+            times = found.log_ns if found.header_ns is None or stamp == "log" else found.header_ns
             order = np.argsort(times, kind="stable")  # a bag is in the order of recording
             moved = int((np.diff(times) < 0).sum())
             said = "no stamp of its own: times of recording" if found.header_ns is None else ""
@@ -152,6 +157,7 @@ def _of_bag(path: Path) -> Recording:
                 blocks=partial(iter, [times[order]]),
                 labels=[str(place) for place in order] if moved else None,
                 said=said,
+                arrived_ns=None if times is found.log_ns else found.log_ns[order],
             )
     return Recording(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
 

@@ -17,6 +17,7 @@ from farfield.timing.stamps import Counting, Health, apart
 
 SPEED_M_S = 30.0
 """Residuals are also given as the way at this speed: that of a car that comes towards us."""
+FEWEST_PAIRS = 20
 WHOLE_RATIO = 0.02
 """Rates whose ratio is farther from a whole number, in periods of the faster stream, have no common trigger."""
 
@@ -81,6 +82,7 @@ class Synchronised:
         streams: Each stream by itself.
         pairs: Each other stream against the reference.
         exchanges: What logs of two-way exchanges say, by file.
+        arrivals: The computer's clock against each stream's, from stamps and times of recording of the same messages.
         findings: What is out of step, in words.
     """
 
@@ -89,6 +91,7 @@ class Synchronised:
     streams: Mapping[str, Health]
     pairs: Mapping[str, Pair]
     exchanges: Mapping[str, Exchanged]
+    arrivals: Mapping[str, Clock]
     findings: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -99,6 +102,7 @@ class Synchronised:
             "streams": {name: health.to_json() for name, health in self.streams.items()},
             "pairs": {name: pair.to_json() for name, pair in self.pairs.items()},
             "exchanges": {name: each.to_json() for name, each in self.exchanges.items()},
+            "arrivals": {name: clock.to_json() for name, clock in self.arrivals.items()},
             "findings": list(self.findings),
         }
 
@@ -196,6 +200,7 @@ def synchronise(
         streams=streams,
         pairs=pairs,
         exchanges=dict(exchanges or {}),
+        arrivals=_arrivals(recording),
         findings=tuple(findings),
     )
 
@@ -231,7 +236,7 @@ def _clock(
     times: Int64[np.ndarray, " k"], residual: Int64[np.ndarray, " k"], own: Health, other: Health
 ) -> tuple[Clock | None, str]:
     """Offset and drift of a stream where its rate and the reference's have a whole ratio, and what is left open."""
-    if len(times) < 20 or not own.tick_ns or not other.tick_ns:
+    if len(times) < FEWEST_PAIRS or not own.tick_ns or not other.tick_ns:
         return None, f"{len(times)} pairs: too few for an offset and a drift"
     fast, slow = sorted((own.tick_ns, other.tick_ns))
     away = abs(slow / fast - round(slow / fast))
@@ -245,6 +250,18 @@ def _clock(
         f"the offset includes {clock.offset_includes} and is known up to multiples of {fast / 1e6:.3f} ms; stamps "
         "alone tell neither apart (a two-way exchange, or a moment that both sensors see, does)"
     )
+
+
+def _arrivals(recording: Recording) -> dict[str, Clock]:
+    """One-way: what the offset includes of the delay stays unknown."""
+    found = {}
+    for name, source in recording.streams.items():
+        if source.arrived_ns is not None and len(source.arrived_ns) >= FEWEST_PAIRS:
+            times = np.concatenate(list(source.blocks()))
+            rising = np.append(True, np.diff(times) > 0)
+            if rising.sum() >= FEWEST_PAIRS:
+                found[name] = fit_clock(times[rising], source.arrived_ns[rising])
+    return found
 
 
 def _findings(
