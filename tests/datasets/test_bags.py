@@ -234,10 +234,7 @@ def test_times_of_recording_show_the_computers_clock(tmp_path: Path, rng: np.ran
     assert clock["drift_ppm"] == pytest.approx(50, abs=1)
     assert clock["offset_ns"] / MS == pytest.approx(3 + 50e-6 * 30_000, abs=0.1)
     assert found["pairs"]["/other"]["residual"]["mean_ms"] == pytest.approx(5)
-    assert (
-        "+49.9" in (tmp_path / "header" / "sync.html").read_text()
-        or "+50." in (tmp_path / "header" / "sync.html").read_text()
-    )
+    assert "ppm against the stream" in (tmp_path / "header" / "sync.html").read_text()
     (found,) = json.loads((tmp_path / "log" / "sync.json").read_text())["recordings"]
     assert found["arrivals"] == {}
     assert found["pairs"]["/other"]["residual"]["mean_ms"] < -3
