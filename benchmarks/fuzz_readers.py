@@ -1,6 +1,6 @@
 """Feed damaged files to every reader: each must give a clear error or a valid result, quickly and in little memory.
 
-    python benchmarks/fuzz_readers.py [--files 20000] [--only pcd] [--output benchmarks/results/fuzz_readers.txt]
+    python benchmarks/fuzz_readers.py [--files 20000] [--only pcd xyz] [--output benchmarks/results/fuzz_readers.txt]
 
 Good files are truncated, bit-flipped, spliced with others, filled with bytes that parsers dislike, and the digits in
 their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit status
@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from _fuzz_radar import radar_targets
+from _fuzz_time import time_targets
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
@@ -181,7 +182,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
         **{
             name: Target(suffix, read, seeds, valid, hostile=hostile)
-            for name, (suffix, read, seeds, valid, hostile) in radar_targets(folder).items()
+            for name, (suffix, read, seeds, valid, hostile) in (radar_targets(folder) | time_targets(folder)).items()
         },
     }
 
@@ -270,14 +271,14 @@ def fuzz_in_process(name: str, count: int, keep: Path) -> Tally:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--files", type=int, default=20_000)
-    parser.add_argument("--only", help="one reader's name")
+    parser.add_argument("--only", nargs="+", help="names of readers")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "fuzz_readers.txt")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "farfield-fuzz")
     arguments = parser.parse_args()
     from _report import header
 
     with tempfile.TemporaryDirectory() as folder:
-        names = [name for name in targets(Path(folder)) if arguments.only in (None, name)]
+        names = [name for name in targets(Path(folder)) if arguments.only is None or name in arguments.only]
     lines = [header(), "", f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults"]
     failed = False
     for name in names:

@@ -78,6 +78,14 @@ def is_radiate(root: Path) -> bool:
     return any(_has(root, f"{prefix}Navtech_{kind}/*.png") for prefix in ("", "*/") for kind in kinds)
 
 
+def is_bags(root: Path) -> bool:
+    """Whether a folder is a ROS 2 bag or holds some."""
+    from farfield.files.bags import SUFFIXES, is_bag
+
+    inside = any(is_bag(path) for path in root.iterdir() if path.is_dir())
+    return is_bag(root) or any(_has(root, f"*{suffix}") for suffix in SUFFIXES) or inside
+
+
 def is_folder(root: Path) -> bool:
     """Whether clouds lie directly in a folder."""
     from farfield.datasets.cloud_files import CLOUD_SUFFIXES
@@ -135,6 +143,12 @@ RADIATE = Format(
     recognises=is_radiate,
     reader="farfield.datasets.radiate:Radiate",
 )
+BAGS = Format(
+    name="bags",
+    looked_for="metadata.yaml of a ROS 2 bag, or *.mcap or *.db3 in the folder, or bags in its folders",
+    recognises=is_bags,
+    reader="farfield.datasets.bags.reader:Bags",
+)
 FOLDER = Format(
     name="folder",
     looked_for="*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
@@ -147,7 +161,17 @@ DATASETS: Registry[Format] = Registry(
     "data set format",
     {
         name: f"farfield.datasets.formats:{name.upper()}"
-        for name in ("cirrus", "view_of_delft", "kitti", "kitti_tracking", "argoverse2", "kradar", "radiate", "folder")
+        for name in (
+            "cirrus",
+            "view_of_delft",
+            "kitti",
+            "kitti_tracking",
+            "argoverse2",
+            "kradar",
+            "radiate",
+            "bags",
+            "folder",
+        )
     },
 )
 """Formats by name, in the order in which folders are tried; those of other packages come before ``folder``."""

@@ -29,15 +29,25 @@ def read_image(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> UInt8[np.nd
     Raises:
         FileFormatError: If the file is no such image, is truncated, or has too many pixels.
     """
-    data = read_bytes(path, max_bytes=_MAX_IMAGE_BYTES)
+    return decode_image(io.BytesIO(read_bytes(path, max_bytes=_MAX_IMAGE_BYTES)), path, max_pixels=max_pixels)
+
+
+def decode_image(data: io.BytesIO, path: Path | str, *, max_pixels: int) -> UInt8[np.ndarray, "height width 3"]:
+    """Decode a JPEG or PNG that is in memory, as :func:`read_image` does.
+
+    Args:
+        data: The whole image.
+        path: For error messages: where it came from.
+        max_pixels: Largest width x height that is decoded.
+    """
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(data, formats=("JPEG", "PNG")) as image:
             if image.width * image.height > max_pixels:  # Pillow has read the header only
                 expected, found = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
                 raise FileFormatError(path, where="the image header", expected=expected, found=found)
             return np.array(_as_rgb(image))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        found = f"{str(error)[:200]} ({len(data)} bytes)"
+        found = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
         raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", found=found) from error
 
 

@@ -1,0 +1,63 @@
+"""``farfield sync``: match the streams of a recording to one of them, and say what their clocks do."""
+
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+def run(
+    path: tyro.conf.Positional[Path],
+    /,
+    *,
+    to: str | None = None,
+    tolerance_ms: float | None = None,
+    unit: Literal["auto", "s", "ms", "us", "ns"] = "auto",
+    stamp: Literal["header", "log"] = "header",
+    out: Path | None = None,
+) -> int:
+    """Match the streams of a recording to one of them, and say what their clocks do.
+
+    examples:
+      farfield sync fog_6_0 --to Navtech_Polar
+      farfield sync 2011_09_26 --to velodyne_points --out runs/sync
+      farfield sync stamps/ --to lidar --tolerance-ms 17
+      farfield sync drive.mcap --to /os/points
+
+    Reads KITTI raw's timestamps, folders of lists of stamps (RADIATE's, dates, numbers, CSV; one file a stream),
+    ROS 2 bags, and the times of the data sets that open_dataset opens. Logs of ptp4l and phc2sys beside the lists are
+    read too. Writes matches.csv (one a drive), sync.json and sync.html.
+
+    Args:
+        path: Folder of the recording, or of several.
+        to: The stream to which the others are matched; the slowest that shares time with most unless given.
+        tolerance_ms: Largest distance; half the period of the faster stream of each pair unless given.
+        unit: Unit of plain numbers that do not say theirs.
+        stamp: Stamps of a bag's messages: their headers', or log, when they were recorded.
+        out: Folder to write into; runs/sync-NAME unless given.
+    """
+    from farfield.errors import ConfigError
+    from farfield.reports.sync_writing import write_synchronised
+    from farfield.timing.sources import recordings
+
+    if tolerance_ms is not None and not 0 <= tolerance_ms < 1e9:
+        raise ConfigError(f"--tolerance-ms: expected 0 or more milliseconds, got {tolerance_ms:g}")
+    name = path.resolve().name
+    tolerance_ns = None if tolerance_ms is None else round(tolerance_ms * 1e6)
+    folder = out or Path("runs") / f"sync-{name}"
+    found = write_synchronised(
+        folder,
+        recordings(path, unit=unit, stamp=stamp),
+        to=to,
+        tolerance_ns=tolerance_ns,
+        title=f"Synchronisation of {name}",
+    )
+    for each in found:
+        print(f"{each.name}: matched to {each.reference}, {each.streams[each.reference].count:,} messages")
+        for stream, pair in each.pairs.items():
+            clock = pair.clock
+            drift = "" if clock is None else f", drift {clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f} ppm"
+            print(f"  {stream}: {pair.matched:,} matched, worst {pair.worst_ns / 1e6:.3f} ms{drift}")
+        print("".join(f"  note: {finding}\n" for finding in each.findings), end="")
+    print(f"report: {(folder / 'sync.html').resolve()}")
+    return 0

@@ -1,0 +1,260 @@
+"""ROS 2 bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from farfield.datasets.bags.clouds import intensity_limit, is_radar, load_cloud
+from farfield.datasets.bags.transforms import Transforms
+from farfield.datasets.base import Dataset
+from farfield.datasets.drives import Indices, Poses, all_poses
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
+from farfield.files.point_cloud2 import read_points
+from farfield.files.ros_images import read_ros_compressed, read_ros_image
+from farfield.frame import Frame, Lazy, Sensor, camera_sensor
+
+CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
+COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
+_KINDS = (CLOUD, IMAGE, COMPRESSED)
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """One topic's messages in the order of their stamps.
+
+    Args:
+        topic: The topic.
+        times_ns: Stamps, by header or by time of recording, shape (n,).
+        log_ns: When each was recorded, shape (n,).
+        place: Which of those recorded at the same moment each is, shape (n,).
+        frame_id: Name of its coordinates, by its first message.
+        radar: Whether it is a radar's cloud.
+        limit: Intensity that is taken as 1.
+    """
+
+    topic: Topic
+    times_ns: Int64[np.ndarray, " n"]
+    log_ns: Int64[np.ndarray, " n"]
+    place: Int64[np.ndarray, " n"]
+    frame_id: str
+    radar: bool
+    limit: float | None
+
+    def nearest(self, time_ns: int, tolerance_ns: int) -> int | None:
+        """Place of the message nearest in time, the earlier of two; None beyond the tolerance."""
+        after = int(np.searchsorted(self.times_ns, time_ns))
+        near = [row for row in (after - 1, after) if 0 <= row < len(self.times_ns)]
+        best = min(near, key=lambda row: abs(int(self.times_ns[row]) - time_ns), default=None)
+        return best if best is not None and abs(int(self.times_ns[best]) - time_ns) <= tolerance_ns else None
+
+
+class Recorded:
+    """One bag, indexed at the first use: that reads it once.
+
+    Args:
+        path: The bag.
+        stamp: Which stamps count.
+        intensity_max: Intensity that is taken as 1; None decides by the first cloud.
+    """
+
+    def __init__(self, path: Path, stamp: str, intensity_max: float | None) -> None:
+        self.bag, self.stamp, self.intensity_max = Bag(path), stamp, intensity_max
+        self.transforms = Transforms(self.bag)
+
+    @property
+    def clouds(self) -> list[Topic]:
+        """Topics of point clouds that hold any."""
+        return [topic for topic in self.bag.topics if topic.kind == CLOUD and topic.size]
+
+    @cached_property
+    def topics(self) -> dict[str, Messages]:
+        """Clouds and images by our names, which are the topics' with ``_`` for ``/``."""
+        kept = [topic for topic in self.bag.topics if topic.kind in _KINDS and topic.size]
+        stamps = self.bag.stamps([topic.name for topic in kept]) if kept else {}
+        return {our_name(topic.name): self._indexed(topic, stamps[topic.name]) for topic in kept}
+
+    def _indexed(self, topic: Topic, stamps: Any) -> Messages:
+        log = stamps.log_ns
+        times = log if self.stamp == "log" or stamps.header_ns is None else stamps.header_ns
+        first_of_equal = np.searchsorted(log, log, side="left")
+        order = np.argsort(times, kind="stable")
+        message = self.bag.at(topic.name, int(log[0]))
+        columns = read_points(message, self.bag.path) if topic.kind == CLOUD else {}
+        with guarded(self.bag.path, f"the header of {topic.name}"):
+            frame_id = str(message.header.frame_id)
+        return Messages(
+            topic=topic,
+            times_ns=times[order],
+            log_ns=log[order],
+            place=(np.arange(len(log)) - first_of_equal)[order],
+            frame_id=frame_id,
+            radar=is_radar(columns),
+            limit=intensity_limit(columns) if self.intensity_max is None else self.intensity_max,
+        )
+
+
+def our_name(topic: str) -> str:
+    """A topic's name without slashes: ``/os/points`` is ``os_points``."""
+    return topic.strip("/").replace("/", "_")
+
+
+class Bags(Dataset):
+    """ROS 2 bags, SQLite or MCAP: a frame a message of the reference cloud, in its sensor's coordinates.
+
+    Other clouds and images come with the frame whose stamp is nearest, within the tolerance; a message may come with
+    two. Clouds whose place is known by fixed transforms stand in the frame's coordinates, others keep their own axes
+    (``in_frame=False``). Poses come from ``/tf`` where moving edges lie above the reference. The first access reads a
+    bag once for its stamps; ``farfield.files.bags`` has what else is in it, such as IMU messages (:meth:`imu`).
+
+    Args:
+        root: A bag's folder, or a folder of bags or of lone ``.mcap`` and ``.db3`` files.
+        cloud: Topic of the reference cloud; the lidar with the most messages unless given.
+        stamp: ``"header"``, the sensors' own stamps, or ``"log"``, when messages were recorded.
+        tolerance_ms: Largest distance of what comes with a frame.
+        intensity_max: Intensity that is taken as 1; by the first cloud unless given.
+
+    Raises:
+        DatasetError: If there is no bag with clouds.
+        FileFormatError: If a bag is damaged or cut.
+        ConfigError: If no bag has the topic.
+    """
+
+    name = "bags"
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        cloud: str | None = None,
+        stamp: Literal["header", "log"] = "header",
+        tolerance_ms: float = 50.0,
+        intensity_max: float | None = None,
+    ) -> None:
+        self.root, self.tolerance_ns = Path(root), round(tolerance_ms * 1e6)
+        paths = find_bags(self.root)
+        self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
+        if len(self._bags) < len(paths):
+            raise DatasetError(f"{root}: expected bags of different names")
+        self._recorded = {name: Recorded(path, stamp, intensity_max) for name, path in self._bags.items()}
+        self._clouds = {name: self._reference(name, cloud) for name in self._bags}
+        counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
+        if not sum(counts.values()):
+            held = sorted({t.name for r in self._recorded.values() for t in r.clouds}) or ["none"]
+            error = DatasetError if cloud is None else ConfigError
+            raise error(f"{root}: expected bags with clouds{'' if cloud is None else f' of {cloud}'}, found {held}")
+        self.sequences = tuple(name for name, count in counts.items() for _ in range(count))
+        self.frame_ids = tuple(f"{number:06d}" for count in counts.values() for number in range(count))
+
+    def _reference(self, name: str, cloud: str | None) -> Topic | None:
+        """The reference cloud of a bag; without a name the one of most messages, lidars before radars by name."""
+        topics = self._recorded[name].clouds
+        if cloud is not None:
+            return next((topic for topic in topics if cloud in (topic.name, our_name(topic.name))), None)
+        return max(topics, key=lambda topic: ("radar" not in topic.name.lower(), topic.size), default=None)
+
+    def _of(self, sequence: str) -> tuple[Recorded, str, Messages]:
+        topic = self._clouds[sequence]
+        if topic is None:
+            raise DatasetError(f"{self.root}: {sequence} has no clouds")
+        recorded = self._recorded[sequence]
+        return recorded, our_name(topic.name), recorded.topics[our_name(topic.name)]
+
+    def files(self, index: int) -> Sequence[Path]:
+        """The bag's files: a frame's messages may stand in any of them."""
+        path = self._bags[self.sequences[index]]
+        return [path] if path.is_file() else sorted(part for part in path.iterdir() if part.is_file())
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        _, _, messages = self._of(self.sequences[int(indices[0])])
+        return messages.times_ns[[int(self.frame_ids[index]) for index in indices]]
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return all_poses(self._pose(int(index)) for index in indices)
+
+    def _pose(self, index: int) -> Any:
+        recorded, _, messages = self._of(self.sequences[index])
+        time_ns = int(messages.times_ns[int(self.frame_ids[index])])
+        return recorded.transforms.world(messages.frame_id, time_ns, self.tolerance_ns)
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        recorded, reference, own = self._of(self.sequences[index])
+        time_ns = int(own.times_ns[int(self.frame_ids[index])])
+        sensors, clouds, images = {}, {}, {}
+        for name, messages in recorded.topics.items():
+            row = int(self.frame_ids[index]) if name == reference else messages.nearest(time_ns, self.tolerance_ns)
+            if row is None:
+                continue
+            where = (recorded.bag, messages.topic.name, int(messages.log_ns[row]), int(messages.place[row]))
+            taken_ns = int(messages.times_ns[row])
+            if messages.topic.kind == CLOUD:
+                ours = np.eye(4) if name == reference else recorded.transforms.fixed(own.frame_id, messages.frame_id)
+                move = None if name == reference else ours
+                clouds[name] = partial(load_cloud, *where, limit=messages.limit, target_T_sensor=move)
+                kind: Literal["radar", "lidar"] = "radar" if messages.radar else "lidar"
+                known = ours is not None
+                sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=known, time_ns=taken_ns)
+            else:
+                images[name] = partial(load_image, *where)
+                sensors[name] = camera_sensor(None, taken_ns)
+        first = {reference: clouds.pop(reference)}
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=self.frame_ids[index],
+            time_ns=time_ns,
+            reference=reference,
+            sensors=sensors,
+            clouds=Lazy(first | clouds),
+            images=Lazy(images),
+            world_T_frame=self._pose(index),
+            metadata={"files": [str(path) for path in self.files(index)]},
+        )
+
+    def imu(self, sequence: str, topic: str | None = None) -> dict[str, np.ndarray]:
+        """What an IMU of a bag measured, in its own axes, by the names of columns.
+
+        ``time_ns`` (n,) int64; ``angular_rad_s`` and ``acceleration_m_s2`` (n, 3); ``frame_id`` (n,).
+
+        Raises:
+            ConfigError: If the bag has no such topic.
+        """
+        bag = self._recorded[sequence].bag
+        found = next((t for t in bag.topics if t.kind == IMU and topic in (None, t.name)), None)
+        if found is None:
+            raise ConfigError(f"{sequence}: expected an IMU, got {[t.name for t in bag.topics if t.kind == IMU]}")
+        messages = [bag.decode(found, raw) for _, _, raw in bag.messages([found.name])]
+        with guarded(bag.path, f"messages of {found.name}"):
+            return _imu_table(messages)
+
+
+def _imu_table(messages: Sequence[Any]) -> dict[str, np.ndarray]:
+    stamps = [(int(m.header.stamp.sec), int(m.header.stamp.nanosec)) for m in messages]
+    turn = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
+    push = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
+    return {
+        "time_ns": np.array([s * 1_000_000_000 + ns for s, ns in stamps], dtype=np.int64),
+        "angular_rad_s": np.array(turn, dtype=np.float64).reshape(-1, 3),
+        "acceleration_m_s2": np.array(push, dtype=np.float64).reshape(-1, 3),
+        "frame_id": np.array([str(m.header.frame_id) for m in messages]),
+    }
+
+
+def find_bags(root: Path) -> list[Path]:
+    """The bag that a folder is, or those in it: folders with metadata, and lone files."""
+    if is_bag(root):
+        return [root]
+    lone = [path for path in root.iterdir() if path.suffix in SUFFIXES and path.is_file()]
+    return sorted([*lone, *(path for path in root.iterdir() if path.is_dir() and is_bag(path))])
+
+
+def load_image(bag: Bag, topic: str, log_ns: int, place: int) -> UInt8[np.ndarray, "height width 3"]:
+    """Read one image of a bag as RGB."""
+    message = bag.at(topic, log_ns, place)
+    compressed = hasattr(message, "format")
+    return read_ros_compressed(message, bag.path) if compressed else read_ros_image(message, bag.path)

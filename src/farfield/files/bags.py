@@ -1,0 +1,241 @@
+"""ROS 2 bags: folders with ``metadata.yaml``, or a lone ``.mcap`` or ``.db3`` file, read through ``rosbags``.
+
+Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
+it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
+it in); SQLite has none, and an altered message without a checksum reads as another message.
+"""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+from weakref import finalize
+
+import numpy as np
+from jaxtyping import Int64
+
+from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
+
+SUFFIXES = (".mcap", ".db3")
+HEADER = "std_msgs/msg/Header"
+_MAX_MESSAGE_BYTES = 1 << 30
+
+
+class Topic(NamedTuple):
+    """One topic of a bag: its name, the type of its messages, and how many the bag says that there are."""
+
+    name: str
+    kind: str
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class Stamps:
+    """When a topic's messages were recorded and, by their headers, taken; in the bag's order, shape (n,) each."""
+
+    log_ns: Int64[np.ndarray, " n"]
+    header_ns: Int64[np.ndarray, " n"] | None
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a file of a known suffix, or a folder with a bag's metadata."""
+    if path.is_file():
+        return path.suffix in SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(next(path.glob(f"*{suffix}"), None) for suffix in SUFFIXES)
+
+
+class Bag:
+    """A bag that is open while it is used; it pickles closed.
+
+    Args:
+        path: The folder or the file.
+
+    Raises:
+        MissingExtraError: If rosbags is not installed.
+        FileFormatError: If the bag is damaged or cut.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._open: Any = None
+        for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
+            if part.suffix == ".db3":
+                _check_size(part)
+        with guarded(self.path, "the bag"):
+            reader = self._reader()
+            self.topics = tuple(
+                Topic(str(name), str(topic.msgtype), int(topic.msgcount))
+                for name, topic in sorted(reader.topics.items())
+            )
+            said = int(reader.message_count)
+        if (counted := sum(topic.size for topic in self.topics)) != said:
+            raise _wrong(self.path, counted, f"{said} messages in all topics", f"{counted}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": None}
+
+    def _reader(self) -> Any:
+        if self._open is None:
+            try:
+                from rosbags.rosbag2 import Reader
+            except ImportError as error:
+                raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
+            reader = Reader(self.path)
+            reader.open()
+            self._open = reader
+            finalize(self, _closed, reader)
+        return self._open
+
+    def _store(self, kind: str) -> Any:
+        """What knows a type: by the definition in the bag, or, where there is none, ROS 2's own."""
+        defined = next((c.msgdef for c in self._reader().connections if c.msgtype == kind), None)
+        return _types(kind, defined)
+
+    def close(self) -> None:
+        """Let the files go; the bag opens again when it is read."""
+        reader, self._open = self._open, None
+        if reader is not None:
+            _closed(reader)
+
+    def messages(
+        self, names: Collection[str] = (), *, start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Topic, time of recording and bytes (CDR) of each message, by time of recording.
+
+        Args:
+            names: Topics; all where there are none.
+            start_ns: From this time on.
+            stop_ns: Before this time.
+
+        Raises:
+            FileFormatError: If the bag is damaged, or read whole gives another number of messages than it says.
+        """
+        known = {topic.name: topic for topic in self.topics if not names or topic.name in names}
+        counts = dict.fromkeys(known, 0)
+        with guarded(self.path, "the messages"):
+            reader = self._reader()
+            chosen = [connection for connection in reader.connections if connection.topic in known]
+            source = reader.messages(chosen, start_ns, stop_ns) if chosen else iter(())
+        while (found := _next(self.path, source, sum(counts.values()))) is not None:
+            connection, log_ns, raw = found
+            if len(raw) > _MAX_MESSAGE_BYTES:
+                raise _wrong(self.path, sum(counts.values()), f"at most {_MAX_MESSAGE_BYTES} bytes", f"{len(raw)}")
+            counts[connection.topic] += 1
+            yield known[connection.topic], int(log_ns), bytes(raw)
+        for name, topic in known.items():
+            if start_ns is None and stop_ns is None and counts[name] != topic.size:
+                raise FileFormatError(
+                    self.path, where=f"topic {name}", expected=f"{topic.size} messages",
+                    found=f"{counts[name]}", mend="The bag is cut; `ros2 bag reindex` may save what is left.",
+                )  # fmt: skip
+
+    def stamps(self, names: Collection[str] = ()) -> dict[str, Stamps]:
+        """When the messages of each topic were recorded and taken; reads the whole bag once.
+
+        A message's own stamp is its header's, for types that begin with one.
+        """
+        log: dict[str, list[int]] = {topic.name: [] for topic in self.topics if not names or topic.name in names}
+        header: dict[str, list[int]] = {name: [] for name in log}
+        headed = {topic.name: self._is_headed(topic.kind) for topic in self.topics}
+        for number, (topic, log_ns, raw) in enumerate(self.messages(names)):
+            log[topic.name].append(log_ns)
+            if headed[topic.name]:
+                header[topic.name].append(header_ns(self.path, number, raw))
+        return {
+            name: Stamps(
+                np.array(times, dtype=np.int64),
+                np.array(header[name], dtype=np.int64) if headed[name] else None,
+            )
+            for name, times in log.items()
+        }
+
+    def _is_headed(self, kind: str) -> bool:
+        if kind.split("/")[1:2] != ["msg"]:  # services and actions
+            return False
+        with guarded(self.path, f"the definition of {kind}"):
+            fields = self._store(kind).fielddefs.get(kind, ((), ()))[1]
+            return bool(fields) and fields[0][1][1] == HEADER
+
+    def decode(self, topic: Topic, raw: bytes) -> Any:
+        """A message's fields, by the definition in the bag.
+
+        Raises:
+            FileFormatError: If the bytes do not fit the definition.
+        """
+        with guarded(self.path, f"a message of {topic.name} ({topic.kind})"):
+            return self._store(topic.kind).deserialize_cdr(raw, topic.kind)
+
+    def at(self, name: str, log_ns: int, place: int = 0) -> Any:
+        """The message of a topic that was recorded at a moment, decoded; the ``place``-th where there are several.
+
+        Raises:
+            FileFormatError: If there is none.
+        """
+        for number, (topic, _, raw) in enumerate(self.messages([name], start_ns=log_ns, stop_ns=log_ns + 1)):
+            if number == place:
+                return self.decode(topic, raw)
+        raise FileFormatError(self.path, where=f"topic {name}", expected=f"a message at {log_ns} ns", found="none")
+
+
+def header_ns(path: Path, number: int, raw: bytes) -> int:
+    """The stamp at the beginning of a message in CDR: four bytes of encoding, then seconds and nanoseconds."""
+    order: Any = "little" if len(raw) > 1 and raw[1] & 1 else "big"
+    seconds = int.from_bytes(raw[4:8], order, signed=True)
+    fraction = int.from_bytes(raw[8:12], order)
+    if len(raw) < 12 or fraction >= 1_000_000_000:
+        raise _wrong(path, number, "a header with a stamp", f"{len(raw)} bytes, {fraction} ns")
+    return seconds * 1_000_000_000 + fraction
+
+
+@lru_cache(maxsize=256)
+def _types(kind: str, defined: Any) -> Any:
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if defined is None or defined.format == MessageDefinitionFormat.NONE:
+        return get_typestore(Stores.LATEST)
+    store = get_typestore(Stores.EMPTY)
+    by_msg = defined.format == MessageDefinitionFormat.MSG
+    store.register(get_types_from_msg(defined.data, kind) if by_msg else get_types_from_idl(defined.data))
+    return store
+
+
+def _closed(reader: Any) -> None:
+    if reader.is_open:
+        reader.close()
+
+
+def _next(path: Path, source: Iterator[Any], number: int) -> Any:
+    with guarded(path, f"message {number}"):
+        return next(source, None)
+
+
+def _check_size(path: Path) -> None:
+    """Refuse an SQLite file that is shorter than its header says (SQLite's file format, 1.3.8)."""
+    with path.open("rb") as handle:
+        head = handle.read(100)
+    size = path.stat().st_size
+    page = int.from_bytes(head[16:18], "big")
+    page = 65536 if page == 1 else page
+    said = page * int.from_bytes(head[28:32], "big")
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
+        raise FileFormatError(path, where="the file", expected=f"an SQLite file of {said} bytes", found=f"{size} bytes")
+
+
+@contextmanager
+def guarded(path: Path | str, where: str) -> Iterator[None]:
+    """Turn whatever the library raises over a damaged bag into the error of a damaged file."""
+    try:
+        yield
+    except FarfieldError:
+        raise
+    except Exception as error:  # the library lets Unicode, key, memory and other errors of damaged bytes through
+        found = f"{type(error).__name__}: {error}"[:200]
+        mend = "A recorder that was killed leaves no end; `ros2 bag reindex` may save what is left."
+        raise FileFormatError(path, where=where, expected="a whole bag", found=found, mend=mend) from error
+
+
+def _wrong(path: Path, number: int, expected: str, found: str) -> FileFormatError:
+    return FileFormatError(path, where=f"message {number}", expected=expected, found=found)

@@ -1,0 +1,64 @@
+"""What ``farfield sync`` writes: a table of matches a recording, one JSON and one page."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from farfield.errors import ConfigError, FarfieldError
+from farfield.files.atomic import write_text
+from farfield.files.clock_logs import read_clock_log
+from farfield.reports.sync_page import write_sync_page
+from farfield.timing.exchange import Exchanged, summarised
+from farfield.timing.sources import Recording
+from farfield.timing.synchronising import Synchronised, best_reference, describe, synchronise
+from farfield.timing.tables import match_table
+
+
+def write_synchronised(
+    folder: Path | str, found: Sequence[Recording], *, to: str | None, tolerance_ns: int | None, title: str
+) -> list[Synchronised]:
+    """Match each recording and write ``matches.csv`` (``matches-NAME.csv`` of several), ``sync.json``, ``sync.html``.
+
+    Args:
+        folder: Made if absent.
+        found: The recordings.
+        to: The stream to which the others are matched; None takes the best.
+        tolerance_ns: Largest distance; None takes half the period of the faster stream of each pair.
+        title: Title of the page.
+
+    Raises:
+        ConfigError: If a recording has no such stream, or two recordings have one name.
+    """
+    folder = Path(folder)
+    names = [recording.name for recording in found]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"expected recordings of different names, got {', '.join(names)}")
+    folder.mkdir(parents=True, exist_ok=True)
+    done = [
+        _one(folder / ("matches.csv" if len(found) == 1 else f"matches-{name}.csv"), recording, to, tolerance_ns)
+        for name, recording in zip(names, found, strict=True)
+    ]
+    content = {"recordings": [each.to_json() for each in done]}
+    write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_sync_page(folder / "sync.html", done, title=title)
+    return done
+
+
+def _one(path: Path, recording: Recording, to: str | None, tolerance_ns: int | None) -> Synchronised:
+    reference = best_reference(describe(recording)) if to is None else to
+    labels = {name: source.labels for name, source in recording.streams.items() if source.labels is not None}
+    with match_table(path, reference, labels) as table:
+        return synchronise(
+            recording,
+            to=reference,
+            tolerance_ns=tolerance_ns,
+            exchanges={log.name: _exchanged(log) for log in recording.logs},
+            row=table.add,
+        )
+
+
+def _exchanged(log: Path) -> Exchanged:
+    try:
+        return summarised(read_clock_log(log))
+    except FarfieldError as error:
+        raise ConfigError(f"the log of a clock beside the stamps cannot be used: {error}") from error

@@ -1,0 +1,181 @@
+"""Where a recording's stamps stand: lists of a known form, KITTI raw's folders, or a data set that we read."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Int64
+
+from farfield.datasets import Dataset, open_dataset
+from farfield.errors import DatasetError
+from farfield.files.bags import Bag, is_bag
+from farfield.files.clock_logs import is_clock_log
+from farfield.files.radiate import read_times
+from farfield.files.stamps import StampList, Unit, read_stamps, recognise_stamps
+from farfield.frame import Drive
+
+Stamp = Literal["header", "log"]
+LISTS = (".txt", ".csv")
+LOGS = (".txt", ".log")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Source:
+    """One stream's stamps.
+
+    Args:
+        blocks: Reads them, block by block.
+        labels: The messages' names in their order; None: counted from 0.
+        said: How the stamps are read, in words, where that was guessed or is not obvious.
+        arrived_ns: When each message was recorded, by the clock of the computer, where both are known, shape (n,).
+    """
+
+    blocks: Callable[[], Iterator[Int64[np.ndarray, " _"]]]
+    labels: Sequence[str] | None = None
+    said: str = ""
+    arrived_ns: Int64[np.ndarray, " n"] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """Streams that ran at the same time.
+
+    Args:
+        name: Name of the drive, or of the folder.
+        streams: The streams.
+        logs: Logs of clocks that were kept by two-way exchanges.
+    """
+
+    name: str
+    streams: Mapping[str, Source]
+    logs: tuple[Path, ...] = field(default=())
+
+
+def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header") -> list[Recording]:
+    """Find the recordings in a folder: KITTI raw's drives, lists of stamps, or the drives of a data set.
+
+    Args:
+        root: The folder.
+        unit: Unit of numbers that do not say theirs.
+        stamp: Which stamps of a bag's messages count: those of their headers, or when they were recorded.
+
+    Raises:
+        DatasetError: If there is none, or none whose times are known.
+    """
+    root = Path(root).expanduser()
+    if is_bag(root) or (root.is_dir() and any(map(is_bag, root.iterdir()))):
+        return [_of_bag(path, stamp) for path in ([root] if is_bag(root) else sorted(filter(is_bag, root.iterdir())))]
+    if not root.is_dir():
+        raise DatasetError(f"{root}: expected a folder of stamps or a data set's, found {_kind(root)}.")
+    found = _kitti_raw(root, unit) or _lists(root, unit)
+    if found:
+        return found
+    data = open_dataset(root)
+    drives = [recording for drive in data.drives() if (recording := _of_drive(data, drive)) is not None]
+    if not drives:
+        raise DatasetError(
+            f"{root}: a data set of the format {data.name}, but nothing in it says when its frames were taken. Give a "
+            "folder of lists of stamps, one a stream (see farfield sync --help)."
+        )
+    return drives
+
+
+def _kind(path: Path) -> str:
+    return "a file" if path.exists() else "nothing"
+
+
+def _kitti_raw(root: Path, unit: Unit) -> list[Recording]:
+    """Drives with ``<stream>/timestamps.txt``; a lidar has the start, the middle and the end of its turns."""
+    places = [path for depth in ("*", "*/*", "*/*/*") for path in root.glob(f"{depth}/timestamps*.txt")]
+    drives: dict[Path, dict[str, Source]] = {}
+    for path in sorted(places):
+        part = path.stem.removeprefix("timestamps").lstrip("_")
+        name = path.parent.name + (f"/{part}" if part else "")
+        if (known := recognise_stamps(path, unit=unit)) is not None:
+            drives.setdefault(path.parent.parent, {})[name] = _source(known, path.parent / "data")
+    return [
+        Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder)) for folder, streams in drives.items()
+    ]
+
+
+def _lists(root: Path, unit: Unit) -> list[Recording]:
+    """Lists in the folder itself, or in each of its folders, one a stream; a recording has two or more."""
+    for folders in ([root], sorted(path for path in root.iterdir() if path.is_dir())):
+        found = [(folder, _lists_in(folder, unit)) for folder in folders]
+        several = [(folder, streams) for folder, streams in found if len(streams) > 1]
+        if several:
+            return [
+                Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder))
+                for folder, streams in several
+            ]
+    return []
+
+
+def _lists_in(folder: Path, unit: Unit) -> dict[str, Source]:
+    found = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix in LISTS and path.is_file():
+            known = recognise_stamps(path, unit=unit)
+            if known is not None:
+                found[path.stem] = _source(known)
+    return found
+
+
+def _source(known: StampList, data: Path | None = None) -> Source:
+    """A list as a stream; its messages are named as the files in ``data`` where there are as many as stamps."""
+    labels: list[str] | None = None
+    if known.form == "radiate":
+        labels = [f"{number:06d}" for number in read_times(known.path)]
+    elif data is not None and data.is_dir():  # lost messages have a number and no line
+        stems = sorted({path.stem for path in data.iterdir() if path.is_file()})
+        labels = stems if len(stems) == sum(map(len, read_stamps(known))) else None
+    said = f"unit taken as {known.unit}, by the size of the first number" if known.guessed else ""
+    said = "local time without a zone, taken as UTC" if known.form == "date" else said
+    return Source(blocks=partial(read_stamps, known), labels=labels, said=said)
+
+
+def _logs(folder: Path) -> tuple[Path, ...]:
+    paths = sorted(path for path in folder.iterdir() if path.suffix in LOGS and path.is_file())
+    return tuple(path for path in paths if is_clock_log(path))
+
+
+def _of_bag(path: Path, stamp: Stamp) -> Recording:
+    """Topics whose messages have a stamp of their own; the others by the time of recording, which is said."""
+    stamps = Bag(path).stamps()
+    streams = {}
+    for topic, found in stamps.items():
+        if len(found.log_ns):
+            times = found.log_ns if found.header_ns is None or stamp == "log" else found.header_ns
+            order = np.argsort(times, kind="stable")  # a bag is in the order of recording
+            moved = int((np.diff(times) < 0).sum())
+            said = "no stamp of its own: times of recording" if found.header_ns is None else ""
+            said = f"{moved} stamps are earlier than the one recorded before; taken in order" if moved else said
+            streams[topic] = Source(
+                blocks=partial(iter, [times[order]]),
+                labels=[str(place) for place in order] if moved else None,
+                said=said,
+                arrived_ns=None if times is found.log_ns else found.log_ns[order],
+            )
+    return Recording(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
+
+
+def _of_drive(data: Dataset, drive: Drive) -> Recording | None:
+    """Times of a drive's frames and of the sensors that are at hand for each of them."""
+    streams: dict[str, Source] = {}
+    if drive.times_ns is not None:
+        labels = [key[1] for key in drive.keys]
+        streams["frames"] = Source(blocks=partial(iter, [drive.times_ns]), labels=labels)
+    times: dict[str, list[int]] = {}
+    labels_of: dict[str, list[str]] = {}
+    for index, key in zip(drive.indices.tolist(), drive.keys, strict=True):
+        for name, sensor in data[index].sensors.items():
+            if sensor.time_ns is not None:
+                times.setdefault(name, []).append(sensor.time_ns)
+                labels_of.setdefault(name, []).append(key[1])
+    for name, stamps in times.items():
+        blocks = partial(iter, [np.array(stamps, dtype=np.int64)])
+        streams[name] = Source(blocks=blocks, labels=labels_of[name])
+    return Recording(name=drive.name, streams=streams) if streams else None

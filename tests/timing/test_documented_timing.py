@@ -1,0 +1,16 @@
+"""The code of docs/timing.md runs, and what it says there is so."""
+
+import re
+from pathlib import Path
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "timing.md"
+
+
+def test_the_page_runs() -> None:
+    (block,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    names: dict = {}
+    exec(compile(block, PAGE.name, "exec"), names)
+    assert names["table"].residual_ns[:3, 0].tolist() == [4_000_000, 3_999_999, 3_999_998]
+    assert names["groups"][0].partners == {"camera": (4_000_000, 0)}
+    clock = names["fit_clock"](names["lidar"], names["lidar"] + names["table"].residual_ns[:, 0], modulo_ns=33_333_333)
+    assert abs(clock.drift_ppm + 0.01) < 1e-3
