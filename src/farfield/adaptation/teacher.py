@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
-from farfield.adaptation.pseudo import Pseudo, Strong, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.pseudo import Pseudo, Score, Strong, sorted_by_score, spoken, strong_view, targets_of
 from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
@@ -32,8 +32,8 @@ class TeacherSettings(Settings):
 
     start: str = Field(description="weights of the source's detector; without them a teacher has nothing to teach")
     decay: float = Field(0.999, ge=0, le=1, description="of the teacher's average, a step")
-    positive: float = Field(0.6, gt=0, le=1, description="score from which a box of the teacher is an object")
-    negative: float = Field(0.25, ge=0, le=1, description="score below which it is background; between, ignored")
+    positive: Score = Field(0.6, description="score from which a box of the teacher is an object, of all or by class")
+    negative: Score = Field(0.25, description="score below which it is background; between, ignored")
     weight: float = Field(1.0, ge=0, description="of the target's losses; 0 leaves the statistics alone: the control")
     source_weight: float = Field(1.0, ge=0, description="of the source's losses")
     norm: Literal["shared", "per_domain"] = Field(
@@ -44,9 +44,20 @@ class TeacherSettings(Settings):
 
     @model_validator(mode="after")
     def _in_order(self) -> "TeacherSettings":
-        if self.negative > self.positive:
-            raise ValueError(f"expected negative up to positive ({self.positive:g}), got {self.negative:g}")
+        named = {name for score in (self.positive, self.negative) if isinstance(score, dict) for name in score}
+        both = [self.by_class(which, named or {""}) for which in ("positive", "negative")]
+        for name in sorted(both[0].keys() & both[1].keys()):
+            positive, negative = both[0][name], both[1][name]
+            if not 0 < positive <= 1 or not 0 <= negative <= 1:
+                raise ValueError(f"expected scores from 0 to 1, got positive {positive:g} and negative {negative:g}")
+            if negative > positive:
+                raise ValueError(f"expected negative up to positive ({positive:g}), got {negative:g}")
         return self
+
+    def by_class(self, which: str, names: Collection[str]) -> dict[str, float]:
+        """A threshold by class: as it is given, or the same for all of the names."""
+        score = self.positive if which == "positive" else self.negative
+        return dict(score) if isinstance(score, dict) else dict.fromkeys(names, score)
 
 
 class Counts(nn.Module):
@@ -74,15 +85,26 @@ class MeanTeacher(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(TeacherSettings, "teacher", settings)
-        if network.config.score_threshold > self.settings.negative:
-            raise ConfigError(
-                f"method teacher: expected detector.score_threshold up to negative ({self.settings.negative:g}), or "
-                f"boxes that are to be ignored would be background; got {network.config.score_threshold:g}."
-            )
+        self._check(network)
         start_from(network, self.settings.start, "teacher")
         self.modules = nn.ModuleDict({DETECTOR: network, _TEACHER: copy.deepcopy(network), _COUNTS: Counts()})
         if self.settings.norm == "per_domain":
             self.modules[_SOURCE] = with_own_statistics(network, own_head=False)
+
+    def _check(self, network: Network) -> None:
+        for which in ("positive", "negative"):
+            lacking = sorted(set(network.config.class_names) - set(self._scores(network, which)))
+            if lacking:
+                raise ConfigError(f"method teacher: expected {which} for each class; it lacks {', '.join(lacking)}.")
+        least = min(self._scores(network, "negative").values())
+        if network.config.score_threshold > least:
+            raise ConfigError(
+                f"method teacher: expected detector.score_threshold up to negative ({least:g}), or boxes that are to "
+                f"be ignored would be background; got {network.config.score_threshold:g}."
+            )
+
+    def _scores(self, network: Network, which: str) -> dict[str, float]:
+        return self.settings.by_class(which, tuple(network.config.class_names))
 
     def frozen(self) -> Collection[str]:
         """The teacher follows; it is not trained."""
@@ -135,9 +157,9 @@ class MeanTeacher(Adaptation):
         if int(empty) >= self.settings.patience:
             raise FarfieldError(
                 f"method teacher: in {int(empty)} steps the teacher found no box with a score of "
-                f"{self.settings.positive:g} or more in the target's frames, so there is nothing to learn there. Look "
-                "at what the start's weights detect in them; lower positive, or move the target into the coordinates "
-                "that these learnt in."
+                f"{spoken(self.settings.positive)} or more in the target's frames, so there is nothing to learn there. "
+                "Look at what the start's weights detect in them; lower positive, or move the target into the "
+                "coordinates that these learnt in."
             )
 
     def _features(self, source: Inputs, target: Inputs) -> tuple[Features, Features]:

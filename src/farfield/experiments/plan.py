@@ -3,7 +3,8 @@
 import hashlib
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,12 @@ class Plan:
     Args:
         experiment: What to train, and how.
         folder: The run's folder.
+        data: Frames of streams that are open already, as they are to be trained on; those of the others are opened.
     """
 
     experiment: Experiment
     folder: Path
+    data: Mapping[str, Dataset] = field(default_factory=dict)
 
     def run(self, report: Report | None = None) -> Path:
         """Start or join the processes, make what data are to be simulated, and train; a run that stopped goes on.
@@ -52,12 +55,15 @@ class Plan:
         fabric = launch(experiment.training)
         report = report if report is not None and fabric.is_global_zero else Report()
         if fabric.is_global_zero:
-            for config in _groups(experiment).values():
+            for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
         method = _method(experiment)
         configs = _configs(experiment, method)
-        data = {name: _opened(configs[name], stream, experiment) for name, stream in method.streams.items()}
+        data = {
+            name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
+            for name, stream in method.streams.items()
+        }
         samples = {name: self._samples(method, name, data[name], configs[name]) for name in method.streams}
         training = Training(
             method, samples, experiment.training, self.folder, _provenance(experiment, data, configs), fabric=fabric
