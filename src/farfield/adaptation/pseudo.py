@@ -12,7 +12,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from farfield.adaptation.base import Settings
+from farfield.adaptation.settings import Settings
 from farfield.detectors.contract import Assigner, Network
 from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError

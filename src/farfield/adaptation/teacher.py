@@ -14,8 +14,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.base import Adaptation, start_from
+from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
+from farfield.adaptation.measuring import gradient_norms, total
 from farfield.adaptation.pseudo import Pseudo, Score, Strong, sorted_by_score, spoken, strong_view, targets_of
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
@@ -40,6 +43,7 @@ class TeacherSettings(Settings):
         "shared", description="one forward of all frames with its statistics, or statistics by domain"
     )
     strong: Strong = Strong()
+    held_out: int = HELD_OUT
     patience: int = Field(200, ge=1, description="steps without any pseudo box after which the training stops")
 
     @model_validator(mode="after")
@@ -86,6 +90,7 @@ class MeanTeacher(Adaptation):
         super().__init__()
         self.settings = settings_of(TeacherSettings, "teacher", settings)
         self._check(network)
+        self.held_out = self.settings.held_out
         start_from(network, self.settings.start, "teacher")
         self.modules = nn.ModuleDict({DETECTOR: network, _TEACHER: copy.deepcopy(network), _COUNTS: Counts()})
         if self.settings.norm == "per_domain":
@@ -129,7 +134,29 @@ class MeanTeacher(Adaptation):
             pairs = zip(moved, frames, strict=True)
             targets = [targets_of(student.assigner, pseudo, clouds) for pseudo, clouds in pairs]
             losses |= _losses(student, target, targets, self.settings.weight, "target")
+        self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
         return losses
+
+    def _measure(
+        self, losses: Mapping[str, Tensor], source: Features, target: Features, inputs: Inputs, view: Inputs, step: int
+    ) -> None:
+        """Keep the norms of both domains' gradients, and variance and rank of their features."""
+        if not self.measures(step):
+            return
+        both = {name: [loss for part, loss in losses.items() if part.startswith(name)] for name in (_SOURCE, _TARGET)}
+        self.note(**gradient_norms({name: total(parts) for name, parts in both.items() if parts}, [source, target]))
+        limits = z_range_m(self.modules[DETECTOR].config)
+        for name, features, seen in ((_SOURCE, source, inputs), (_TARGET, target, view)):
+            self.note(**{name: shown(features, occupied(features, seen, limits))})
+
+    def reader(self, stream: str) -> nn.Module:
+        """Each domain has its statistics, if they are apart."""
+        return self.modules[self._of_source if stream == _SOURCE else DETECTOR]
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """All occupied cells of a frame; its stream is its domain."""
+        del number
+        return [(int(stream != _SOURCE), occupied(features, inputs, z_range_m(self.modules[DETECTOR].config)))]
 
     @property
     def _of_source(self) -> str:

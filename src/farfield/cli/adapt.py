@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from tyro.conf import Positional
@@ -10,9 +10,6 @@ from tyro.conf import Positional
 from farfield.cli._progress import bar, hands
 from farfield.cli._training import BarReport, LineReport
 from farfield.cli._words import names
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,9 +64,20 @@ class Plan:
             name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
-        samples = {name: self._samples(method, name, data[name], configs[name]) for name in method.streams}
+        parts = {name: held_out(each, method.held_out) for name, each in data.items()}
+        data = {name: trained for name, (trained, _) in parts.items()}
         training = Training(
-            method, samples, experiment.training, self.folder, _provenance(experiment, data, configs), fabric=fabric
+            method,
+            {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
+            experiment.training,
+            self.folder,
+            _provenance(experiment, data, configs),
+            fabric=fabric,
+            held={
+                name: self._samples(method, name, held, configs[name], held=True)
+                for name, (_, held) in parts.items()
+                if held is not None
+            },
         )
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -74,7 +85,10 @@ class Plan:
             write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
         return training.run(report)
 
-    def _samples(self, method: Method, name: str, data: Dataset, config: DataConfig) -> TrainingSamples:
+    def _samples(
+        self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
+    ) -> TrainingSamples:
+        """The samples of a stream; those of held-out frames come as they are, each once."""
         network, training = method.modules["detector"], self.experiment.training
         return TrainingSamples(
             data,
@@ -86,10 +100,10 @@ class Plan:
             min_points=training.min_points,
             seed=training.seed,
             aliases=config.aliases,
-            far_sampling=training.far_sampling,
+            far_sampling=0.0 if held else training.far_sampling,
             far_from_m=training.far_from_m,
             name=name,
-            stream=method.streams[name],
+            stream=replace(method.streams[name], changed=False) if held else method.streams[name],
         )
 
 
@@ -162,6 +176,35 @@ def part_of(data: Dataset, part: tuple[float, float], draw: int = 0) -> Dataset:
             "got none. Take a larger part."
         )
     return data.select([index for index, (sequence, _) in enumerate(data.keys) if sequence in kept])
+
+
+def held_out(data: Dataset, count: int) -> tuple[Dataset, Dataset | None]:
+    """Part frames into those that are trained on and some that are not.
+
+    Whole sequences are held out where there are others: neighbouring frames look alike. Of a single sequence it is its
+    end.
+
+    Args:
+        data: The frames.
+        count: How many to hold out; 0 holds out none.
+
+    Raises:
+        DatasetError: If that leaves no frame to train on.
+    """
+    if not count:
+        return data, None
+    names = sorted(set(data.sequences), key=lambda name: hashlib.sha256(f"held:{name}".encode()).digest())
+    taken: set[str] = set()
+    for name in names[:-1]:
+        if sum(sequence in taken for sequence in data.sequences) < count:
+            taken.add(name)
+    held = [index for index, sequence in enumerate(data.sequences) if sequence in taken]
+    if len(held) < count:
+        held = list(range(len(data)))[-count:]
+    trained = [index for index in range(len(data)) if index not in set(held)]
+    if not trained:
+        raise DatasetError(f"{data.root}: expected more than {count} frames, to hold so many out; got {len(data)}.")
+    return data.select(trained), data.select([held[place * len(held) // count] for place in range(count)])
 
 
 def annotated_frames(data: Dataset, unannotated: str) -> Dataset:
