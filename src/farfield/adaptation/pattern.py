@@ -19,7 +19,7 @@ from farfield.adaptation.base import Adaptation, common_variance, start_from
 from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import Settings, settings_of
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.processes import normaliser

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
@@ -95,13 +95,10 @@ def sure_from(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> 
     """
     if right.sum() < _FEWEST:
         return None
-    order = np.argsort(-score, kind="stable")
-    share = np.cumsum(right[order]) / np.arange(1, len(order) + 1)
-    # few boxes at the top say little: shares count from the twentieth on
-    enough = np.flatnonzero((share >= _SURE) & (np.arange(1, len(order) + 1) >= _FEWEST))
-    if not len(enough):
-        return float(np.quantile(score[right], 0.9))
-    return float(score[order[enough[-1]]])
+    values, below, lower = _below(score, right)
+    above, objects = len(score) - below, int(right.sum()) - lower
+    enough = (objects >= _SURE * above) & (above >= _FEWEST)  # of few boxes at the top a share says little
+    return float(values[enough][0]) if enough.any() else float(np.quantile(score[right], 0.9))
 
 
 def background_below(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
@@ -111,8 +108,15 @@ def background_below(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n
     """
     if len(score) < _FEWEST:
         return None
-    order = np.argsort(score, kind="stable")
-    below = np.arange(len(order))
-    objects = np.concatenate([[0], np.cumsum(right[order])[:-1]])  # of those below each
-    allowed = np.flatnonzero((below >= _FEWEST) & (objects <= _BACKGROUND * below))
-    return float(score[order[allowed[-1]]]) if len(allowed) else float(score.min())
+    values, below, objects = _below(score, right)
+    enough = (objects <= _BACKGROUND * below) & (below >= _FEWEST)
+    return float(values[enough][-1]) if enough.any() else float(values[0])
+
+
+def _below(
+    score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """The scores that occur, ascending, and how many boxes, and how many objects, lie below each, shapes (m,)."""
+    values, count = np.unique(score, return_counts=True)
+    objects = np.bincount(np.searchsorted(values, score), weights=right, minlength=len(values)).astype(np.int64)
+    return values, np.cumsum(count) - count, np.cumsum(objects) - objects

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from farfield.adaptation.signs import signs_of
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors import build_detector
@@ -83,7 +84,11 @@ class Plan:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
             write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
-        return training.run(report)
+        weights = training.run(report)
+        if fabric.is_global_zero:
+            for text in signs_of(logged(self.folder)):
+                report.say(f"note: {text}")
+        return weights
 
     def _samples(
         self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
@@ -105,6 +110,14 @@ class Plan:
             name=name,
             stream=replace(method.streams[name], changed=False) if held else method.streams[name],
         )
+
+
+def logged(folder: Path) -> list[dict[str, float]]:
+    """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
+    path = folder / "log.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    rows = {row["step"]: row for row in map(json.loads, lines)}
+    return [rows[step] for step in sorted(rows)]
 
 
 def _groups(experiment: Experiment) -> dict[str, DataConfig]:

@@ -1,6 +1,5 @@
 """One adaptation, step by step; what is done is kept in its folder."""
 
-import json
 import time
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -27,7 +26,7 @@ from farfield.experiments.adapting.rounds import (
 )
 from farfield.experiments.adapting.settings import Choices, Settled, load_settled, save_settled, spread
 from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of, source_frames
-from farfield.experiments.plan import Plan
+from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.metrics.detections import Detections
 from farfield.training.report import Report
@@ -155,8 +154,6 @@ class Job:
         self.say_round(0, found[-1], settled)
         weights, rows = self.export(settled), self.rows()
         signs = tuple(signs_of(rows))
-        for text in signs:
-            self.report.say(f"note: {text}")
         page = page_of(
             self.folder / PAGE,
             start=self.start,
@@ -274,13 +271,9 @@ class Job:
         """The rounds' logs, one after the other, with the steps counted through."""
         rows: list[dict[str, float]] = []
         for number in range(1, self.choices.rounds + 1):
-            path = self.folder / f"round-{number}" / "log.jsonl"
-            lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
             before = rows[-1]["step"] if rows else 0
-            read = {
-                row["step"]: {**row, "step": before + row["step"], "round": number} for row in map(json.loads, lines)
-            }
-            rows += [read[step] for step in sorted(read)]  # a killed run logged some steps twice
+            read = logged(self.folder / f"round-{number}")
+            rows += [{**row, "step": before + row["step"], "round": number} for row in read]
         return rows
 
     def export(self, settled: Settled) -> Path:
