@@ -21,7 +21,7 @@ from small import SMALL, small_detector
 
 import farfield as ff
 from farfield.adaptation import thresholds
-from farfield.datasets import open_dataset
+from farfield.datasets import Dataset, open_dataset
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, FarfieldError
 from farfield.experiments.adapting import Adapted, Choices
@@ -31,7 +31,7 @@ from farfield.experiments.adapting.settings import spread
 from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment
-from farfield.frame import Boxes
+from farfield.frame import Annotation, Boxes, Frame, Given
 
 EAGER = {"score_threshold": 0.0, "max_boxes": 20, "candidates": 20}  # a network that has learnt nothing finds something
 QUICK = ("training.workers=0", "training.precision=fp32", "training.threads=1", "training.log_every_steps=1")
@@ -60,7 +60,7 @@ def start(simulated_cirrus: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the scores of a network that has learnt next to nothing be sure ones."""
-    monkeypatch.setattr(thresholds, "POSITIVE", 0.0105)
+    monkeypatch.setattr(thresholds, "POSITIVE", 0.001)
     monkeypatch.setattr(thresholds, "NEGATIVE", 0.0)
 
 
@@ -231,29 +231,28 @@ def test_the_frames_that_changed_most_are_shown() -> None:
     assert list(spread(400, 4)) == [0, 100, 200, 300]
 
 
-class Annotated:
-    """Frames with boxes of an extent."""
+class Annotated(Dataset):
+    """A frame whose boxes have an extent, or that was not annotated."""
 
-    def __init__(self, extent: str | None) -> None:
+    sequences, frame_ids = ("s",), ("0",)
+
+    def __init__(self, extent: Any) -> None:
         self.extent = extent
 
-    def __len__(self) -> int:
-        return 1
+    def frame(self, index: int) -> Frame:
+        given = None if self.extent is None else Given(Annotation(boxes=boxes_at(3), extent=self.extent))
+        return Frame(sequence="s", frame_id=str(index), load_annotation=given)
 
-    def has_annotation(self, index: int) -> bool:
-        return self.extent is not None
-
-    def annotation(self, index: int) -> Any:
-        return self
+    def files(self, index: int) -> list[Path]:
+        return []
 
 
 def test_the_page_says_what_boxes_show() -> None:
     visible, full, none = (Annotated(extent) for extent in ("visible", "full", None))
-    assert "the whole body of an object, those that this detector learnt from the part" in extents(
-        {"source": visible, "target": full}  # type: ignore[dict-item]
-    )
-    assert "compare like with like" in extents({"source": full, "target": full})  # type: ignore[dict-item]
-    assert extents({"source": full, "target": none}) == ""  # type: ignore[dict-item]
+    unlike = extents({"source": visible, "target": full})
+    assert "the whole body of an object, those that this detector learnt from the part" in unlike
+    assert "compare like with like" in extents({"source": full, "target": full})
+    assert extents({"source": full, "target": none}) == ""
 
 
 RUN = """
@@ -262,7 +261,7 @@ from pathlib import Path
 import farfield as ff
 from farfield.adaptation import thresholds
 
-thresholds.POSITIVE, thresholds.NEGATIVE = 0.0105, 0.0
+thresholds.POSITIVE, thresholds.NEGATIVE = 0.001, 0.0
 ff.adapt(sys.argv[1], sys.argv[2], out=sys.argv[3], steps=30, rounds=2, source_frames=2, overrides=tuple(sys.argv[4:]))
 """
 

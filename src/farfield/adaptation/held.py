@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +17,7 @@ from farfield.training.method import Batch
 _ROWS = 2048  # features of a frame and a domain that the probe reads
 
 
+@runtime_checkable
 class Held(Protocol):
     """A method whose domains can be told apart on any frames."""
 

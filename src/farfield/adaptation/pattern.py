@@ -22,6 +22,7 @@ from farfield.adaptation.reversal import schedule
 from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features, PointFeatures
+from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes

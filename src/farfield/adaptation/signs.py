@@ -7,7 +7,7 @@ adversary, a gain of the controls) is not seen here.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-Row = Mapping[str, float]
+Row = Mapping[str, float | int]
 
 _FEWEST = 4  # rows of a log that are needed to speak of its halves
 _EARLY = 50  # steps
@@ -59,7 +59,7 @@ def _of_discriminator(rows: Sequence[Row]) -> Iterator[str]:
         yield "the discriminator's accuracy swings between 0.5 and 1: an unstable game; lower both rates, and clip"
 
 
-def _swings(values: Sequence[float]) -> bool:
+def _swings(values: Sequence[float | int]) -> bool:
     """Whether a curve goes far up and down again more than once."""
     turns, direction, extreme = 0, 0, values[0]
     for value in values[1:]:
@@ -109,5 +109,5 @@ def _of_pseudo_boxes(rows: Sequence[Row]) -> Iterator[str]:
         )
 
 
-def _mean(values: Sequence[float]) -> float:
+def _mean(values: Sequence[float | int]) -> float:
     return math.fsum(values) / len(values)

@@ -112,7 +112,7 @@ class Plan:
         )
 
 
-def logged(folder: Path) -> list[dict[str, float]]:
+def logged(folder: Path) -> list[dict[str, float | int]]:
     """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
     path = folder / "log.jsonl"
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []

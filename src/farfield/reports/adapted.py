@@ -65,7 +65,7 @@ class AdaptedPage:
     source_rate: float
     measured: Sequence[str]
     changes: Sequence[Change]
-    rows: Sequence[Mapping[str, float]]
+    rows: Sequence[Mapping[str, float | int]]
     signs: Sequence[str]
     labels: str
     simulated: Mapping[str, bool]
@@ -177,7 +177,7 @@ def _picture(change: Change) -> Picture:
     )
 
 
-def _course(rows: Sequence[Mapping[str, float]]) -> Picture | None:
+def _course(rows: Sequence[Mapping[str, float | int]]) -> Picture | None:
     figure = courses(rows)
     if figure is None:
         return None

@@ -87,7 +87,7 @@ def changed(frame: Frame, cloud: str, before: Boxes, after: Boxes) -> "Figure":
     return figure
 
 
-def courses(rows: Sequence[Mapping[str, float]]) -> "Figure | None":
+def courses(rows: Sequence[Mapping[str, float | int]]) -> "Figure | None":
     """What was logged over the steps, a panel for each kind of figure; None where nothing was."""
     drawn = [(title, _columns(rows, starts)) for title, starts in _PANELS]
     drawn = [(title, columns) for title, columns in drawn if columns]
@@ -119,12 +119,12 @@ def courses(rows: Sequence[Mapping[str, float]]) -> "Figure | None":
     return figure
 
 
-def _columns(rows: Sequence[Mapping[str, float]], starts: Sequence[str]) -> list[str]:
+def _columns(rows: Sequence[Mapping[str, float | int]], starts: Sequence[str]) -> list[str]:
     """Columns of the log that begin so, in their order."""
     return list(dict.fromkeys(name for row in rows for name in row if name.startswith(tuple(starts))))
 
 
-def _first_steps(rows: Sequence[Mapping[str, float]]) -> list[float]:
+def _first_steps(rows: Sequence[Mapping[str, float | int]]) -> list[float | int]:
     """Last steps of all rounds but the last."""
     last = {row.get("round", 1): row["step"] for row in rows}
     return list(last.values())[:-1]

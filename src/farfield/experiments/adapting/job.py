@@ -267,9 +267,9 @@ class Job:
             f"{settled.source_rate:.1f} sure ones"
         )
 
-    def rows(self) -> list[dict[str, float]]:
+    def rows(self) -> list[dict[str, float | int]]:
         """The rounds' logs, one after the other, with the steps counted through."""
-        rows: list[dict[str, float]] = []
+        rows: list[dict[str, float | int]] = []
         for number in range(1, self.choices.rounds + 1):
             before = rows[-1]["step"] if rows else 0
             read = logged(self.folder / f"round-{number}")

@@ -83,7 +83,7 @@ def page_of(
     clouds: Mapping[str, str],
     settled: Settled,
     found: Sequence[Detections],
-    rows: Sequence[Mapping[str, float]],
+    rows: Sequence[Mapping[str, float | int]],
     signs: Sequence[str],
 ) -> Path:
     """Write the page.
