@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("torch")
 
 from farfield.adaptation.pseudo import levels, sorted_by_score, spoken
-from farfield.adaptation.thresholds import background_below, judged, sure_from, thresholds_of
+from farfield.adaptation.thresholds import background_below, calibrated, judged, sure_from, thresholds_of
 from farfield.frame import Boxes
 
 
@@ -21,25 +21,34 @@ def boxes_at(x: np.ndarray, score: np.ndarray | None = None, label: str = "vehic
     )
 
 
-def test_sure_is_where_nine_in_ten_above_are_right() -> None:
-    score = np.linspace(1.0, 0.01, 100)
-    right = np.arange(100) < 54  # 54 of 60 boxes are nine in ten
-    assert sure_from(score, right) == pytest.approx(score[59])
-    assert sure_from(score[:19], right[:19]) is None  # too few objects
+def scores_of(shares: dict[float, float], count: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """As many boxes of each score, of which a share is right."""
+    score = np.repeat(list(shares), count)
+    right = np.concatenate([np.arange(count) < round(share * count) for share in shares.values()])
+    return score, right
 
 
-def test_where_nothing_is_that_sure_the_best_tenth_of_the_objects_is() -> None:
+def test_sure_and_background_are_where_boxes_of_a_score_are() -> None:
+    score, right = scores_of({0.1: 0.0, 0.2: 0.2, 0.3: 0.25, 0.5: 0.5, 0.7: 0.75, 0.8: 0.8, 0.9: 1.0})
+    assert sure_from(score, right) == 0.8
+    assert background_below(score, right) == 0.3
+    assert sure_from(score[right][:19], right[right][:19]) is None  # too few objects
+    assert background_below(score[:19], right[:19]) is None
+
+
+def test_shares_that_fall_are_evened_out() -> None:
+    score, right = scores_of({0.2: 0.1, 0.4: 0.9, 0.6: 0.3, 0.8: 0.95})
+    values, share = calibrated(score, right)
+    assert values.tolist() == [0.2, 0.4, 0.6, 0.8]
+    assert share == pytest.approx([0.1, 0.6, 0.6, 0.95])
+    assert (sure_from(score, right), background_below(score, right)) == (0.8, 0.4)
+
+
+def test_where_next_to_nothing_is_sure_the_best_tenth_of_the_objects_is() -> None:
     score = np.linspace(1.0, 0.01, 100)
     right = np.arange(100) % 2 == 0
     assert sure_from(score, right) == pytest.approx(np.quantile(score[right], 0.9))
-
-
-def test_background_ends_where_one_in_ten_below_is_an_object() -> None:
-    score = np.linspace(0.01, 1.0, 100)
-    right = np.arange(100) >= 45  # 5 objects of 50 boxes below number 50
-    assert background_below(score, right) == pytest.approx(score[50])
-    assert background_below(score, np.ones(100, dtype=bool)) == score[0]  # nothing found is background
-    assert background_below(score[:10], right[:10]) is None
+    assert background_below(score, np.ones(100, dtype=bool)) == score.min()  # nothing found is background
 
 
 def test_a_box_is_an_object_once() -> None:
@@ -62,8 +71,8 @@ def test_thresholds_by_class_and_the_literatures_where_there_are_few() -> None:
     truth = {key: boxes_at(np.arange(5) * 20.0) for key in frames}  # the better half is right
     found = thresholds_of(frames, truth, ("vehicle", "pedestrian"), lowest=0.05)
     assert found.measured == ("vehicle",)
-    assert found.positive == {"vehicle": 0.55, "pedestrian": 0.6}  # 50 of the 50 best; 50 of 60 are too few
-    assert found.negative == {"vehicle": 0.55, "pedestrian": 0.25}
+    assert found.positive == {"vehicle": 0.55, "pedestrian": 0.6}
+    assert found.negative == {"vehicle": 0.55, "pedestrian": 0.25}  # scores part right and wrong: nothing is unsure
     assert all(found.negative[name] <= found.positive[name] for name in found.positive)
     raised = thresholds_of(frames, truth, ("vehicle",), lowest=0.7)
     assert raised.positive == raised.negative == {"vehicle": 0.7}

@@ -1,23 +1,24 @@
 """The two scores between which a pseudo box is ignored, from what a detector's scores mean where labels are known.
 
 Scores of detectors are not alike: those of a focal loss that has seen few objects stop at 0.5. So the thresholds are
-taken from the scores on labelled source frames, class by class, by one rule for both. A box is an object from the
-lowest score on at which at least nine in ten boxes *above* it are objects; it is background below the highest score at
-which at most one in ten boxes *below* it is one; what lies between is ignored. The rule is ours; where a class has too
-few boxes to tell, the literature's 0.6 and 0.25 (ST3D++, arXiv 2108.06682) stand.
+taken from the scores on labelled source frames, class by class: isotonic regression gives the share of objects among
+boxes of each score (Zadrozny and Elkan, KDD 2002). From the score on where it reaches four in five a box is an object,
+below the one where it passes one in five it is background, and what lies between is ignored. The shares are ours; where
+a class has too few boxes to tell, the literature's 0.6 and 0.25 (ST3D++, arXiv 2108.06682) stand.
 """
 
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
+from scipy.optimize import isotonic_regression
 
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
 
 POSITIVE, NEGATIVE = 0.6, 0.25
-_SURE, _BACKGROUND = 0.9, 0.1  # shares of objects above the one and below the other
+_SURE, _BACKGROUND = 0.8, 0.2  # shares of objects among boxes of a score
 _FEWEST = 20  # boxes of a class, right ones or all, of which shares are taken
 
 
@@ -89,34 +90,38 @@ def judged(
 
 
 def sure_from(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
-    """The lowest score at and above which nine in ten boxes are objects; None with too few of them.
+    """The score from which at least four in five boxes of a score are objects; None with too few objects.
 
-    Where no score has that many above it, the highest tenth of the objects' scores is sure.
+    It is at most the score that a tenth of the objects reaches: where fewer were sure, there would be little to learn.
     """
     if right.sum() < _FEWEST:
         return None
-    values, below, lower = _below(score, right)
-    above, objects = len(score) - below, int(right.sum()) - lower
-    enough = (objects >= _SURE * above) & (above >= _FEWEST)  # of few boxes at the top a share says little
-    return float(values[enough][0]) if enough.any() else float(np.quantile(score[right], 0.9))
+    values, share = calibrated(score, right)
+    sure = values[share >= _SURE]
+    best_tenth = float(np.quantile(score[right], 0.9))
+    return min(float(sure[0]), best_tenth) if len(sure) else best_tenth
 
 
 def background_below(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
-    """The highest score below which at most one in ten boxes is an object; None with too few boxes.
+    """The score below which at most one in five boxes of a score is an object; None with too few boxes.
 
-    Where there is none, the lowest score: nothing that was found is background.
+    Where every score is surer, the lowest of them: nothing that was found is background.
     """
     if len(score) < _FEWEST:
         return None
-    values, below, objects = _below(score, right)
-    enough = (objects <= _BACKGROUND * below) & (below >= _FEWEST)
-    return float(values[enough][-1]) if enough.any() else float(values[0])
+    values, share = calibrated(score, right)
+    unsure = values[share > _BACKGROUND]
+    return float(unsure[0]) if len(unsure) else float(values[-1])
 
 
-def _below(
+def calibrated(
     score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """The scores that occur, ascending, and how many boxes, and how many objects, lie below each, shapes (m,)."""
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """The scores that occur, ascending, and the share of objects among boxes of each, shapes (m,).
+
+    The shares rise with the score: isotonic regression, each score weighing as many boxes as have it.
+    """
     values, count = np.unique(score, return_counts=True)
-    objects = np.bincount(np.searchsorted(values, score), weights=right, minlength=len(values)).astype(np.int64)
-    return values, np.cumsum(count) - count, np.cumsum(objects) - objects
+    objects = np.bincount(np.searchsorted(values, score), weights=right, minlength=len(values))
+    share = isotonic_regression(objects / count, weights=count).x
+    return values, np.asarray(share, dtype=np.float64)
