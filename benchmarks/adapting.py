@@ -10,13 +10,16 @@ a head of its own, so that labels are the only difference. All are scored on oth
 draws of these. A control learns from the same batches without pseudo boxes: what statistics and more steps give.
 
 --kitti adapts to the whole sweeps of drive 0001 of KITTI's raw data (shared/real, local) and scores on the frames of
-other drives: few, so that the interval is reported and nothing is decided. Killed, a run goes on where it stopped; core
-minutes are added up over all its parts.
+other drives: few, so that the interval is reported and nothing is decided. Killed, a run goes on where it stopped; of a
+killed call the core minutes of the stage that it was in are not counted.
 """
 
 import argparse
 import json
 import resource
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,11 +36,29 @@ from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure
 from farfield.metrics.deciding.samples import Sample, sample
 from farfield.recording import record
+from farfield.training.report import Report
 
 START = "pointpillars-cirrus-sim"
 FIGURES = {"AP 2 m": "ap/2.0", "mAP": "dds/0/map", "aIoU": "dds/0/aiou", "DDS": "dds/0/dds"}
 DRIVE_0001 = ("002335", "002352", "002364", "003638")
 BINS_M = (0.0, 30.0, 70.0, 120.0)
+
+
+class Course(Report):
+    """Says how the work goes on, on the error stream."""
+
+    def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
+        """With a progress bar."""
+        return progress(list(numbers), what)
+
+    def say(self, text: str) -> None:
+        """Print it."""
+        print(text, file=sys.stderr, flush=True)
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Every fiftieth step."""
+        if step % 50 == 0:
+            self.say(f"step {step}: loss {losses['loss']:.3f}")
 
 
 class Cores:
@@ -89,16 +110,24 @@ def trained_on_labels(work: Path, adapted: Path, target: Path, rounds: int) -> P
     tree["name"], tree["data"]["target"]["path"] = "labels", str(target)
     tree["method"] = {"name": "device", "norm": "per_domain", "adversarial": None, "start": START}
     tree["training"]["steps"] *= rounds
-    Plan(experiment_of(tree), work / "labels").run()
+    Plan(experiment_of(tree), work / "labels").run(Course())
     return work / "labels"
 
 
-def samples(detector: str | Path, data: Any, cloud: str, kept: Path, **settings: Any) -> dict[str, Sample]:
-    """Each figure of a detector with its draws."""
-    bar = partial(progress, what=f"searching with {Path(detector).name}")
-    found = detect(ff.load_detector(detector), data, cloud=cloud, annotated_only=True, journal=kept, progress=bar)
+def samples(detector: str | Path, sets: Sequence[Any], cloud: str, kept: Path) -> dict[str, Sample]:
+    """Each figure of a detector on some sets of frames together, with its draws."""
+    found = None
+    for number, data in enumerate(sets):
+        bar = partial(progress, what=f"searching with {Path(detector).name}")
+        journal = kept.with_name(f"{kept.name}-{number}.jsonl")
+        part = detect(ff.load_detector(detector), data, cloud=cloud, annotated_only=True, journal=journal, progress=bar)
+        if found is None:
+            found = part
+        boxes, annotations = {**found.boxes, **part.boxes}, {**found.annotations, **part.annotations}
+        found = replace(found, boxes=boxes, annotations=annotations)
+    assert found is not None
     return {
-        name: sample(found, figure(key), label="vehicle", range_bins_m=BINS_M, epsilons=(0.0,), **settings)
+        name: sample(found, figure(key), label="vehicle", range_bins_m=BINS_M, epsilons=(0.0,))
         for name, key in FIGURES.items()
     }
 
@@ -137,7 +166,7 @@ def on_os2(options: argparse.Namespace) -> None:
     other = simulated(work, "other", options.scored, options.scored // 3, 731, options.weather)
     cores.spent("target and scored frames")
     choices = {"frames": options.frames, "clouds": ("os2-64",), "rounds": options.rounds}
-    done = ff.adapt(START, target, out=work / "adapted", minutes=options.minutes, **choices)
+    done = ff.adapt(START, target, out=work / "adapted", minutes=options.minutes, report=Course(), **choices)
     minutes = cores.spent("adapting")
     print(
         f"adapting: {minutes:.0f} core-minutes, source frames included; {options.rounds} x {done.settled.steps} steps"
@@ -154,30 +183,33 @@ def on_os2(options: argparse.Namespace) -> None:
     rows["trained on labels"] = trained_on_labels(work, done.folder, work / "target", options.rounds)
     cores.spent("controls")
     found = {
-        name: samples(weights, other, "os2-64", work / f".scored-{name.replace(' ', '-')}.jsonl")
+        name: samples(weights, [other], "os2-64", work / f".scored-{name.replace(' ', '-')}")
         for name, weights in rows.items()
     }
+    drives = found["before"]["DDS"].groups
     print(
-        f"{len(other)} frames of {found['before']['DDS'].groups} other drives; vehicle; boxes there show whole bodies,"
+        f"{len(other)} frames of {drives} other drives; vehicle; boxes show whole bodies there, the visible part in the"
     )
-    print("those of the source the visible part: aIoU, and DDS with it, holds a gap that pseudo boxes cannot close")
+    print("source: aIoU, and DDS with it, holds a gap that pseudo boxes cannot close")
     report(found, "before", "adapted", "trained on labels")
 
 
 def on_kitti(options: argparse.Namespace) -> None:
     """Real KITTI: adapted to four sweeps of drive 0001, scored on other drives."""
     drive = SHARED_REAL / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync" / "velodyne_points" / "data"
-    done = ff.adapt(START, drive, out=options.work / "kitti", minutes=options.minutes, rounds=options.rounds)
+    out = options.work / "kitti"
+    done = ff.adapt(START, drive, out=out, minutes=options.minutes, rounds=options.rounds, report=Course())
     print(f"adapted to {len(done.after.boxes)} sweeps in {options.rounds} x {done.settled.steps} steps")
-    gains = {}
+    sets = []
     for name in ("kitti", "kitti_more"):
         data = ff.open_dataset(SHARED_REAL / name)
-        data = data.select([n for n, frame in enumerate(data.frame_ids) if frame not in DRIVE_0001])
-        for row, weights in (("before", START), ("adapted", done.folder)):
-            kept = options.work / f".scored-{name}-{row}.jsonl"
-            gains[name, row] = samples(weights, data, "lidar", kept)
-        print(f"{name}: {len(data)} frames of other drives; draws of {gains[name, 'before']['DDS'].grouped_by}")
-        report({row: gains[name, row] for row in ("before", "adapted")}, "before", "adapted", None)
+        sets.append(data.select([n for n, frame in enumerate(data.frame_ids) if frame not in DRIVE_0001]))
+    found = {
+        row: samples(weights, sets, "lidar", options.work / f".scored-kitti-{row}")
+        for row, weights in (("before", START), ("adapted", done.folder))
+    }
+    print(f"{sum(map(len, sets))} frames of other drives; draws of {found['before']['DDS'].grouped_by}")
+    report(found, "before", "adapted", None)
     print("reported, not decided: so few frames decide nothing")
 
 

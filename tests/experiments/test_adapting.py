@@ -227,6 +227,8 @@ def test_the_frames_that_changed_most_are_shown() -> None:
     before = {("s", name): boxes_at(1, 20) for name in "abc"}
     after = {("s", "a"): boxes_at(1, 20), ("s", "b"): boxes_at(), ("s", "c"): boxes_at(1)}
     assert most_changed(before, after, 2) == [("s", "b"), ("s", "c")]
+    calm = {("t", "0"): boxes_at(1)}
+    assert most_changed({**before, **calm}, {**after, **calm}, 2) == [("s", "b"), ("t", "0")]  # another drive first
     assert edges_to(64.0) == [0.0, 30.0, 64.0]
     assert list(spread(400, 4)) == [0, 100, 200, 300]
 

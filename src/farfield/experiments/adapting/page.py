@@ -39,9 +39,14 @@ def changes(before: Boxes, after: Boxes) -> int:
 
 
 def most_changed(before: Mapping[Key, Boxes], after: Mapping[Key, Boxes], count: int) -> list[Key]:
-    """The frames in which most boxes came or went, most first; among equals the earlier."""
+    """The frames in which most boxes came or went, most first: one a drive, and more only where there are too few.
+
+    Among equals the earlier comes first.
+    """
     order = sorted(before, key=lambda key: (-changes(before[key], after[key]), key))
-    return order[:count]
+    first = {key[0]: key for key in reversed(order)}  # of each drive the one that changed most
+    chosen = [key for key in order if first[key[0]] == key][:count]
+    return chosen + [key for key in order if key not in chosen][: count - len(chosen)]
 
 
 def edges_to(reach_m: float) -> list[float]:
