@@ -155,6 +155,17 @@ def test_what_cannot_be_adapted_is_refused_before_anything_is_written(
     assert not out.exists()
 
 
+def test_nothing_of_others_is_written_over(start: Path, simulated_cirrus: Path, tmp_path: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in start.iterdir()}
+    for overwrite in (False, True):
+        with pytest.raises(ConfigError, match=r"one that farfield adapt began; it holds checkpoint\.pt"):
+            ff.adapt(start, simulated_cirrus, out=start, overwrite=overwrite, **TINY)
+    assert {path.name: path.stat().st_mtime_ns for path in start.iterdir()} == before
+    (tmp_path / "weights.safetensors").touch()
+    with pytest.raises(ConfigError, match=r"it holds weights\.safetensors"):
+        ff.adapt(start, simulated_cirrus, out=tmp_path, **TINY)
+
+
 @pytest.mark.parametrize(
     ("choices", "message"),
     [

@@ -6,6 +6,7 @@ What is done is kept in the folder, so that the same command goes on where it wa
 the target, if there are any, decide nothing.
 """
 
+import re
 import shutil
 import time
 from pathlib import Path
@@ -13,11 +14,13 @@ from typing import Any
 
 from farfield.bulk import Bulk
 from farfield.datasets import Dataset, open_dataset
+from farfield.errors import ConfigError
 from farfield.experiments.adapting.job import PAGE, WEIGHTS, Adapted, Job
 from farfield.experiments.adapting.settings import SETTLED, choices_of
+from farfield.experiments.adapting.source import FOLDER
 from farfield.training.report import Report
 
-_OURS = (SETTLED, WEIGHTS, PAGE)
+_OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
 
 
 def adapt(
@@ -47,7 +50,7 @@ def adapt(
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
-            cloud suits the detector, or the folder holds another adaptation.
+            cloud suits the detector, or the folder holds something else.
         DatasetError: If there are no frames.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
@@ -63,6 +66,7 @@ def adapt(
         report=report or Report(),
         began=began,
     )
+    check_folder(folder)
     job.check()
     folder.mkdir(parents=True, exist_ok=True)
     if overwrite:
@@ -73,11 +77,24 @@ def adapt(
 def clear(folder: Path) -> None:
     """Remove what an adaptation left in its folder, but not the source frames that it simulated."""
     for path in folder.iterdir():
-        if path.name in _OURS or path.name.startswith(".found-"):
+        if path.is_file():
             path.unlink()
-        elif path.is_dir() and (path.name.startswith(".measured-") or _is_round(path.name)):
+        elif path.name != FOLDER:
             shutil.rmtree(path)
 
 
-def _is_round(name: str) -> bool:
-    return name.startswith("round-") and name.removeprefix("round-").isdigit()
+def check_folder(folder: Path) -> None:
+    """See that a folder is an adaptation's, or empty, or absent: nothing else is written over or removed.
+
+    Raises:
+        ConfigError: If it holds something else.
+    """
+    names = {path.name for path in folder.iterdir()} if folder.exists() else set()
+    strange = sorted(name for name in names if not _OURS.fullmatch(name))
+    if WEIGHTS in names and SETTLED not in names:
+        strange.append(WEIGHTS)
+    if strange:
+        raise ConfigError(
+            f"{folder}: expected an empty or absent folder, or one that farfield adapt began; it holds "
+            f"{', '.join(strange[:4])}. Name another folder with --out."
+        )
