@@ -76,11 +76,11 @@ def rows(**columns: list[float]) -> list[dict[str, float]]:
         ({"held_accuracy": [0.7, 0.9, 0.97, 0.98, 0.99, 0.99]}, "always right in the last half"),
         ({"discriminator_accuracy": [0.6, 0.51, 0.51, 0.5], "probe_accuracy": [0.9] * 4}, "a fresh linear probe"),
         ({"discriminator_accuracy": [0.5] * 8 + [0.95, 0.5, 0.95, 0.5, 0.95, 0.5, 0.95, 0.5]}, "unstable game"),
-        ({"rank_near": [20.0, 20, 15, 12, 9, 6]}, "the rank of the features of near fell to 30%"),
-        ({"variance_target": [1.0, 1, 1, 0.5]}, "the variance of the features of target fell to 50%"),
+        ({"rank_near": [20.0] * 4 + [12] * 8 + [6] * 4}, "the rank of the features of near fell to 30%"),
+        ({"variance_target": [1.0] * 12 + [0.5, 0.4, 0.6, 0.5]}, "the variance of the features of target fell to 50%"),
         ({"gradient_ratio": [0.1, 0.5, 2.0, 4.0]}, "pulls 3.0 times as hard"),
-        ({"pseudo_boxes": [4.0, 4, 8, 12]}, "more and more sure boxes"),
-        ({"pseudo_boxes": [4.0, 4, 2, 1]}, "fewer and fewer sure boxes"),
+        ({"pseudo_boxes": [4.0, 5, 4, 3] + [8] * 8 + [12, 11, 13, 12]}, "more and more sure boxes"),
+        ({"pseudo_boxes": [4.0] * 12 + [1] * 4}, "fewer and fewer sure boxes"),
         ({"n_eff": [40.0, 300.0]}, "the class mean; lower tau"),
         ({"n_eff": [40.0, 1.0]}, "a copy of one object; raise tau"),
     ],
@@ -103,3 +103,6 @@ def test_a_healthy_log_and_an_empty_one_are_passed_over() -> None:
     assert not list(signs_of(healthy))
     assert not list(signs_of([]))
     assert not list(signs_of(rows(loss=[1.0, 0.5])))
+    assert not list(signs_of(rows(pseudo_boxes=[3.0, 9.5, 10.5, 10])))  # few rows of batches of two frames say nothing
+    noise = [1.0, 9, 0, 2] + [5.0] * 8 + [2.0, 14, 1, 12]
+    assert not list(signs_of(rows(pseudo_boxes=noise)))

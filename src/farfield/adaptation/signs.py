@@ -5,14 +5,16 @@ adversary, a gain of the controls) is not seen here.
 """
 
 import math
+import statistics
 from collections.abc import Iterator, Mapping, Sequence
 
 Row = Mapping[str, float | int]
 
 _FEWEST = 4  # rows of a log that are needed to speak of its halves
+_ROWS = 16  # and of which the first and the last quarter are compared
 _EARLY = 50  # steps
 _CHANCE, _SURE, _TELLS = 0.52, 0.95, 0.8
-_LEFT = 0.7  # of variance and rank at the first measurement
+_LEFT = 0.7  # of variance and rank in the first quarter
 _SWING = 0.35
 _TOO_FEW, _TOO_MANY = 0.5, 2.0  # pseudo boxes over those at the beginning
 
@@ -75,15 +77,12 @@ def _swings(values: Sequence[float | int]) -> bool:
 def _of_features(rows: Sequence[Row]) -> Iterator[str]:
     names = sorted({name for row in rows for name in row if name.startswith(("variance_", "rank_"))})
     for name in names:
-        values = [row[name] for row in rows if name in row]
-        if len(values) < _FEWEST:
-            continue
-        first, last = (_mean(part) for part in (values[: len(values) // 4 or 1], values[-(len(values) // 4 or 1) :]))
+        first, last = _ends([row[name] for row in rows if name in row])
         if first > 0 and last < _LEFT * first:
             kind, _, domain = name.partition("_")
             yield (
-                f"the {kind} of the features of {domain} fell to {last / first:.0%} of what it was: they collapse, if "
-                "a run without the loss does not do so too; lower lambda_max or weight"
+                f"the {kind} of the features of {domain} fell to {last / first:.0%} of what it was: they collapse, if a "
+                "run without the loss does not do so too; lower lambda_max or weight"
             )
 
 
@@ -97,16 +96,23 @@ def _of_gradients(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _of_pseudo_boxes(rows: Sequence[Row]) -> Iterator[str]:
-    counts = [row["pseudo_boxes"] for row in rows if "pseudo_boxes" in row]
-    if len(counts) < _FEWEST:
-        return
-    first, last = (_mean(part) for part in (counts[: len(counts) // 4 or 1], counts[-(len(counts) // 4 or 1) :]))
+    first, last = _ends([row["pseudo_boxes"] for row in rows if "pseudo_boxes" in row])
     if first > 0 and not _TOO_FEW < last / first < _TOO_MANY:
         word = "more" if last > first else "fewer"
         yield (
             f"the teacher finds {word} and {word} sure boxes ({first:.1f} a frame at first, {last:.1f} at last): it "
             "may confirm its own mistakes; look at the page, take fewer rounds or steps"
         )
+
+
+def _ends(values: Sequence[float | int]) -> tuple[float, float]:
+    """Means of the first and of the last quarter; alike where there are few rows or what is between them is noise."""
+    count = len(values) // 4
+    if len(values) < _ROWS:
+        return 0.0, 0.0
+    first, last = _mean(values[:count]), _mean(values[-count:])
+    spread = statistics.variance(values[:count]) + statistics.variance(values[-count:])
+    return (first, last) if abs(last - first) > 2 * math.sqrt(spread / count) else (first, first)
 
 
 def _mean(values: Sequence[float | int]) -> float:
