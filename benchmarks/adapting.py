@@ -165,7 +165,8 @@ def on_os2(options: argparse.Namespace) -> None:
     target = simulated(work, "target", options.frames, options.frames // 5, 31, options.weather)
     other = simulated(work, "other", options.scored, options.scored // 3, 731, options.weather)
     cores.spent("target and scored frames")
-    choices = {"frames": options.frames, "clouds": ("os2-64",), "rounds": options.rounds}
+    choices: dict[str, Any] = {"frames": options.frames, "clouds": ("os2-64",), "rounds": options.rounds}
+    choices["source_frames"] = options.source_frames
     done = ff.adapt(START, target, out=work / "adapted", minutes=options.minutes, report=Course(), **choices)
     minutes = cores.spent("adapting")
     print(
@@ -198,7 +199,8 @@ def on_kitti(options: argparse.Namespace) -> None:
     """Real KITTI: adapted to four sweeps of drive 0001, scored on other drives."""
     drive = SHARED_REAL / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync" / "velodyne_points" / "data"
     out = options.work / "kitti"
-    done = ff.adapt(START, drive, out=out, minutes=options.minutes, rounds=options.rounds, report=Course())
+    choices: dict[str, Any] = {"rounds": options.rounds, "source_frames": options.source_frames}
+    done = ff.adapt(START, drive, out=out, minutes=options.minutes, report=Course(), **choices)
     print(f"adapted to {len(done.after.boxes)} sweeps in {options.rounds} x {done.settled.steps} steps")
     sets = []
     for name in ("kitti", "kitti_more"):
@@ -218,6 +220,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "data" / "adapting")
     parser.add_argument("--minutes", type=float, default=50.0, help="of the adaptation, by the clock")
     parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--source-frames", type=int, default=240)
     parser.add_argument("--scored", type=int, default=120)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--weather", default="normal")

@@ -81,8 +81,8 @@ def _of_features(rows: Sequence[Row]) -> Iterator[str]:
         if first > 0 and last < _LEFT * first:
             kind, _, domain = name.partition("_")
             yield (
-                f"the {kind} of the features of {domain} fell to {last / first:.0%} of what it was: they collapse, if a "
-                "run without the loss does not do so too; lower lambda_max or weight"
+                f"the {kind} of the features of {domain} fell to {last / first:.0%} of what it was: they collapse, if "
+                "a run without the loss does not do so too; lower lambda_max or weight"
             )
 
 
