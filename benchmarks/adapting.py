@@ -174,7 +174,7 @@ def on_os2(options: argparse.Namespace) -> None:
     )
     print(f"thresholds: object {done.settled.positive}, background {done.settled.negative}")
     print("".join(f"sign: {text}\n" for text in done.signs), end="")
-    rows = {"before": START, "adapted": done.folder}
+    rows: dict[str, str | Path] = {"before": START, "adapted": done.folder}
     if options.controls:
         steps = done.settled.steps * options.rounds
         off = ("method.weight=0",)
