@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
 
 _SHARE, _MOST, _LEAST = 0.25, 1000, 100  # of the source's steps, and the bounds of that
+_FEWEST = 20  # steps of a round
 _MEASURED = 6
 _MARGIN = 0.9  # of the time that is left
 _SOUNDED = 5  # frames of which the points' heights are compared
@@ -39,14 +40,16 @@ def steps_in(seconds: float, step_s: float, choices: Choices, wanted: int) -> in
     """Steps of a round for which the time suffices.
 
     Raises:
-        ConfigError: If it suffices for none.
+        ConfigError: If it suffices for fewer than 20, or than are wanted: so few move a network's statistics and teach
+            it next to nothing, which makes it worse.
     """
     fitting = int(_MARGIN * seconds / step_s / choices.rounds)
-    if fitting < 1:
+    least = min(wanted, _FEWEST)
+    if fitting < least:
         raise ConfigError(
-            f"--minutes: expected enough for a step in each of {choices.rounds} rounds; of {choices.minutes:g} minutes "
-            f"{max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more minutes, or "
-            "fewer --frames and --source-frames."
+            f"--minutes: expected enough for {least} steps in each of {choices.rounds} rounds; of {choices.minutes:g} "
+            f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more minutes, "
+            "or fewer --frames and --source-frames."
         )
     return min(wanted, fitting)
 
