@@ -48,8 +48,8 @@ def steps_in(seconds: float, step_s: float, choices: Choices, wanted: int) -> in
     if fitting < least:
         raise ConfigError(
             f"--minutes: expected enough for {least} steps in each of {choices.rounds} rounds; of {choices.minutes:g} "
-            f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more minutes, "
-            "or fewer --frames and --source-frames."
+            f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more "
+            "minutes, or fewer --frames and --source-frames."
         )
     return min(wanted, fitting)
 
