@@ -26,8 +26,8 @@ from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, FarfieldError
 from farfield.experiments.adapting import Adapted, Choices
 from farfield.experiments.adapting.page import changes, edges_to, extents, most_changed
-from farfield.experiments.adapting.rounds import measured_step_s, steps_in, steps_wanted
-from farfield.experiments.adapting.settings import spread
+from farfield.experiments.adapting.rounds import measured_step_s, rare_classes, steps_in, steps_wanted
+from farfield.experiments.adapting.settings import Settled, spread
 from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment
@@ -232,6 +232,15 @@ def test_minutes_bound_the_steps(
 def boxes_at(*x: float) -> Boxes:
     n = len(x)
     return Boxes(centre_m=np.column_stack([x, np.zeros((n, 2))]), size_m=np.ones((n, 3)), yaw_rad=np.zeros(n))
+
+
+def test_a_class_without_enough_sure_boxes_is_ignored_and_not_unlearnt() -> None:
+    scores = {"vehicle": 0.5, "pedestrian": 0.4}
+    settled = Settled(settings={}, positive=scores, negative=scores, measured=(), source_rate=1.0, steps=1)
+    cars = boxes_at(*range(20)).replace(label=["vehicle"] * 20, score=np.full(20, 0.5))
+    people = boxes_at(*range(30)).replace(label=["pedestrian"] * 30, score=np.linspace(0.0, 0.58, 30))
+    assert rare_classes({("s", "0"): cars, ("s", "1"): people}, settled) == ("pedestrian",)
+    assert rare_classes({("s", "0"): cars[:19]}, settled) == ("vehicle", "pedestrian")
 
 
 def test_the_frames_that_changed_most_are_shown() -> None:

@@ -21,6 +21,7 @@ from farfield.experiments.adapting.rounds import (
     counted,
     experiment_of_round,
     measured_step_s,
+    rare_classes,
     steps_in,
     steps_wanted,
 )
@@ -150,7 +151,7 @@ class Job:
         for number in range(1, self.choices.rounds + 1):
             check_round(found[-1].boxes, settled, number, self.streams, self.clouds)
             self.say_round(number, found[-1], settled)
-            found.append(self.search(self.train(number, settled), number))
+            found.append(self.search(self.train(number, settled, found[-1]), number))
         self.say_round(0, found[-1], settled)
         weights, rows = self.export(settled), self.rows()
         signs = tuple(signs_of(rows))
@@ -221,26 +222,31 @@ class Job:
     def fitted(self, settled: Settled) -> Settled:
         """As many steps as the minutes allow: a search of the target and a few steps are timed."""
         before = time.monotonic()
-        self.search(self.start, 0)
+        found = self.search(self.start, 0)
         search_s = time.monotonic() - before
-        experiment = self.experiment(1, settled)
+        experiment = self.experiment(1, settled, found)
         step_s = measured_step_s(experiment, self.streams, self.folder)
         left_s = 60 * self.choices.minutes - (time.monotonic() - self.began) - self.choices.rounds * search_s
         steps = steps_in(left_s, step_s, self.choices, settled.steps)
         self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {steps} steps")
         return settled.model_copy(update={"steps": steps, "step_s": step_s})
 
-    def experiment(self, number: int, settled: Settled) -> Experiment:
-        """The training of a round."""
+    def experiment(self, number: int, settled: Settled, found: Detections) -> Experiment:
+        """The training of a round, whose teacher found so much in the target."""
         start = self.start if number == 1 else self.folder / f"round-{number - 1}" / WEIGHTS
-        return experiment_of_round(start, self.detector, self.learnt, self.configs, settled, self.choices, number)
+        return experiment_of_round(
+            start, self.detector, self.learnt, self.configs, settled, self.choices, number, found.boxes
+        )
 
-    def train(self, number: int, settled: Settled) -> Path:
+    def train(self, number: int, settled: Settled, found: Detections) -> Path:
         """Do a round, or go on with it; gives its weights."""
         folder = self.folder / f"round-{number}"
         if (folder / WEIGHTS).is_file():  # written at the end of a round, whole or not at all
             return folder / WEIGHTS
-        return Plan(self.experiment(number, settled), folder, self.streams).run(self.report)
+        rare = rare_classes(found.boxes, settled)
+        if rare:
+            self.report.say(f"few sure boxes of {', '.join(rare)}: what is found of these is ignored, not background")
+        return Plan(self.experiment(number, settled, found), folder, self.streams).run(self.report)
 
     def search(self, weights: str | Path, number: int) -> Detections:
         """What weights find in the target, kept in the folder; ``number`` is that of the round that made them."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _SHARE, _MOST, _LEAST = 0.25, 1000, 100  # of the source's steps, and the bounds of that
 _FEWEST = 20  # steps of a round
+_RARE = 20  # sure boxes of a class in the whole target
 _MEASURED = 6
 _MARGIN = 0.9  # of the time that is left
 _SOUNDED = 5  # frames of which the points' heights are compared
@@ -62,6 +63,7 @@ def experiment_of_round(
     settled: Settled,
     choices: Choices,
     number: int,
+    boxes: Mapping[Key, Boxes],
 ) -> Experiment:
     """The training of a round.
 
@@ -73,11 +75,14 @@ def experiment_of_round(
         settled: Thresholds and steps.
         choices: What was chosen.
         number: Number of the round, from 1.
+        boxes: What the round's teacher found in the target.
     """
     training = {name: learnt.training[name] for name in _KEPT if name in learnt.training}
     training |= {"learning_rate": 0.5 * float(learnt.training.get("learning_rate", 2e-3)), "steps": settled.steps}
     training["batch_size"] = max(2, 2 * (int(training.get("batch_size", 4)) // 2))  # as many of each stream
-    scores = {"positive": settled.positive, "negative": settled.negative}
+    lowest = float(detector.config.score_threshold)
+    rare = dict.fromkeys(rare_classes(boxes, settled), lowest)
+    scores = {"positive": settled.positive, "negative": {**settled.negative, **rare}}
     tree: dict[str, Any] = {
         "name": f"round-{number}",
         "data": {name: config.model_dump(mode="json") for name, config in data.items()},
@@ -113,6 +118,19 @@ def measured_step_s(experiment: Experiment, data: Mapping[str, Dataset], folder:
     with tempfile.TemporaryDirectory(prefix=".measured-", dir=folder) as place:
         Plan(experiment.model_copy(update={"training": training}), Path(place), data).run(clock)
     return clock.step_s
+
+
+def rare_classes(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[str, ...]:
+    """Classes with too few sure boxes in the target to be taught there: what is found of them is ignored.
+
+    Were their unsure boxes background, as those of other classes are, a round would unlearn them.
+    """
+    count = dict.fromkeys(settled.positive, 0)
+    for each in boxes.values():
+        score = np.zeros(len(each)) if each.score is None else each.score
+        for name in np.asarray(each.label)[score >= levels(settled.positive, each.label)]:
+            count[str(name)] += 1
+    return tuple(name for name, number in count.items() if number < _RARE)
 
 
 def counted(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[float, float]:
