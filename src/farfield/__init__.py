@@ -16,7 +16,7 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 if TYPE_CHECKING:
-    from farfield.api import detect, evaluate, load_detector, open_dataset, show
+    from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show
     from farfield.datasets.formats import dataset
     from farfield.detectors.kinds import detector
     from farfield.errors import FarfieldError
@@ -31,6 +31,7 @@ _HOMES = {
     "FarfieldError": "farfield.errors",
     "Frame": "farfield.frame",
     "Sensor": "farfield.frame",
+    "adapt": "farfield.api",
     "dataset": "farfield.datasets.formats",
     "detect": "farfield.api",
     "detector": "farfield.detectors.kinds",
@@ -49,6 +50,7 @@ __all__ = [
     "FarfieldError",
     "Frame",
     "Sensor",
+    "adapt",
     "dataset",
     "detect",
     "detector",

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 from farfield.errors import DatasetError
 
 if TYPE_CHECKING:
+    from farfield.bulk import Bulk
     from farfield.datasets.base import Dataset
     from farfield.detectors.runtime import Detector
+    from farfield.experiments.adapting import Adapted
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
+    from farfield.training.report import Report
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -105,6 +108,46 @@ def evaluate(
     if not found.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     return found.score(protocol, **settings)
+
+
+def adapt(
+    detector: Path | str,
+    data: "Path | str | Dataset",
+    *,
+    out: Path | str,
+    source: Path | str | None = None,
+    bulk: "Bulk | None" = None,
+    report: "Report | None" = None,
+    overwrite: bool = False,
+    **choices: Any,
+) -> "Adapted":
+    """Adapt a detector to unlabelled sweeps by self-training, resumable: what ``farfield adapt`` does.
+
+    Args:
+        detector: A bundled detector's name, a run's folder or a weights file.
+        data: The sweeps: a data set's folder, or one that is open. Annotations are not looked at.
+        out: Folder of the adaptation; called again with the same arguments, it goes on there. ``load_detector`` takes
+            it when it is done.
+        source: Labelled frames like those that the detector learnt from; by default they are simulated, from the preset
+            that the weights' provenance names, without camera.
+        bulk: Who detects; this process unless given.
+        report: Is informed of the course.
+        overwrite: Begin anew; simulated source frames stay.
+        **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``overrides``,
+            ``seed``; see :class:`farfield.experiments.adapting.Choices`.
+
+    Raises:
+        ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
+            cloud suits the detector, or the folder holds another adaptation.
+        DatasetError: If there are no frames.
+        FarfieldError: If there are no such weights, or a round yields no pseudo box.
+    """
+    from farfield.detectors import DETECTORS
+
+    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
+    from farfield.experiments.adapting import adapt as adapt_all
+
+    return adapt_all(detector, data, out=out, source=source, bulk=bulk, report=report, overwrite=overwrite, **choices)
 
 
 def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:

@@ -1,47 +1,26 @@
 """What all methods of adaptation share: checked settings, a share of the training that is done, a start, figures."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, ValidationError
-from torch import Tensor, distributed
+from torch import Tensor, distributed, nn
 
+from farfield.adaptation.cells import Cells
+from farfield.adaptation.held import held_figures
+from farfield.adaptation.measuring import gradient_norms, gradient_ratio, total
 from farfield.detectors.contract import Network
+from farfield.detectors.features import Features
+from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import process_count, sum_over_processes
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
-from farfield.training.method import Method
+from farfield.training.method import DETECTOR, Batch, Method
 
 _DRAWS = 5  # word of the generators, after those of the samples and the loop
-
-
-class Settings(BaseModel):
-    """Settings of a method, or of a part of it; unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-Chosen = TypeVar("Chosen", bound=Settings)
-
-
-def settings_of(kind: type[Chosen], method: str, given: Mapping[str, Any]) -> Chosen:
-    """Check the settings of a method.
-
-    Raises:
-        ConfigError: If one is unknown or does not fit; the message names each.
-    """
-    try:
-        return kind.model_validate(dict(given))
-    except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg']}" for item in error.errors()]
-        known = ", ".join(field.alias or name for name, field in kind.model_fields.items())
-        raise ConfigError(
-            f"method {method}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines) + f"\nIt has: {known}."
-        ) from error
+_MEASURED = 50  # times in a training that gradients are measured
 
 
 class Adaptation(Method):
@@ -70,6 +49,50 @@ class Adaptation(Method):
         rank = distributed.get_rank() if process_count() > 1 else 0
         words = (_DRAWS, step) if shared else (_DRAWS, step, rank)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
+
+    def reader(self, stream: str) -> nn.Module:
+        """The network that reads a stream's held-out frames."""
+        del stream
+        return self.modules[DETECTOR]
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """Cells of a held-out frame that count, and their domain, 0 or 1; none unless a method says which.
+
+        Args:
+            features: Of one frame.
+            inputs: The frame.
+            stream: Its stream.
+            number: Its number in the stream.
+        """
+        del features, inputs, stream, number
+        return []
+
+    def inspect(self, batch: Mapping[str, Batch]) -> Mapping[str, float]:
+        """The discriminator's accuracy on held-out frames, a fresh probe's, and the detection's loss."""
+        return {name: value for name, value in held_figures(self, batch).items() if math.isfinite(value)}
+
+    def measures(self, step: int) -> bool:
+        """Whether gradients are measured at a step: about fifty times in a training, at the first and the last too."""
+        return step % max(1, self.steps // _MEASURED) == 0 or step == self.steps - 1
+
+    def note_gradients(
+        self, losses: Mapping[str, Tensor], features: Sequence[Features], step: int, *, added: Collection[str]
+    ) -> None:
+        """Keep the norms of the losses' gradients at the shared features, now and then; they stay until the next time.
+
+        Args:
+            losses: All of the step's losses.
+            features: What they were computed from.
+            step: Number of the step.
+            added: Losses of the method; the sum of the others is the detection's.
+        """
+        if not self.measures(step):
+            return
+        own = [loss for name, loss in losses.items() if name not in added]
+        norms = gradient_norms(
+            {"detection": total(own), **{name: loss for name, loss in losses.items() if name in added}}, features
+        )
+        self.note(**norms, gradient_ratio=gradient_ratio(norms))
 
     def note(self, **values: Tensor | float) -> None:
         """Keep figures of this step for the log."""

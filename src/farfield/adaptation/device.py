@@ -12,10 +12,11 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.base import Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.adaptation.twin import with_own_head, with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
@@ -38,6 +39,7 @@ class DeviceSettings(Settings):
     min_range_m: float = Field(0.0, ge=0, description="nearer cells do not count for the discriminator")
     max_range_m: float = Field(1e3, gt=0, description="nor farther ones: beyond it the source has no points")
     start: str | None = Field(None, description="weights to start from, such as the source detector's")
+    held_out: int = HELD_OUT
 
 
 class DeviceAdaptation(Adaptation):
@@ -56,6 +58,7 @@ class DeviceAdaptation(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(DeviceSettings, "device", settings)
+        self.held_out = self.settings.held_out
         streams = {_SOURCE: Stream(), _TARGET: Stream()}
         if self.settings.rest:
             streams[_REST] = Stream(labelled=False, share=self.settings.rest_share)
@@ -87,7 +90,17 @@ class DeviceAdaptation(Adaptation):
         losses |= self._of_head(self.modules[_SOURCE], source, batch[_SOURCE], "source", self.settings.source_weight)
         if self.settings.adversarial is not None:
             losses["device"] = self._adversarial(batch, source, target, step)
+        self.note_gradients(losses, [source, target], step, added=losses.keys() & {"device"})
         return losses
+
+    def reader(self, stream: str) -> nn.Module:
+        """Each domain has its own head, and perhaps statistics."""
+        return self.modules[_SOURCE if stream == _SOURCE else DETECTOR]
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """The cells of a frame that count; its stream is its domain."""
+        del number
+        return [(int(stream != _SOURCE), self._cells(features, inputs))]
 
     def _features(self, batch: Mapping[str, Batch]) -> tuple[Features, Features]:
         """Features of the source's frames, and of the target's, labelled ones first."""

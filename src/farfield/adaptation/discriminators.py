@@ -9,9 +9,9 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.adaptation.base import Settings
 from farfield.adaptation.cells import Cells, values_at
 from farfield.adaptation.reversal import reverse
+from farfield.adaptation.settings import Settings
 from farfield.detectors.contract import Network
 from farfield.detectors.features import FeatureMap, Features
 from farfield.detectors.inputs import Inputs

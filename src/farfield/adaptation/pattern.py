@@ -15,12 +15,14 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.adaptation.base import Adaptation, Settings, common_variance, settings_of, start_from
+from farfield.adaptation.base import Adaptation, common_variance, start_from
 from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features, PointFeatures
+from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
@@ -47,6 +49,7 @@ class PatternSettings(Settings):
     paired: Paired = Paired()
     unpaired: Adversarial = Adversarial()
     start: str | None = Field(None, description="weights to start from")
+    held_out: int = HELD_OUT
 
     @model_validator(mode="after")
     def _possible(self) -> "PatternSettings":
@@ -74,6 +77,7 @@ class PatternAdaptation(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(PatternSettings, "pattern", settings)
+        self.held_out = self.settings.held_out
         members: Literal["paired", "apart"] = "paired" if self.settings.with_pairs else "apart"
         self.streams = {LABELLED: Stream(members=members, boxes=True)}  # type: ignore[misc]
         if self.settings.start is not None:
@@ -109,7 +113,13 @@ class PatternAdaptation(Adaptation):
             rng = self.generator(step)
             losses["unpaired"] = adversary(features, cells, (~first).float(), now, rng)
             self.note(**adversary.noted)
+        self.note_gradients(losses, [features], step, added=losses.keys() & {"paired", "unpaired"})
         return losses
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """All occupied cells of a frame; frames of the two clouds take turns."""
+        del stream
+        return [(number % 2, occupied(features, inputs, z_range_m(self.modules[DETECTOR].config)))]
 
     def _paired(self, features: Features, cells: Cells, boxes: Sequence[Boxes], now: float) -> Tensor:
         chosen = self.settings.paired

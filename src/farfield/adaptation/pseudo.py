@@ -3,21 +3,51 @@
 The thresholds are those of self-training in the literature (ST3D++, arXiv 2108.06682: positive 0.6, negative 0.25).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from farfield.adaptation.base import Settings
-from farfield.detectors.contract import Assigner
+from farfield.adaptation.settings import Settings
+from farfield.detectors.contract import Assigner, Network
 from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.training.augmentation import Change, draw_change
 from farfield.training.config import AugmentationConfig
+
+Score = float | dict[str, float]
+"""A threshold of the score: one for all classes, or one for each."""
+
+
+def levels(score: Score, labels: Sequence[str] | np.ndarray) -> Float[np.ndarray, " n"]:
+    """The threshold of each box by its class, shape (n,).
+
+    Args:
+        score: A threshold, or thresholds by class.
+        labels: Class of each box, length n.
+
+    >>> levels({"vehicle": 0.6, "pedestrian": 0.4}, ["pedestrian", "vehicle"]).tolist()
+    [0.4, 0.6]
+    """
+    if isinstance(score, Mapping):
+        return np.array([score[str(label)] for label in labels], dtype=np.float64)
+    return np.full(len(labels), score, dtype=np.float64)
+
+
+def spoken(score: Score) -> str:
+    """A threshold in words.
+
+    >>> spoken({"vehicle": 0.6, "pedestrian": 0.4})
+    'vehicle 0.6, pedestrian 0.4'
+    """
+    if isinstance(score, Mapping):
+        return ", ".join(f"{name} {value:g}" for name, value in score.items())
+    return f"{score:g}"
 
 
 class Strong(Settings):
@@ -50,17 +80,18 @@ class Pseudo(NamedTuple):
         return Pseudo(change.boxes(self.sure), change.boxes(self.unsure))
 
 
-def sorted_by_score(boxes: Boxes, positive: float, negative: float) -> Pseudo:
+def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> Pseudo:
     """Part a teacher's boxes by their scores; those below ``negative`` are dropped.
 
     Args:
         boxes: Scored boxes.
-        positive: Score from which a box is an object.
+        positive: Score from which a box is an object, of all classes or of each.
         negative: Score below which it is background.
     """
     score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
+    sure, known = (score >= levels(each, boxes.label) for each in (positive, negative))
     bare = boxes.replace(score=None)
-    return Pseudo(bare[score >= positive], bare[(score >= negative) & (score < positive)])
+    return Pseudo(bare[sure], bare[known & ~sure])
 
 
 def strong_view(
@@ -110,3 +141,13 @@ def targets_of(assigner: Assigner, pseudo: Pseudo, inputs: Mapping[str, Tensor])
             "pointpillars, second, voxelnet, sparsecentre, rtn or rtnh."
         )
     return targets.ignoring(unsure)
+
+
+def check_ignores(network: Network) -> None:
+    """See that a detector's targets can ignore.
+
+    Raises:
+        ConfigError: If they cannot.
+    """
+    none = {name: torch.zeros(0, len(cloud.columns)) for name, cloud in network.inputs.items()}
+    targets_of(network.assigner, Pseudo(Boxes.empty(), Boxes.empty()), none)

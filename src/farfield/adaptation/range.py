@@ -14,7 +14,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
+from farfield.adaptation.base import Adaptation, start_from
 from farfield.adaptation.cells import (
     Cells,
     background_weight,
@@ -28,8 +28,10 @@ from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, dis
 from farfield.adaptation.memory import Memory, effective_number, similarity
 from farfield.adaptation.objects import Objects, objects_of
 from farfield.adaptation.reversal import schedule
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
+from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser, sum_over_processes
 from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, LABELLED, Batch, Pace, Stream
@@ -68,6 +70,7 @@ class RangeSettings(Settings):
     global_: Global | None = Field(Global(), alias="global")
     local: Local | None = Local()
     start: str | None = Field(None, description="weights to start from")
+    held_out: int = HELD_OUT
 
     @model_validator(mode="after")
     def _possible(self) -> "RangeSettings":
@@ -129,6 +132,7 @@ class RangeAdaptation(Adaptation):
             )
         if self.settings.start is not None:
             start_from(network, self.settings.start, "range")
+        self.held_out = self.settings.held_out
         self.classes: tuple[str, ...] = tuple(network.config.class_names)
         self.modules = nn.ModuleDict({DETECTOR: network})
         if self.settings.global_ is not None:
@@ -156,7 +160,16 @@ class RangeAdaptation(Adaptation):
         if self.settings.local is not None:
             with torch.autocast(next(network.parameters()).device.type, enabled=False):
                 losses["local"] = self._local(self.settings.local, features, frames, step, rng)
+        self.note_gradients(losses, [features], step, added=losses.keys() & {"global", "local"})
         return losses
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """Near and far cells of a frame, the same windows for all."""
+        del stream, number
+        cells = occupied(features, inputs, z_range_m(self.modules[DETECTOR].config))
+        windows = draw_windows(self.settings, self.generator(0, shared=True))
+        near, far = windows.split(cells, self.settings.min_range_m)
+        return [(0, cells[near]), (1, cells[far])]
 
     def _global(self, chosen: Global, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
         cells = occupied(features, frames.inputs, z_range_m(self.modules[DETECTOR].config))

@@ -14,8 +14,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, Settings, settings_of, start_from
-from farfield.adaptation.pseudo import Pseudo, Strong, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.base import Adaptation, start_from
+from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
+from farfield.adaptation.measuring import gradient_norms, total
+from farfield.adaptation.pseudo import Pseudo, Score, Strong, sorted_by_score, spoken, strong_view, targets_of
+from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
@@ -32,21 +35,33 @@ class TeacherSettings(Settings):
 
     start: str = Field(description="weights of the source's detector; without them a teacher has nothing to teach")
     decay: float = Field(0.999, ge=0, le=1, description="of the teacher's average, a step")
-    positive: float = Field(0.6, gt=0, le=1, description="score from which a box of the teacher is an object")
-    negative: float = Field(0.25, ge=0, le=1, description="score below which it is background; between, ignored")
+    positive: Score = Field(0.6, description="score from which a box of the teacher is an object, of all or by class")
+    negative: Score = Field(0.25, description="score below which it is background; between, ignored")
     weight: float = Field(1.0, ge=0, description="of the target's losses; 0 leaves the statistics alone: the control")
     source_weight: float = Field(1.0, ge=0, description="of the source's losses")
     norm: Literal["shared", "per_domain"] = Field(
         "shared", description="one forward of all frames with its statistics, or statistics by domain"
     )
     strong: Strong = Strong()
+    held_out: int = HELD_OUT
     patience: int = Field(200, ge=1, description="steps without any pseudo box after which the training stops")
 
     @model_validator(mode="after")
     def _in_order(self) -> "TeacherSettings":
-        if self.negative > self.positive:
-            raise ValueError(f"expected negative up to positive ({self.positive:g}), got {self.negative:g}")
+        named = {name for score in (self.positive, self.negative) if isinstance(score, dict) for name in score}
+        both = [self.by_class(which, named or {""}) for which in ("positive", "negative")]
+        for name in sorted(both[0].keys() & both[1].keys()):
+            positive, negative = both[0][name], both[1][name]
+            if not 0 < positive <= 1 or not 0 <= negative <= 1:
+                raise ValueError(f"expected scores from 0 to 1, got positive {positive:g} and negative {negative:g}")
+            if negative > positive:
+                raise ValueError(f"expected negative up to positive ({positive:g}), got {negative:g}")
         return self
+
+    def by_class(self, which: str, names: Collection[str]) -> dict[str, float]:
+        """A threshold by class: as it is given, or the same for all of the names."""
+        score = self.positive if which == "positive" else self.negative
+        return dict(score) if isinstance(score, dict) else dict.fromkeys(names, score)
 
 
 class Counts(nn.Module):
@@ -74,15 +89,27 @@ class MeanTeacher(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(TeacherSettings, "teacher", settings)
-        if network.config.score_threshold > self.settings.negative:
-            raise ConfigError(
-                f"method teacher: expected detector.score_threshold up to negative ({self.settings.negative:g}), or "
-                f"boxes that are to be ignored would be background; got {network.config.score_threshold:g}."
-            )
+        self._check(network)
+        self.held_out = self.settings.held_out
         start_from(network, self.settings.start, "teacher")
         self.modules = nn.ModuleDict({DETECTOR: network, _TEACHER: copy.deepcopy(network), _COUNTS: Counts()})
         if self.settings.norm == "per_domain":
             self.modules[_SOURCE] = with_own_statistics(network, own_head=False)
+
+    def _check(self, network: Network) -> None:
+        for which in ("positive", "negative"):
+            lacking = sorted(set(network.config.class_names) - set(self._scores(network, which)))
+            if lacking:
+                raise ConfigError(f"method teacher: expected {which} for each class; it lacks {', '.join(lacking)}.")
+        least = min(self._scores(network, "negative").values())
+        if network.config.score_threshold > least:
+            raise ConfigError(
+                f"method teacher: expected detector.score_threshold up to negative ({least:g}), or boxes that are to "
+                f"be ignored would be background; got {network.config.score_threshold:g}."
+            )
+
+    def _scores(self, network: Network, which: str) -> dict[str, float]:
+        return self.settings.by_class(which, tuple(network.config.class_names))
 
     def frozen(self) -> Collection[str]:
         """The teacher follows; it is not trained."""
@@ -107,7 +134,29 @@ class MeanTeacher(Adaptation):
             pairs = zip(moved, frames, strict=True)
             targets = [targets_of(student.assigner, pseudo, clouds) for pseudo, clouds in pairs]
             losses |= _losses(student, target, targets, self.settings.weight, "target")
+        self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
         return losses
+
+    def _measure(
+        self, losses: Mapping[str, Tensor], source: Features, target: Features, inputs: Inputs, view: Inputs, step: int
+    ) -> None:
+        """Keep the norms of both domains' gradients, and variance and rank of their features."""
+        if not self.measures(step):
+            return
+        both = {name: [loss for part, loss in losses.items() if part.startswith(name)] for name in (_SOURCE, _TARGET)}
+        self.note(**gradient_norms({name: total(parts) for name, parts in both.items() if parts}, [source, target]))
+        limits = z_range_m(self.modules[DETECTOR].config)
+        for name, features, seen in ((_SOURCE, source, inputs), (_TARGET, target, view)):
+            self.note(**{name: shown(features, occupied(features, seen, limits))})
+
+    def reader(self, stream: str) -> nn.Module:
+        """Each domain has its statistics, if they are apart."""
+        return self.modules[self._of_source if stream == _SOURCE else DETECTOR]
+
+    def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
+        """All occupied cells of a frame; its stream is its domain."""
+        del number
+        return [(int(stream != _SOURCE), occupied(features, inputs, z_range_m(self.modules[DETECTOR].config)))]
 
     @property
     def _of_source(self) -> str:
@@ -135,9 +184,9 @@ class MeanTeacher(Adaptation):
         if int(empty) >= self.settings.patience:
             raise FarfieldError(
                 f"method teacher: in {int(empty)} steps the teacher found no box with a score of "
-                f"{self.settings.positive:g} or more in the target's frames, so there is nothing to learn there. Look "
-                "at what the start's weights detect in them; lower positive, or move the target into the coordinates "
-                "that these learnt in."
+                f"{spoken(self.settings.positive)} or more in the target's frames, so there is nothing to learn there. "
+                "Look at what the start's weights detect in them; lower positive, or move the target into the "
+                "coordinates that these learnt in."
             )
 
     def _features(self, source: Inputs, target: Inputs) -> tuple[Features, Features]:

@@ -3,11 +3,13 @@
 import hashlib
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from farfield.adaptation.signs import signs_of
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors import build_detector
@@ -30,10 +32,12 @@ class Plan:
     Args:
         experiment: What to train, and how.
         folder: The run's folder.
+        data: Frames of streams that are open already, as they are to be trained on; those of the others are opened.
     """
 
     experiment: Experiment
     folder: Path
+    data: Mapping[str, Dataset] = field(default_factory=dict)
 
     def run(self, report: Report | None = None) -> Path:
         """Start or join the processes, make what data are to be simulated, and train; a run that stopped goes on.
@@ -52,23 +56,44 @@ class Plan:
         fabric = launch(experiment.training)
         report = report if report is not None and fabric.is_global_zero else Report()
         if fabric.is_global_zero:
-            for config in _groups(experiment).values():
+            for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
         method = _method(experiment)
         configs = _configs(experiment, method)
-        data = {name: _opened(configs[name], stream, experiment) for name, stream in method.streams.items()}
-        samples = {name: self._samples(method, name, data[name], configs[name]) for name in method.streams}
+        data = {
+            name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
+            for name, stream in method.streams.items()
+        }
+        parts = {name: held_out(each, method.held_out) for name, each in data.items()}
+        data = {name: trained for name, (trained, _) in parts.items()}
         training = Training(
-            method, samples, experiment.training, self.folder, _provenance(experiment, data, configs), fabric=fabric
+            method,
+            {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
+            experiment.training,
+            self.folder,
+            _provenance(experiment, data, configs),
+            fabric=fabric,
+            held={
+                name: self._samples(method, name, held, configs[name], held=True)
+                for name, (_, held) in parts.items()
+                if held is not None
+            },
         )
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
             write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
-        return training.run(report)
+        weights = training.run(report)
+        if fabric.is_global_zero:
+            for text in signs_of(logged(self.folder)):
+                report.say(f"note: {text}")
+        return weights
 
-    def _samples(self, method: Method, name: str, data: Dataset, config: DataConfig) -> TrainingSamples:
+    def _samples(
+        self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
+    ) -> TrainingSamples:
+        """The samples of a stream; those of held-out frames come as they are, each once."""
         network, training = method.modules["detector"], self.experiment.training
         return TrainingSamples(
             data,
@@ -80,11 +105,19 @@ class Plan:
             min_points=training.min_points,
             seed=training.seed,
             aliases=config.aliases,
-            far_sampling=training.far_sampling,
+            far_sampling=0.0 if held else training.far_sampling,
             far_from_m=training.far_from_m,
             name=name,
-            stream=method.streams[name],
+            stream=replace(method.streams[name], changed=False) if held else method.streams[name],
         )
+
+
+def logged(folder: Path) -> list[dict[str, float | int]]:
+    """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
+    path = folder / "log.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    rows = {row["step"]: row for row in map(json.loads, lines)}
+    return [rows[step] for step in sorted(rows)]
 
 
 def _groups(experiment: Experiment) -> dict[str, DataConfig]:
@@ -156,6 +189,35 @@ def part_of(data: Dataset, part: tuple[float, float], draw: int = 0) -> Dataset:
             "got none. Take a larger part."
         )
     return data.select([index for index, (sequence, _) in enumerate(data.keys) if sequence in kept])
+
+
+def held_out(data: Dataset, count: int) -> tuple[Dataset, Dataset | None]:
+    """Part frames into those that are trained on and some that are not.
+
+    Whole sequences are held out where there are others: neighbouring frames look alike. Of a single sequence it is its
+    end.
+
+    Args:
+        data: The frames.
+        count: How many to hold out; 0 holds out none.
+
+    Raises:
+        DatasetError: If that leaves no frame to train on.
+    """
+    if not count:
+        return data, None
+    names = sorted(set(data.sequences), key=lambda name: hashlib.sha256(f"held:{name}".encode()).digest())
+    taken: set[str] = set()
+    for name in names[:-1]:
+        if sum(sequence in taken for sequence in data.sequences) < count:
+            taken.add(name)
+    held = [index for index, sequence in enumerate(data.sequences) if sequence in taken]
+    if len(held) < count:
+        held = list(range(len(data)))[-count:]
+    trained = [index for index in range(len(data)) if index not in set(held)]
+    if not trained:
+        raise DatasetError(f"{data.root}: expected more than {count} frames, to hold so many out; got {len(data)}.")
+    return data.select(trained), data.select([held[place * len(held) // count] for place in range(count)])
 
 
 def annotated_frames(data: Dataset, unannotated: str) -> Dataset:

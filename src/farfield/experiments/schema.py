@@ -1,6 +1,6 @@
 """One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -122,13 +122,27 @@ def load_experiment(path: Path, overrides: list[str] | None = None) -> Experimen
         raise ConfigError(
             f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}."
         )
-    for override in overrides or []:
+    return experiment_of(tree, overrides or (), where=str(path))
+
+
+def experiment_of(tree: dict[str, Any], overrides: Sequence[str] = (), *, where: str = "experiment") -> Experiment:
+    """Check the settings of an experiment and apply overrides to them.
+
+    Args:
+        tree: The settings, as YAML holds them; overrides change it.
+        overrides: Such as ``training.steps=500``.
+        where: Where the settings come from, for messages.
+
+    Raises:
+        ConfigError: If a key or value is not one of those possible.
+    """
+    for override in overrides:
         _override(tree, override)
     try:
         return Experiment.model_validate(tree)
     except ValidationError as error:
         lines = [f"  {_place(item['loc'])}: {item['msg']}" for item in error.errors()]
-        raise ConfigError(f"{path}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
+        raise ConfigError(f"{where}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
 
 
 def _place(location: tuple[int | str, ...]) -> str:

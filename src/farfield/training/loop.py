@@ -27,6 +27,8 @@ from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.streams import batch_shares, batches
 
+_LOOKS = 10  # at held-out frames, in a training
+
 
 def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
     """Give each gradient the memory layout of its parameter: PyTorch's fused optimizers trust that they have it."""
@@ -55,6 +57,7 @@ class Training:
         provenance: Travels in every checkpoint and in the weights.
         step: Steps done.
         fabric: The processes to train with, launched; :meth:`run` launches those of ``config`` unless given.
+        held: Held-out samples of its streams, as they are; all of them are looked at.
 
     Raises:
         ConfigError: If the streams of the samples are not those of the method.
@@ -67,6 +70,7 @@ class Training:
     provenance: dict[str, Any] = field(default_factory=dict)
     step: int = 0
     fabric: Fabric | None = None
+    held: Mapping[str, TrainingSamples] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if set(self.samples) != set(self.method.streams):
@@ -106,8 +110,9 @@ class Training:
                 self._average(average)
                 self.method.after_step(self.step)
                 self.step += 1
+                held = self._inspected(fabric)
                 if fabric.is_global_zero:
-                    self._note(losses, report)
+                    self._note(losses, held, report)
                     if time.monotonic() - saved_at > self.config.checkpoint_every_s:
                         self._save(optimizer, average)
                         saved_at = time.monotonic()
@@ -251,9 +256,21 @@ class Training:
         run = Run(self.step, self.modules.state_dict(), optimizer.state_dict(), average, self.provenance)
         save_checkpoint(self.checkpoint_path, run.state())
 
-    def _note(self, losses: dict[str, float], report: Report) -> None:
-        if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps:
-            self._log({**losses, **self.method.figures()})
+    def _inspected(self, fabric: Fabric) -> Mapping[str, float]:
+        """What the method says of held-out frames, at each tenth of the training."""
+        if not self.held or self.step * _LOOKS // self.config.steps == (self.step - 1) * _LOOKS // self.config.steps:
+            return {}
+        with fabric.autocast():
+            return self.method.inspect({name: _batch(each, fabric) for name, each in self._held.items()})
+
+    @cached_property
+    def _held(self) -> dict[str, list[Sample]]:
+        """The held-out samples, read once."""
+        return {name: [samples[number] for number in range(len(samples))] for name, samples in self.held.items()}
+
+    def _note(self, losses: dict[str, float], held: Mapping[str, float], report: Report) -> None:
+        if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or held:
+            self._log({**losses, **self.method.figures(), **held})
         report.step(self.step, losses)
 
     def _log(self, losses: dict[str, float]) -> None:

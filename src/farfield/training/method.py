@@ -86,10 +86,12 @@ class Method(ABC):
             ``data`` itself.
         modules: All that is saved, averaged, spread to other processes and synchronised; ``modules["detector"]`` is a
             :class:`~farfield.detectors.contract.Network` and is exported.
+        held_out: Frames of each stream that are not trained on and that :meth:`inspect` looks at.
     """
 
     streams: ClassVar[Mapping[str, Stream]] = {LABELLED: Stream()}
     modules: nn.ModuleDict
+    held_out: int = 0
 
     @abstractmethod
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
@@ -118,6 +120,15 @@ class Method(ABC):
 
     def figures(self) -> Mapping[str, float]:
         """What is logged beside the losses of the last step, in the first process; called at logged steps only."""
+        return {}
+
+    def inspect(self, batch: Mapping[str, Batch]) -> Mapping[str, float]:
+        """What is logged of held-out frames, at each tenth of the training and at its end; nothing may change.
+
+        Args:
+            batch: All held-out frames of each stream, as they are.
+        """
+        del batch
         return {}
 
     def frozen(self) -> Collection[str]:

@@ -1,0 +1,123 @@
+"""``farfield adapt``."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import Positional
+
+from farfield.cli._progress import bar, hands
+from farfield.cli._training import BarReport, LineReport
+from farfield.cli._words import names
+
+
+def run(
+    detector: Positional[str],
+    data: Positional[Path],
+    override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
+    *,
+    source: Path | None = None,
+    clouds: str = "",
+    rotate_deg: float = 0.0,
+    frames: int = 400,
+    source_frames: int = 240,
+    rounds: int = 2,
+    steps: int = 0,
+    minutes: float = 0.0,
+    seed: int = 0,
+    workers: int = 0,
+    engine: str = "local",
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> int:
+    """Adapt a detector to your own unlabelled sweeps by self-training; run the same command again to go on.
+
+    examples:
+      farfield adapt pointpillars-cirrus-sim my-sweeps
+      farfield adapt pointpillars-cirrus-sim my-sweeps --minutes 60 --out runs/mine
+      farfield adapt runs/pointpillars-kitti my-sweeps --source /data/kitti
+      farfield adapt pointpillars-cirrus-sim my-sweeps --rounds 3 -o method.strong.thinning=0.5
+
+    What the detector is sure of in your sweeps teaches it as objects, what it is unsure of is ignored, and labelled
+    frames like those that it learnt from stay in every batch: they are simulated, unless --source names some. Labels of
+    your sweeps, if there are any, are not looked at, and the last step counts, not the best one. OUT then holds
+    weights.safetensors, which all verbs take as a detector, and report.html, which shows what changed. A killed command
+    goes on to the same weights.
+
+    Args:
+        detector: A bundled detector's name, a run's folder, or a weights file.
+        data: The sweeps; the data set's format is recognised, and a plain folder of clouds is one.
+        override: Change a setting of method, training or augmentation, as key.key=value; may be given several times.
+        source: Labelled frames of the kind that the detector learnt from; by default they are simulated, without
+            camera, from the preset that its weights name.
+        clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
+        rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
+        frames: Sweeps to learn from at most, spread evenly; 0 takes all.
+        source_frames: Source frames at most, spread evenly.
+        rounds: Times that the teacher is renewed.
+        steps: Training steps of all rounds; 0 takes a quarter of those that made the weights, 1,000 at most.
+        minutes: Take fewer steps where all would last longer than this; 0 sets no limit.
+        seed: Another seed simulates other roads and draws other batches.
+        workers: Processes that search; 0 takes as many as there are cores, frames and memory for, one on a GPU.
+        engine: Where the searching is done.
+        out: Folder of the adaptation; runs/adapted-DATA unless given.
+        overwrite: Begin anew; simulated source frames stay.
+    """
+    from rich.console import Console
+
+    from farfield.api import adapt, open_dataset
+
+    opened = open_dataset(data, rotate_deg=rotate_deg)
+    folder = out or Path("runs") / f"adapted-{opened.root.name}"
+    console = Console(stderr=True)
+    kind = _Bars if console.is_terminal else _Lines
+    adapted = adapt(
+        detector,
+        opened,
+        out=folder,
+        source=source,
+        clouds=tuple(names(clouds)),
+        frames=frames,
+        source_frames=source_frames,
+        rounds=rounds,
+        steps=steps,
+        minutes=minutes,
+        overrides=tuple(override),
+        seed=seed,
+        bulk=hands(workers, engine, "searching"),
+        report=kind(console, folder, 20),
+        overwrite=overwrite,
+    )
+    print(f"weights: {adapted.weights}\nreport: {adapted.page.resolve()}")
+    return 0
+
+
+class _Lines(LineReport):
+    """The lines of every round."""
+
+    def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
+        """With a progress bar."""
+        return bar(numbers, what, transient=True)
+
+    def begins(self, step: int, steps: int) -> None:
+        """Start the clock of a round."""
+        self.first = None
+        super().begins(step, steps)
+
+    def ends(self, weights: Path | None) -> None:
+        """A round's weights are not the last ones: nothing is said of them."""
+        del weights
+
+
+class _Bars(BarReport):
+    """The bar of every round."""
+
+    def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
+        """With a progress bar of its own."""
+        return bar(numbers, what, transient=True)
+
+    def ends(self, weights: Path | None) -> None:
+        """Leave the bar."""
+        del weights
+        self.progress.stop()

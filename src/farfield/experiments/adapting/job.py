@@ -1,0 +1,302 @@
+"""One adaptation, step by step; what is done is kept in its folder."""
+
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from farfield.adaptation.pseudo import check_ignores
+from farfield.adaptation.signs import signs_of
+from farfield.adaptation.thresholds import thresholds_of
+from farfield.bulk import Bulk
+from farfield.datasets import Dataset
+from farfield.detection import as_trained, detect, suitable_clouds
+from farfield.detectors.runtime import Detector
+from farfield.detectors.weights import load_weights, save_weights
+from farfield.errors import ConfigError, DatasetError
+from farfield.experiments.adapting.page import page_of
+from farfield.experiments.adapting.rounds import (
+    check_round,
+    counted,
+    experiment_of_round,
+    measured_step_s,
+    rare_classes,
+    steps_in,
+    steps_wanted,
+)
+from farfield.experiments.adapting.settings import Choices, Settled, load_settled, save_settled, spread
+from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of, source_frames
+from farfield.experiments.plan import Plan, logged
+from farfield.experiments.schema import DataConfig, Experiment
+from farfield.metrics.detections import Detections
+from farfield.training.report import Report
+
+WEIGHTS, PAGE = "weights.safetensors", "report.html"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adapted:
+    """What an adaptation left.
+
+    Args:
+        folder: Its folder; ``load_detector`` takes it.
+        weights: The adapted weights.
+        page: What changed, one self-contained page.
+        before: What the detector found in the target before.
+        after: What it finds now.
+        settled: Thresholds and steps.
+        signs: Failure modes that the logs show, one sentence each.
+    """
+
+    folder: Path
+    weights: Path
+    page: Path
+    before: Detections
+    after: Detections
+    settled: Settled
+    signs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One adaptation; what is expensive is made when it is asked for, once.
+
+    Args:
+        start: The detector's weights.
+        given: A labelled source; None simulates it.
+        data: The target as it was opened.
+        folder: Where it is done.
+        choices: What was chosen.
+        bulk: Who detects.
+        report: Is informed.
+        began: ``time.monotonic()`` at the beginning.
+    """
+
+    start: str
+    given: Path | None
+    data: Dataset
+    folder: Path
+    choices: Choices
+    bulk: Bulk
+    report: Report
+    began: float
+
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector that is adapted."""
+        return Detector.load(self.start)
+
+    @cached_property
+    def learnt(self) -> Learnt:
+        """What it learnt from."""
+        return learnt_by(self.detector.provenance, self.start)
+
+    @cached_property
+    def target(self) -> tuple[DataConfig, Dataset]:
+        """Settings and frames of the target, as the detector sees them."""
+        if not len(self.data):
+            raise DatasetError(f"{self.data.root}: expected frames to adapt to, found none.")
+        seen: Dataset = as_trained(self.data, self.detector)
+        seen = seen.select(spread(len(seen), self.choices.frames))
+        clouds = self.choices.clouds or suitable_clouds(self.detector, seen[0])[:1]
+        options = dict(self.data.options)
+        if self.detector.reference in (*seen.references, seen[0].reference):
+            options["reference"] = self.detector.reference
+        return DataConfig(path=self.data.root, clouds=clouds, options=options), seen
+
+    @cached_property
+    def source(self) -> tuple[DataConfig, Dataset]:
+        """Settings and frames of the source."""
+        return source_frames(
+            self.detector,
+            self.learnt,
+            self.folder,
+            given=self.given,
+            frames=self.choices.source_frames,
+            seed=self.choices.seed,
+            name=self.start,
+            progress=partial(self.report.reading, what="simulating the source"),
+            say=self.report.say,
+        )
+
+    @property
+    def streams(self) -> dict[str, Dataset]:
+        """The frames of both streams."""
+        return {"source": self.source[1], "target": self.target[1]}
+
+    @property
+    def configs(self) -> dict[str, DataConfig]:
+        """The settings of both streams."""
+        return {"source": self.source[0], "target": self.target[0]}
+
+    def check(self) -> None:
+        """Refuse what cannot be adapted, before anything is simulated or written."""
+        inputs = self.detector.network.inputs
+        if len(inputs) != 1:
+            raise ConfigError(
+                f"adapt: expected a detector that reads one cloud; {self.start} reads {', '.join(inputs)}."
+            )
+        check_ignores(self.detector.network)
+        if self.given is None:
+            simulation_of(self.learnt, self.choices.source_frames, self.choices.seed, self.start)
+        config, frames = self.target
+        for each in config.clouds:
+            self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
+
+    def run(self) -> Adapted:
+        """Do all that is not done yet."""
+        settled = self.settled()
+        found = [self.search(self.start, 0)]
+        for number in range(1, self.choices.rounds + 1):
+            check_round(found[-1].boxes, settled, number, self.streams, self.clouds)
+            self.say_round(number, found[-1], settled)
+            found.append(self.search(self.train(number, settled, found[-1]), number))
+        self.say_round(0, found[-1], settled)
+        weights, rows = self.export(settled), self.rows()
+        signs = tuple(signs_of(rows))
+        page = page_of(
+            self.folder / PAGE,
+            start=self.start,
+            detector=self.detector,
+            data=self.streams,
+            clouds=self.clouds,
+            settled=settled,
+            found=found,
+            rows=rows,
+            signs=signs,
+        )
+        return Adapted(
+            folder=self.folder,
+            weights=weights,
+            page=page,
+            before=found[0],
+            after=found[-1],
+            settled=settled,
+            signs=signs,
+        )
+
+    @property
+    def clouds(self) -> dict[str, str]:
+        """The cloud of each stream that is searched."""
+        return {name: next(iter(config.clouds)) for name, config in self.configs.items()}
+
+    def identity(self) -> dict[str, Any]:
+        """All that decides the outcome, for those who go on."""
+        config = self.configs
+        return {
+            "detector": self.detector.digest(),
+            "target": self.target[1].fingerprint(),
+            "source": self.source[1].fingerprint(),
+            "source_clouds": list(config["source"].clouds),
+            **self.choices.model_dump(mode="json"),
+            "clouds": list(config["target"].clouds),
+        }
+
+    def settled(self) -> Settled:
+        """Thresholds and steps: as they were settled in the folder before, or measured now."""
+        identity = self.identity()
+        found = load_settled(self.folder, identity)
+        if found is not None:
+            return found
+        labelled = detect(
+            self.detector,
+            self.source[1],
+            cloud=self.clouds["source"],
+            annotated_only=True,
+            bulk=self.doing("searching the source"),
+            journal=self.folder / ".found-source.jsonl",
+        ).counted()
+        truth = {key: boxes.relabel(dict(self.learnt.aliases)) for key, boxes in labelled.annotated.items()}
+        lowest = float(self.detector.config.score_threshold)
+        scores = thresholds_of(labelled.boxes, truth, self.detector.class_names, lowest=lowest)
+        settled = Settled(
+            settings=identity, **scores._asdict(), source_rate=0.0, steps=steps_wanted(self.choices, self.learnt)
+        )
+        settled = settled.model_copy(update={"source_rate": counted(labelled.boxes, settled)[0]})
+        if self.choices.minutes:
+            settled = self.fitted(settled)
+        save_settled(self.folder, settled)
+        return settled
+
+    def fitted(self, settled: Settled) -> Settled:
+        """As many steps as the minutes allow: a search of the target and a few steps are timed."""
+        before = time.monotonic()
+        found = self.search(self.start, 0)
+        search_s = time.monotonic() - before
+        experiment = self.experiment(1, settled, found)
+        step_s = measured_step_s(experiment, self.streams, self.folder)
+        left_s = 60 * self.choices.minutes - (time.monotonic() - self.began) - self.choices.rounds * search_s
+        steps = steps_in(left_s, step_s, self.choices, settled.steps)
+        self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {steps} steps")
+        return settled.model_copy(update={"steps": steps, "step_s": step_s})
+
+    def experiment(self, number: int, settled: Settled, found: Detections) -> Experiment:
+        """The training of a round, whose teacher found so much in the target."""
+        start = self.start if number == 1 else self.folder / f"round-{number - 1}" / WEIGHTS
+        return experiment_of_round(
+            start, self.detector, self.learnt, self.configs, settled, self.choices, number, found.boxes
+        )
+
+    def train(self, number: int, settled: Settled, found: Detections) -> Path:
+        """Do a round, or go on with it; gives its weights."""
+        folder = self.folder / f"round-{number}"
+        if (folder / WEIGHTS).is_file():  # written at the end of a round, whole or not at all
+            return folder / WEIGHTS
+        rare = rare_classes(found.boxes, settled)
+        if rare:
+            self.report.say(f"few sure boxes of {', '.join(rare)}: what is found of these is ignored, not background")
+        return Plan(self.experiment(number, settled, found), folder, self.streams).run(self.report)
+
+    def search(self, weights: str | Path, number: int) -> Detections:
+        """What weights find in the target, kept in the folder; ``number`` is that of the round that made them."""
+        detector = self.detector if number == 0 else Detector.load(weights)
+        return detect(
+            detector,
+            self.target[1],
+            cloud=self.clouds["target"],
+            bulk=self.doing(f"searching the target, {'before' if number == 0 else f'after round {number}'}"),
+            journal=self.folder / f".found-{number}.jsonl",
+        )
+
+    def doing(self, what: str) -> Bulk:
+        """Who detects, with a progress bar of that name."""
+        workers = self.bulk.workers or int(self.detector.device.type != "cpu")
+        return replace(self.bulk, workers=workers, progress=partial(self.report.reading, what=what))
+
+    def say_round(self, number: int, found: Detections, settled: Settled) -> None:
+        """Name the pseudo boxes a sweep beside the source's rate; 0 is the end."""
+        sure, unsure = counted(found.boxes, settled)
+        when = f"round {number} of {self.choices.rounds}" if number else "in the end"
+        self.report.say(
+            f"{when}: {sure:.1f} sure boxes a sweep and {unsure:.1f} unsure ones; the source has "
+            f"{settled.source_rate:.1f} sure ones"
+        )
+
+    def rows(self) -> list[dict[str, float | int]]:
+        """The rounds' logs, one after the other, with the steps counted through."""
+        rows: list[dict[str, float | int]] = []
+        for number in range(1, self.choices.rounds + 1):
+            before = rows[-1]["step"] if rows else 0
+            read = logged(self.folder / f"round-{number}")
+            rows += [{**row, "step": before + row["step"], "round": number} for row in read]
+        return rows
+
+    def export(self, settled: Settled) -> Path:
+        """Write the last round's weights with all that they come from."""
+        network, provenance = load_weights(self.folder / f"round-{self.choices.rounds}" / WEIGHTS)
+        adapted = {
+            "start": self.start,
+            "start_digest": self.detector.digest(),
+            "start_trained_on": self.detector.provenance.get("experiment", {}).get("data"),
+            "target_fingerprint": settled.settings["target"],
+            "source_fingerprint": settled.settings["source"],
+            "choices": self.choices.model_dump(mode="json"),
+            "positive": settled.positive,
+            "negative": settled.negative,
+            "steps_a_round": settled.steps,
+        }
+        path = self.folder / WEIGHTS
+        state = network.state_dict()
+        save_weights(path, state, config=network.config, provenance={**provenance, "adapted": adapted})
+        return path

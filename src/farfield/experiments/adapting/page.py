@@ -1,0 +1,142 @@
+"""What the page of an adaptation shows, gathered from what was found before, between and after."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from farfield.adaptation.pseudo import levels
+from farfield.datasets import Dataset
+from farfield.experiments.adapting.settings import Settled
+from farfield.frame import Boxes, Key
+from farfield.frame.provenance import environment, is_simulated
+from farfield.metrics.centre.matching import found_by
+from farfield.metrics.detections import Detections
+from farfield.reports.adapted import AdaptedPage, Change, write_adapted
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+_EDGES_M = (0.0, 30.0, 70.0, 150.0, 250.0)
+_SHOWN = 4
+_NEAR_M = 2.0
+
+
+def sure_boxes(boxes: Mapping[Key, Boxes], positive: Mapping[str, float]) -> dict[Key, Boxes]:
+    """The boxes whose scores make them objects, by frame."""
+    return {key: each[_score(each) >= levels(dict(positive), each.label)] for key, each in boxes.items()}
+
+
+def _score(boxes: Boxes) -> np.ndarray:
+    return np.zeros(len(boxes)) if boxes.score is None else boxes.score
+
+
+def changes(before: Boxes, after: Boxes) -> int:
+    """Boxes of a frame that only one of two detectors has, by centres within 2 m."""
+    pairs = int((found_by(after, before, distance_m=_NEAR_M) >= 0).sum())
+    return len(before) + len(after) - 2 * pairs
+
+
+def most_changed(before: Mapping[Key, Boxes], after: Mapping[Key, Boxes], count: int) -> list[Key]:
+    """The frames in which most boxes came or went, most first: one a drive, and more only where there are too few.
+
+    Among equals the earlier comes first.
+    """
+    order = sorted(before, key=lambda key: (-changes(before[key], after[key]), key))
+    first = {key[0]: key for key in reversed(order)}  # of each drive the one that changed most
+    chosen = [key for key in order if first[key[0]] == key][:count]
+    return chosen + [key for key in order if key not in chosen][: count - len(chosen)]
+
+
+def edges_to(reach_m: float) -> list[float]:
+    """Edges of the range bins up to a detector's reach."""
+    return [*(edge for edge in _EDGES_M if edge < reach_m), reach_m]
+
+
+def extents(data: Mapping[str, Dataset]) -> str:
+    """What the boxes of source and target show, where both are annotated; a sentence, or nothing."""
+    found: dict[str, str] = {}
+    for name in ("source", "target"):
+        index = next((n for n in range(len(data[name])) if data[name].has_annotation(n)), None)
+        annotation = None if index is None else data[name].annotation(index)
+        if annotation is None:
+            return ""
+        found[name] = annotation.extent
+    if found["source"] == found["target"]:
+        return (
+            f"The target is annotated; its labels were not used. Boxes show the {_extent(found['target'])} in both "
+            "source and target, so that scores on these labels compare like with like."
+        )
+    return (
+        f"The target is annotated; its labels were not used. Its boxes show the {_extent(found['target'])}, those that "
+        f"this detector learnt from the {_extent(found['source'])}: pseudo labels cannot teach the difference, so "
+        "scores that look at sizes and overlaps stay below those of a detector trained on the target's labels."
+    )
+
+
+def _extent(extent: str) -> str:
+    return {"full": "whole body of an object", "visible": "part of an object that the sensor sees"}[extent]
+
+
+def page_of(
+    path: Path,
+    *,
+    start: str,
+    detector: "Detector",
+    data: Mapping[str, Dataset],
+    clouds: Mapping[str, str],
+    settled: Settled,
+    found: Sequence[Detections],
+    rows: Sequence[Mapping[str, float | int]],
+    signs: Sequence[str],
+) -> Path:
+    """Write the page.
+
+    Args:
+        path: Where to.
+        start: The detector that was adapted.
+        detector: The same, loaded.
+        data: Frames of ``source`` and ``target``.
+        clouds: Which cloud was searched in each.
+        settled: Thresholds and steps.
+        found: What was found in the target before, and after each round.
+        rows: The rounds' logs.
+        signs: Failure modes.
+    """
+    target = data["target"]
+    before, after = (sure_boxes(each.boxes, settled.positive) for each in (found[0], found[-1]))
+    place = {key: index for index, key in enumerate(target.keys)}
+    shown = [
+        Change(target[place[key]], clouds["target"], before[key], after[key])
+        for key in most_changed(before, after, _SHOWN)
+    ]
+    page = AdaptedPage(
+        title=f"{start} adapted to {target.root.name}",
+        classes=detector.class_names,
+        edges_m=edges_to(detector.reach_m),
+        before=found[0].boxes,
+        after=found[-1].boxes,
+        positive=settled.positive,
+        negative=settled.negative,
+        source_rate=settled.source_rate,
+        measured=settled.measured,
+        changes=shown,
+        rows=rows,
+        signs=signs,
+        labels=extents(data),
+        simulated={name: is_simulated(each.root) for name, each in data.items()},
+        settings={
+            "detector": start,
+            "target": f"{len(target)} frames, cloud {clouds['target']}",
+            "source": f"{len(data['source'])} frames, clouds {', '.join(settled.settings['source_clouds'])}",
+            "rounds": settled.settings["rounds"],
+            "steps of a round": settled.steps,
+            "overrides": settled.settings["overrides"],
+            "seed": settled.settings["seed"],
+            "target's fingerprint": settled.settings["target"],
+            "source's fingerprint": settled.settings["source"],
+            **environment(),
+        },
+    )
+    return write_adapted(path, page)

@@ -1,0 +1,183 @@
+"""Training in rounds: a teacher's pseudo boxes teach for a fixed number of steps, then its student is the teacher."""
+
+import statistics
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.adaptation.pseudo import levels, spoken
+from farfield.datasets import Dataset
+from farfield.errors import ConfigError, FarfieldError
+from farfield.experiments.adapting.settings import Choices, Settled
+from farfield.experiments.adapting.source import Learnt
+from farfield.experiments.plan import Plan
+from farfield.experiments.schema import DataConfig, Experiment, experiment_of
+from farfield.frame import Boxes, Key
+from farfield.training.report import Report
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+_SHARE, _MOST, _LEAST = 0.25, 1000, 100  # of the source's steps, and the bounds of that
+_FEWEST = 20  # steps of a round
+_RARE = 20  # sure boxes of a class in the whole target
+_MEASURED = 6
+_MARGIN = 0.9  # of the time that is left
+_SOUNDED = 5  # frames of which the points' heights are compared
+_KEPT = ("batch_size", "weight_decay", "gradient_clip", "min_points", "far_sampling", "far_from_m")
+
+
+def steps_wanted(choices: Choices, learnt: Learnt) -> int:
+    """Steps of a round, where time sets no limit."""
+    total = choices.steps or min(_MOST, max(_LEAST, round(_SHARE * learnt.steps)))
+    return max(1, total // choices.rounds)
+
+
+def steps_in(seconds: float, step_s: float, choices: Choices, wanted: int) -> int:
+    """Steps of a round for which the time suffices.
+
+    Raises:
+        ConfigError: If it suffices for fewer than 20, or than are wanted: so few move a network's statistics and teach
+            it next to nothing, which makes it worse.
+    """
+    fitting = int(_MARGIN * seconds / step_s / choices.rounds)
+    least = min(wanted, _FEWEST)
+    if fitting < least:
+        raise ConfigError(
+            f"--minutes: expected enough for {least} steps in each of {choices.rounds} rounds; of {choices.minutes:g} "
+            f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more "
+            "minutes, or fewer --frames and --source-frames."
+        )
+    return min(wanted, fitting)
+
+
+def experiment_of_round(
+    start: Path | str,
+    detector: "Detector",
+    learnt: Learnt,
+    data: Mapping[str, DataConfig],
+    settled: Settled,
+    choices: Choices,
+    number: int,
+    boxes: Mapping[Key, Boxes],
+) -> Experiment:
+    """The training of a round.
+
+    Args:
+        start: Weights to go on from: the round's teacher.
+        detector: The detector that is adapted.
+        learnt: What it learnt from.
+        data: Settings of the streams ``source`` and ``target``.
+        settled: Thresholds and steps.
+        choices: What was chosen.
+        number: Number of the round, from 1.
+        boxes: What the round's teacher found in the target.
+    """
+    training = {name: learnt.training[name] for name in _KEPT if name in learnt.training}
+    training |= {"learning_rate": 0.5 * float(learnt.training.get("learning_rate", 2e-3)), "steps": settled.steps}
+    training["batch_size"] = max(2, 2 * (int(training.get("batch_size", 4)) // 2))  # as many of each stream
+    lowest = float(detector.config.score_threshold)
+    rare = dict.fromkeys(rare_classes(boxes, settled), lowest)
+    scores = {"positive": settled.positive, "negative": {**settled.negative, **rare}}
+    tree: dict[str, Any] = {
+        "name": f"round-{number}",
+        "data": {name: config.model_dump(mode="json") for name, config in data.items()},
+        "method": {"name": "teacher", "start": str(start), "norm": "per_domain", **scores},
+        "detector": detector.config.model_dump(mode="json"),
+        "augmentation": dict(learnt.augmentation),
+        "training": {**training, "seed": choices.seed + number},
+    }
+    return experiment_of(tree, choices.overrides, where="adapt")
+
+
+class Clock(Report):
+    """Measures steps; says nothing."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Look at the clock."""
+        del step, losses
+        self.times.append(time.perf_counter())
+
+    @property
+    def step_s(self) -> float:
+        """Median time of a step; the first ones, which start the workers, do not count."""
+        return statistics.median(np.diff(self.times[1:]).tolist())
+
+
+def measured_step_s(experiment: Experiment, data: Mapping[str, Dataset], folder: Path) -> float:
+    """Time of a training step on this machine, seconds: a few are taken, and what they wrote is removed."""
+    clock = Clock()
+    training = experiment.training.model_copy(update={"steps": _MEASURED})
+    with tempfile.TemporaryDirectory(prefix=".measured-", dir=folder) as place:
+        Plan(experiment.model_copy(update={"training": training}), Path(place), data).run(clock)
+    return clock.step_s
+
+
+def rare_classes(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[str, ...]:
+    """Classes with too few sure boxes in the target to be taught there: what is found of them is ignored.
+
+    Were their unsure boxes background, as those of other classes are, a round would unlearn them.
+    """
+    count = dict.fromkeys(settled.positive, 0)
+    for each in boxes.values():
+        score = np.zeros(len(each)) if each.score is None else each.score
+        for name in np.asarray(each.label)[score >= levels(settled.positive, each.label)]:
+            count[str(name)] += 1
+    return tuple(name for name, number in count.items() if number < _RARE)
+
+
+def counted(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[float, float]:
+    """Sure and unsure boxes a frame."""
+    sure = unsure = 0
+    for each in boxes.values():
+        score = np.zeros(len(each)) if each.score is None else each.score
+        upper, lower = (levels(scores, each.label) for scores in (settled.positive, settled.negative))
+        sure += int((score >= upper).sum())
+        unsure += int(((score >= lower) & (score < upper)).sum())
+    return sure / max(len(boxes), 1), unsure / max(len(boxes), 1)
+
+
+def check_round(
+    boxes: Mapping[Key, Boxes], settled: Settled, number: int, data: Mapping[str, Dataset], clouds: Mapping[str, str]
+) -> None:
+    """See that a round has something to learn from.
+
+    Args:
+        boxes: What its teacher found in the target.
+        settled: Thresholds.
+        number: Number of the round, from 1.
+        data: Frames of ``source`` and ``target``.
+        clouds: Which cloud was searched in each.
+
+    Raises:
+        FarfieldError: If there is no pseudo box.
+    """
+    if counted(boxes, settled)[0]:
+        return
+    best = max(
+        (float(each.score.max()) for each in boxes.values() if each.score is not None and len(each)), default=0.0
+    )
+    low = {name: _low_m(data[name], clouds[name]) for name in ("source", "target")}
+    raise FarfieldError(
+        f"adapt: round {number} has no pseudo box: in {len(boxes)} frames of the target no score reaches "
+        f"{spoken(settled.positive)}; the best is {best:.2f}, and the source has {settled.source_rate:.1f} sure boxes "
+        f"a sweep. The lowest tenth of the points lies below {low['target']:.1f} m in the target and "
+        f"{low['source']:.1f} m in the source: where these differ by more than half a metre, or the car looks along "
+        "another axis, move the clouds into the coordinates that the detector learnt in. Else it does not see this "
+        "sensor at all: take another detector, or label some frames."
+    )
+
+
+def _low_m(data: Dataset, cloud: str) -> float:
+    """Height below which a tenth of the points of some frames lies."""
+    numbers = np.unique(np.linspace(0, len(data) - 1, _SOUNDED).astype(int))
+    z_m = np.concatenate([data[int(number)].cloud(cloud).points_m[:, 2] for number in numbers])
+    z_m = z_m[np.isfinite(z_m)]
+    return float(np.quantile(z_m, 0.1)) if len(z_m) else float("nan")

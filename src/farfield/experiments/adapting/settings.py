@@ -1,0 +1,122 @@
+"""What decides the outcome of an adaptation: what was chosen, and what was measured once and then kept."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from farfield.errors import ConfigError, FileFormatError
+from farfield.files.atomic import read_bytes, write_text
+
+SETTLED = "adaptation.json"
+_MINE = ("method.start", "method.positive", "method.negative", "training.steps", "training.devices", "training.seed")
+_OPEN = ("method.", "training.", "augmentation.")
+_LIMIT_BYTES = 1 << 24
+
+
+class Choices(BaseModel):
+    """How to adapt; the defaults are ours, from what ST3D++ and mean teachers use."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    clouds: tuple[str, ...] = Field((), description="clouds of the target; by default the first that suits")
+    frames: int = Field(400, ge=0, description="target frames at most, spread evenly; 0 takes all")
+    source_frames: int = Field(240, ge=1, description="source frames at most, spread evenly")
+    rounds: int = Field(2, ge=1, le=50, description="times that the pseudo labels' teacher is renewed")
+    steps: int = Field(
+        0, ge=0, description="of all rounds; 0: a quarter of the steps that made the weights, up to 1,000"
+    )
+    minutes: float = Field(0.0, ge=0, description="fewer steps where these would take longer; 0 sets no limit")
+    overrides: tuple[str, ...] = Field(
+        (), description="settings of method, training, augmentation, such as method.decay=0.99"
+    )
+    seed: int = Field(0, ge=0)
+
+    @field_validator("overrides")
+    @classmethod
+    def _free(cls, overrides: tuple[str, ...]) -> tuple[str, ...]:
+        for each in overrides:
+            name = each.partition("=")[0]
+            if name in _MINE or not name.startswith(_OPEN):
+                raise ValueError(
+                    f"expected a setting of method, training or augmentation other than {', '.join(_MINE)}; got "
+                    f"{each!r}"
+                )
+        return overrides
+
+
+def choices_of(given: Mapping[str, Any]) -> Choices:
+    """Check what was chosen.
+
+    Raises:
+        ConfigError: If a setting is unknown or does not fit.
+    """
+    try:
+        return Choices.model_validate(dict(given))
+    except ValidationError as error:
+        lines = [f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        raise ConfigError(f"adapt: {'; '.join(lines)}. It has: {', '.join(Choices.model_fields)}.") from error
+
+
+class Settled(BaseModel):
+    """What was measured before the first round, and holds for all of them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    settings: dict[str, Any] = Field(description="detector, data and choices that it belongs to")
+    positive: dict[str, float]
+    negative: dict[str, float]
+    measured: tuple[str, ...] = Field(description="classes whose thresholds come from the source's scores")
+    source_rate: float = Field(description="sure boxes a sweep of the source")
+    steps: int = Field(ge=1, description="of a round")
+    step_s: float | None = Field(None, description="time of a step, where it was measured")
+
+
+def load_settled(folder: Path, settings: Mapping[str, Any]) -> Settled | None:
+    """Read what was settled in a folder; None where nothing was.
+
+    Args:
+        folder: That of the adaptation.
+        settings: What it has to belong to.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+        ConfigError: If it belongs to another detector, to other data or to other choices.
+    """
+    path = folder / SETTLED
+    if not path.is_file():
+        return None
+    try:
+        found = Settled.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
+    except ValidationError as error:
+        raise FileFormatError(
+            path,
+            where="the file",
+            expected="what farfield adapt settled",
+            found=str(error)[:200],
+            mend="Begin anew with --overwrite.",
+        ) from error
+    plain = json.loads(json.dumps(dict(settings)))
+    differ = sorted(name for name in {*plain, *found.settings} if plain.get(name) != found.settings.get(name))
+    if differ:
+        raise ConfigError(
+            f"{folder}: expected what was begun there, found another adaptation: it differs in {', '.join(differ)}. "
+            "Name another folder with --out, or begin anew with --overwrite."
+        )
+    return found
+
+
+def save_settled(folder: Path, settled: Settled) -> None:
+    """Keep what was settled, all or nothing."""
+    write_text(folder / SETTLED, settled.model_dump_json(indent=1) + "\n")
+
+
+def spread(count: int, most: int) -> Sequence[int]:
+    """Indices of at most so many of ``count`` frames, spread evenly; all of them if ``most`` is 0.
+
+    >>> list(spread(10, 3)), list(spread(3, 0))
+    ([0, 3, 6], [0, 1, 2])
+    """
+    return range(count) if not most or count <= most else [number * count // most for number in range(most)]

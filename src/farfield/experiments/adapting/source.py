@@ -1,0 +1,157 @@
+"""The labelled frames that stay in every batch: those that a detector learnt from, or frames like them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from farfield.bulk.runs import Progress
+from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.recipes import recipe_of_experiment
+from farfield.detection import as_trained, suitable_clouds
+from farfield.errors import ConfigError
+from farfield.experiments.adapting.settings import spread
+from farfield.experiments.plan import annotated_frames
+from farfield.experiments.schema import DataConfig
+from farfield.recording import SimulationConfig, ensure
+from farfield.training.config import AugmentationConfig
+
+if TYPE_CHECKING:
+    from farfield.detectors.runtime import Detector
+
+FOLDER = "source"
+_FRAMES = 6  # of a simulated sequence: many roads rather than many frames of one
+_OTHER_ROADS = 1000  # added to the seed: roads that the detector has not learnt by heart
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learnt:
+    """What a detector's weights say of their training.
+
+    Args:
+        path: Where its data were.
+        aliases: Classes that were renamed.
+        options: Options of its data's reader.
+        simulate: What was simulated; empty for a real data set.
+        augmentation: Random changes that this version knows.
+        training: Settings of the loop.
+    """
+
+    path: str
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    simulate: Mapping[str, Any] = field(default_factory=dict)
+    augmentation: Mapping[str, Any] = field(default_factory=dict)
+    training: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> int:
+        """Steps of its training."""
+        return int(self.training.get("steps", 0))
+
+
+def learnt_by(provenance: Mapping[str, Any], name: str) -> Learnt:
+    """Read a provenance: of several streams the source's, else the first one's.
+
+    Args:
+        provenance: What the weights hold.
+        name: What the detector is called, for messages.
+
+    Raises:
+        ConfigError: If it does not say what the detector learnt from.
+    """
+    experiment = provenance.get("experiment") or {}
+    data = experiment.get("data") or {}
+    if data and "path" not in data:
+        data = data.get("source") or next(iter(data.values()))
+    if not data:
+        raise ConfigError(
+            "adapt: expected weights whose provenance says what they learnt from, as those of farfield train do; "
+            f"{name} says nothing. Self-training needs labelled frames of the source beside the unlabelled ones; train "
+            "the detector here, or take weights that ship."
+        )
+    known = set(AugmentationConfig.model_fields)
+    return Learnt(
+        path=str(data["path"]),
+        aliases=data.get("aliases") or {},
+        options=data.get("options") or {},
+        simulate=data.get("simulate") or {},
+        augmentation={key: value for key, value in (experiment.get("augmentation") or {}).items() if key in known},
+        training=experiment.get("training") or {},
+    )
+
+
+def simulation_of(learnt: Learnt, frames: int, seed: int, name: str) -> SimulationConfig:
+    """What to simulate as the source: the preset of the detector's data on other roads, without its cameras.
+
+    Raises:
+        ConfigError: If the detector did not learn from simulated frames, or there is no such preset any more.
+    """
+    from farfield.simulation import find_preset
+
+    given = learnt.simulate
+    if not given:
+        raise ConfigError(
+            f"adapt: expected labelled source frames, and {name} learnt from a real data set ({learnt.path}), which "
+            "cannot be simulated. Name it, or another that is labelled: --source DATA"
+        )
+    preset = find_preset(str(given["preset"]))
+    sensors = given.get("sensors") or ",".join(preset.sensors)
+    kept = [each.strip() for each in str(sensors).split(",") if not each.strip().startswith("cam")]
+    each = min(_FRAMES, frames)
+    return SimulationConfig(
+        preset=preset.name,
+        sequences=-(-frames // each),
+        frames=each,
+        seed=int(given.get("seed", 0)) + _OTHER_ROADS + seed,
+        sensors=",".join(kept),
+        stride_s=given.get("stride_s"),
+    )
+
+
+def source_frames(
+    detector: "Detector",
+    learnt: Learnt,
+    folder: Path,
+    *,
+    given: Path | None,
+    frames: int,
+    seed: int,
+    name: str,
+    progress: Progress = iter,
+    say: Callable[[str], object] | None = None,
+) -> tuple[DataConfig, Dataset]:
+    """Open the labelled source as the detector sees it, simulating it where it is not there.
+
+    Args:
+        detector: The detector.
+        learnt: What it learnt from.
+        folder: Simulated frames are kept in its ``source``.
+        given: A labelled data set in the place of simulated frames.
+        frames: How many at most.
+        seed: Another seed simulates other roads.
+        name: What the detector is called, for messages.
+        progress: Wraps the numbers of frames that are simulated.
+        say: Takes lines about the simulation.
+
+    Returns:
+        The experiment's settings of the stream, and its frames.
+
+    Raises:
+        ConfigError: If there is nothing to simulate, or no cloud suits the detector.
+        DatasetError: If no frame is annotated.
+    """
+    simulate = None if given is not None else simulation_of(learnt, frames, seed, name)
+    path = folder / FOLDER if given is None else given
+    ensure(simulate, path, progress, say)
+    options = recipe_of_experiment({"options": learnt.options})["options"] if given is None else {}
+    data = annotated_frames(as_trained(open_dataset(path, **options), detector), "skip")
+    data = data.select(spread(len(data), frames))
+    config = DataConfig(
+        path=path,
+        clouds=suitable_clouds(detector, data[0]),
+        aliases=dict(learnt.aliases),
+        options=dict(learnt.options) if given is None else {},
+        simulate=simulate,
+    )
+    return config, data
