@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ class _Clock(Report):
 
     def pace(self, frame_s: float) -> Pace:
         settled = self.times[min(_SETTLED, len(self.times) // 2) :]
-        steps = [later - earlier for earlier, later in zip(settled, settled[1:], strict=False)]
+        steps = [later - earlier for earlier, later in pairwise(settled)]
         step_s = statistics.mean(steps) if steps else self.times[0] - self.began
         return Pace(step_s=step_s, begin_s=max(self.times[0] - self.began - step_s, 0.0), frame_s=frame_s)
 

@@ -1,4 +1,4 @@
-"""What a grid will cost on this machine, and which of its claims can be decided at this size, before anything is run."""
+"""What a grid will cost on this machine, and which of its claims it can decide, before anything is run."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -219,8 +219,8 @@ def described(outline: Outline) -> list[str]:
     steps = ", ".join(f"{network} {steps}" for network, steps in outline.steps.items())
     lowered = f" ({outline.steps_share:.0%} of those declared)" if outline.steps_share < 1 else ""
     lines = [
-        f"budget {outline.budget}: {outline.rows} runs x {outline.seeds} seeds, {outline.jobs} trainings; steps: {steps}"
-        f"{lowered}",
+        f"budget {outline.budget}: {outline.rows} runs x {outline.seeds} seeds, {outline.jobs} trainings; "
+        f"steps: {steps}{lowered}",
         f"cost on this machine: {cost.core_minutes:.0f} core minutes (simulating {cost.simulating:.0f}, training "
         f"{cost.training:.0f}, scoring {cost.scoring:.0f}) = {outline.minutes:.0f} minutes with {outline.workers} "
         "workers",

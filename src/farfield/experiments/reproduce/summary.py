@@ -1,4 +1,4 @@
-"""All that a grid found as one JSON tree; nothing in it was measured by a clock, so that equal runs give equal files."""
+"""All that a grid found as one JSON tree, in which no clock has a part: equal runs give equal files."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
