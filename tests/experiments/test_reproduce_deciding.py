@@ -71,8 +71,16 @@ def test_margins_and_construction_are_the_claims() -> None:
     assert verdict_of(CLAIMS["C3"], decided(made_up({"gaussian": 0.5}), "C3")) == "undecided"
 
 
+def test_rows_that_found_nothing_agree_on_nothing() -> None:
+    scores = made_up({"gaussian": 0.0, "range": 0.0, "uniform": 0.4}, noise=0.0)
+    nothing = decided(scores, "C8")
+    assert [each.decision.words for each in nothing] == ["nothing found: no decision"]
+    assert verdict_of(CLAIMS["C8"], nothing) == "no decision"
+    assert verdict_of(CLAIMS["C1"], decided(scores, "C1")) == "holds not"  # one of both found something
+
+
 def test_spreads_are_pooled_by_metric_and_network() -> None:
-    scores = made_up({name: 0.5 for name in GRID.runs_of("laptop")})
+    scores = made_up(dict.fromkeys(GRID.runs_of("laptop"), 0.5))
     found = Judge(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decided()
     trained = [each for each in found if each.decision is not None]
     assert {each.pool for each in trained} >= {"dds, grid", "wdds, grid", "dds, second and voxelnet"}
@@ -87,7 +95,9 @@ def test_spreads_are_pooled_by_metric_and_network() -> None:
 
 def test_a_seed_that_one_row_lacks_is_left_out() -> None:
     scores = made_up({"gaussian": 0.5, "uniform": 0.4})
-    fewer = Scores(by_run={**scores.by_run, "uniform": {0: scores.by_run["uniform"][0], 2: scores.by_run["uniform"][2]}})
+    fewer = Scores(
+        by_run={**scores.by_run, "uniform": {0: scores.by_run["uniform"][0], 2: scores.by_run["uniform"][2]}}
+    )
     found = decided(fewer, "C1")
     assert {each.seeds for each in found} == {(0, 2)}
 
@@ -124,7 +134,9 @@ def test_returns_are_shares_of_objects_by_weather() -> None:
 
 def frame_with(count: int) -> Annotation:
     rows = np.zeros((count, 3))
-    boxes = Boxes(centre_m=rows, size_m=rows + 1, yaw_rad=np.zeros(count), label=np.array(["vehicle"] * count, dtype=str))
+    boxes = Boxes(
+        centre_m=rows, size_m=rows + 1, yaw_rad=np.zeros(count), label=np.array(["vehicle"] * count, dtype=str)
+    )
     return Annotation(boxes=boxes)
 
 
@@ -157,10 +169,15 @@ def test_samples_are_read_as_they_were_kept() -> None:
 
 
 def test_tables_have_the_papers_rows_first_and_its_controls() -> None:
-    scores = made_up({name: 0.5 for name in GRID.runs_of("laptop")})
+    scores = made_up(dict.fromkeys(GRID.runs_of("laptop"), 0.5))
     found = {table["number"]: table for table in tables_of(CLAIMS, GRID, SETTINGS, scores)}
     assert list(found) == ["I", "II", "III", "IV", "V", "VI"]
-    assert [row["published"] for row in found["IV"]["rows"]][:4] == ["pretrained", "adapted_25", "adapted_50", "adapted_100"]
+    assert [row["published"] for row in found["IV"]["rows"]][:4] == [
+        "pretrained",
+        "adapted_25",
+        "adapted_50",
+        "adapted_100",
+    ]
     assert {"target_25", "device_both", "device_a"} <= {row["run"] for row in found["IV"]["rows"]}
     assert {"both_paired", "both_shuffled"} <= {row["run"] for row in found["VI"]["rows"]}
     assert found["I"]["rows"][0]["cells"]["far"]["dds"]["published"] == 0.3412
@@ -168,7 +185,11 @@ def test_tables_have_the_papers_rows_first_and_its_controls() -> None:
 
 
 def test_spread_is_that_over_seeds() -> None:
-    assert spread_of({0: 1.0, 1: 3.0}) == {"mean": 2.0, "s": pytest.approx(math.sqrt(2)), "by_seed": {"0": 1.0, "1": 3.0}}
+    assert spread_of({0: 1.0, 1: 3.0}) == {
+        "mean": 2.0,
+        "s": pytest.approx(math.sqrt(2)),
+        "by_seed": {"0": 1.0, "1": 3.0},
+    }
     assert spread_of({0: 1.0, 1: None})["mean"] is None
     assert spread_of({})["mean"] is None
 

@@ -170,7 +170,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected one of cirrus, kradar"):
         load_grid("nothing")
     wrong = tmp_path / "grid.yaml"
-    wrong.write_text("paper: cirrus\nreal: {}\nruns: {a: {words: a, streams: {x: {set: b, clouds: [c]}}}}\nbudgets: {}\nx: 1")
+    wrong.write_text(
+        "paper: cirrus\nreal: {}\nruns: {a: {words: a, streams: {x: {set: b, clouds: [c]}}}}\nbudgets: {}\nx: 1"
+    )
     with pytest.raises(FileFormatError, match="x"):
         load_grid(wrong)
     tree = tiny_grid().model_dump()

@@ -249,8 +249,8 @@ def _cell(cell: Mapping[str, Any] | None) -> Cell:
         return Cell(published=NOTHING, ours=NOTHING, spread="")
     return Cell(
         published=_figure(cell["published"]),
-        ours=_figure(cell["mean"]),
-        spread="" if cell["s"] is None else f"s {cell['s']:.3f}",
+        ours="nothing found" if cell["mean"] == 0 else _figure(cell["mean"]),
+        spread=f"s {cell['s']:.3f}" if cell["s"] else "",
     )
 
 

@@ -10,7 +10,7 @@ from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree
 from farfield.experiments.reproduce.needs import need_of
 from farfield.experiments.reproduce.scoring import sample_of
 from farfield.experiments.reproduce.statistics import Objects, compared
-from farfield.metrics.deciding import Decision, Difference, Sample, decide, difference_of, holm, pooled, power
+from farfield.metrics.deciding import Decision, Difference, Sample, Spread, decide, difference_of, holm, pooled, power
 
 Role = Literal["comparison", "control"]
 
@@ -87,6 +87,17 @@ class _Found:
     seeds: tuple[int, ...] = ()
     difference: Difference | None = None
     pool: str = ""
+    empty: bool = False  # no row found anything: equal zeros are no agreement
+
+    def decision(self, spread: Spread | None) -> Decision | None:
+        if self.difference is None:
+            return None
+        if self.empty:
+            hypothesis = self.pair.hypothesis
+            return Decision(
+                verdict="no decision", difference=self.difference, hypothesis=hypothesis, reason="nothing found"
+            )
+        return decide(self.difference.with_pooled(spread), self.pair.hypothesis)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,16 +122,9 @@ class Judge:
     def decided(self) -> list[Decided]:
         """All comparisons and controls of all claims in all their metrics, in the claims' order."""
         found = [self._found(*each) for each in self._all()]
-        spreads = {
-            pool: pooled([each.difference for each in found if each.pool == pool and each.difference is not None])
-            for pool in {each.pool for each in found if each.pool}
-        }
-        decisions = [
-            None
-            if each.difference is None
-            else decide(each.difference.with_pooled(spreads.get(each.pool)), each.pair.hypothesis)
-            for each in found
-        ]
+        pools = {each.pool for each in found if each.pool}
+        spreads = {pool: pooled(_differences(found, pool)) for pool in pools}
+        decisions = [each.decision(spreads.get(each.pool)) for each in found]
         adjusted = self._adjusted(found, decisions)
         return [
             Decided(
@@ -169,6 +173,7 @@ class Judge:
         if found.seeds:
             found.difference = difference_of([a[seed] for seed in found.seeds], [b[seed] for seed in found.seeds])
             found.pool = f"{metric}, {self._network(pair)}"
+            found.empty = not any(row[seed].value for row in (a, b) for seed in found.seeds)
         return found
 
     def _samples(self, row: Row, claim: Claim, metric: str) -> dict[int, Sample]:
@@ -183,6 +188,11 @@ class Judge:
     def _network(self, pair: Comparison) -> str:
         """The networks of a pair: spreads are pooled over pairs of one size."""
         return " and ".join(sorted({self.grid.runs[row.run].network for row in (pair.a, pair.b)}))
+
+
+def _differences(found: Sequence[_Found], pool: str) -> list[Difference]:
+    """Differences of a pool; those of rows that found nothing do not scatter and do not count."""
+    return [each.difference for each in found if each.pool == pool and each.difference is not None and not each.empty]
 
 
 def _power(found: _Found, decision: Decision | None) -> float | None:
