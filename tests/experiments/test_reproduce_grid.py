@@ -69,11 +69,11 @@ def test_every_run_of_the_claims_is_in_the_grid_or_known_to_be_missing(paper: st
         assert grid.runs[name].least_budget == claims.runs[name].least_budget, name
 
 
-def test_sixteen_runs_a_seed_and_table_two(paper: str = "cirrus") -> None:
-    laptop, desk = (load_grid(paper).runs_of(budget) for budget in ("laptop", "desk"))
+def test_sixteen_runs_a_seed_and_table_two() -> None:
+    laptop, desk = (load_grid("cirrus").runs_of(budget) for budget in ("laptop", "desk"))
     assert len(desk) == 16
     assert laptop.keys() - desk.keys() == {"voxelnet", "second", "pointrcnn"}
-    assert len(jobs(load_grid(paper))) == 19 * 3
+    assert len(jobs(load_grid("cirrus"))) == 19 * 3
 
 
 def test_jobs_come_seed_by_seed_and_starts_before_those_who_take_them() -> None:

@@ -100,9 +100,8 @@ def test_outlooks_follow_seeds_and_published_differences() -> None:
     assert {each.words for each in desk if each.claim == "C4"} == {"not run at this budget"}
     assert "C0" not in by_claim  # of the data: nothing is trained
     more = outlooks(claims, runs, LAPTOP.model_copy(update={"seeds": 8}))
-    powers = [
-        [each.power for each in found if each.claim == "C7"][0] for found in (outlooks(claims, runs, LAPTOP), more)
-    ]
+    few = outlooks(claims, runs, LAPTOP)
+    powers = [next(each.power for each in found if each.claim == "C7") for found in (few, more)]
     assert powers[0] < powers[1]
 
 
