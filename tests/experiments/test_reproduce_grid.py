@@ -22,8 +22,8 @@ FOLDER = Path("runs")
 
 
 def jobs(grid: Grid, budget: str = "laptop", **options: Any) -> list[Job]:
-    settings, claims = grid.budgets[budget], load_claims(grid.paper)
-    places = places_of(grid, settings, Path("data"))
+    claims = load_claims(grid.paper)
+    places = places_of(grid, budget, Path("data"))
     data = Plotted(places=places, fingerprints=options.pop("fingerprints", dict.fromkeys(places, "")))
     return jobs_of(grid, budget, claims, data, options.pop("folder", FOLDER), **options)
 
@@ -154,16 +154,16 @@ def test_numbers_that_claims_compare_are_in_the_ranges_of_their_table() -> None:
 
 def test_real_data_take_the_place_of_simulated_ones(tmp_path: Path) -> None:
     grid = load_grid("cirrus")
-    places = places_of(grid, grid.budgets["laptop"], tmp_path, data=tmp_path)
+    places = places_of(grid, "laptop", tmp_path, data=tmp_path)
     assert (places["train"].split, places["val"].split) == ("train", "val")
     assert places["train"].simulated is None
     assert places["device"].simulated is not None  # the other device stands in, unless given
-    both = places_of(grid, grid.budgets["laptop"], tmp_path, data=tmp_path, source=tmp_path)
+    both = places_of(grid, "laptop", tmp_path, data=tmp_path, source=tmp_path)
     assert both["device"].simulated is None
     kradar = load_grid("kradar")
-    assert set(places_of(kradar, kradar.budgets["laptop"], tmp_path, data=tmp_path)) == {"train", "val"}
+    assert set(places_of(kradar, "laptop", tmp_path, data=tmp_path)) == {"train", "val"}
     with pytest.raises(ConfigError, match="expected a folder"):
-        places_of(grid, grid.budgets["laptop"], tmp_path, data=tmp_path / "none")
+        places_of(grid, "laptop", tmp_path, data=tmp_path / "none")
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ LAPTOP = CIRRUS.budgets["laptop"]
 
 
 def jobs() -> list[Job]:
-    data = Plotted(places=places_of(CIRRUS, LAPTOP, Path("data")))
+    data = Plotted(places=places_of(CIRRUS, "laptop", Path("data")))
     return jobs_of(CIRRUS, "laptop", load_claims("cirrus"), data, Path("runs"))
 
 

@@ -16,6 +16,7 @@ from farfield.vocabulary.patterns import PATTERNS
 
 NOTHING = "–"
 _TITLES = {"cirrus": "Cirrus, put to the test", "kradar": "K-Radar, put to the test"}
+_RELATIONS = {"above": "above", "not_below": "not below", "equivalent": "as good as"}
 _TONES = {"holds": "good", "holds by construction": "good", "holds not": "bad"}
 
 
@@ -170,12 +171,10 @@ def _comparison(each: Mapping[str, Any], metrics: Mapping[str, str]) -> Comparis
     decision, adjusted = each["decision"], each["adjusted"]
     found = decision["difference"] if decision else {}
     interval, spreads = found.get("interval"), found.get("s_seed") or {}
-    relation = {"above": "above", "not_below": "not below", "equivalent": "as good as"}
-    kind = decision["claim"] if decision else {"kind": "above", "margin": 0}
-    margin = f" (margin {kind['margin']:g})" if kind["margin"] else ""
+    margin = f" (margin {each['margin']:g})" if each["margin"] else ""
     own = spreads.get("own")
     return Comparison(
-        what=f"{_row(each['a'])} {relation[kind['kind']]} {_row(each['b'])}{margin}",
+        what=f"{_row(each['a'])} {_RELATIONS[each['kind']]} {_row(each['b'])}{margin}",
         control=each["role"] == "control",
         metric=metrics[each["metric"]],
         published=_signed(each["published"]),

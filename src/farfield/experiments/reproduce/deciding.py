@@ -239,6 +239,8 @@ def to_json(each: Decided) -> dict[str, Any]:
         "metric": each.metric,
         "a": each.pair.a.model_dump(mode="json"),
         "b": each.pair.b.model_dump(mode="json"),
+        "kind": each.pair.kind,
+        "margin": each.pair.margin,
         "excludes": each.pair.excludes,
         "published": each.pair.published(each.metric),
         "seeds": list(each.seeds),

@@ -157,6 +157,13 @@ class Grid(_Declared):
             _check_budget(self, called, budget)
         return self
 
+    def sets_of(self, budget: str) -> tuple[str, ...]:
+        """The sets that a budget's runs learn from, are scored on, or whose statistics are taken."""
+        settings = self.budgets[budget]
+        learnt = {stream.set for run in self.runs_of(budget).values() for stream in run.streams.values()}
+        needed = {*learnt, *settings.scored_on, *settings.statistics_on}
+        return tuple(name for name in settings.sets if name in needed)
+
     def runs_of(self, budget: str) -> dict[str, GridRun]:
         """The runs that a budget has."""
         chosen, order = self.budgets[budget], (*BUDGETS, budget)

@@ -18,6 +18,7 @@ from farfield.experiments.plan import Plan
 from farfield.experiments.reproduce.grid import Simulated
 from farfield.experiments.reproduce.jobs import Job
 from farfield.experiments.reproduce.places import Place, simulate
+from farfield.experiments.reproduce.running import quiet
 from farfield.experiments.schema import DataConfig, Experiment, MethodConfig
 from farfield.training.report import Report
 
@@ -29,7 +30,9 @@ _SETTLED = 8  # steps until the allocator and the caches have settled
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """How long a kind of run takes on this machine, with as many of them at a time as there are workers.
+    """How long a kind of run takes a core of this machine, with as many of them at a time as there are workers.
+
+    On the CPU it is the processor's time, which other programs hardly bear on; on a GPU that of the clock on the wall.
 
     Args:
         step_s: Seconds a step.
@@ -42,21 +45,31 @@ class Pace:
     frame_s: float
 
 
+Moment = tuple[float, float]
+"""The processor's time of this process, and that of the wall, seconds."""
+
+
+def _now() -> Moment:
+    return time.process_time(), time.perf_counter()
+
+
 class _Clock(Report):
     """Notes when steps were done."""
 
     def __init__(self) -> None:
-        self.began, self.times = time.perf_counter(), list[float]()
+        self.began, self.times = _now(), list[Moment]()
 
     def step(self, step: int, losses: dict[str, float]) -> None:
         del step, losses
-        self.times.append(time.perf_counter())
+        self.times.append(_now())
 
-    def pace(self, frame_s: float) -> Pace:
-        settled = self.times[min(_SETTLED, len(self.times) // 2) :]
+    def pace(self, which: int, frame_s: float) -> Pace:
+        """The pace by one of both clocks."""
+        began, times = self.began[which], [moment[which] for moment in self.times]
+        settled = times[min(_SETTLED, len(times) // 2) :]
         steps = [later - earlier for earlier, later in pairwise(settled)]
-        step_s = statistics.mean(steps) if steps else self.times[0] - self.began
-        return Pace(step_s=step_s, begin_s=max(self.times[0] - self.began - step_s, 0.0), frame_s=frame_s)
+        step_s = statistics.mean(steps) if steps else times[0] - began
+        return Pace(step_s=step_s, begin_s=max(times[0] - began - step_s, 0.0), frame_s=frame_s)
 
 
 @dataclass(frozen=True)
@@ -70,13 +83,16 @@ class _Trial:
 
     def __call__(self, unit: Unit) -> Done:
         job: Job = unit.parameters
+        quiet()
         folder, clock = self.folder / unit.name, _Clock()
         shutil.rmtree(folder, ignore_errors=True)
         experiment = short(job.experiment, self.steps)
-        weights = Plan(experiment, folder).run(clock)
-        frame_s = _frame_s(weights, experiment, job)
+        detector = Detector.load(Plan(experiment, folder).run(clock))
+        alone = experiment.training.workers == 0 and detector.device.type == "cpu"
+        which = 0 if alone else 1
+        pace = clock.pace(which, _frame_s(detector, experiment, job, which))
         shutil.rmtree(folder, ignore_errors=True)
-        return Done(value=clock.pace(frame_s))
+        return Done(value=pace)
 
 
 def short(experiment: Experiment, steps: int) -> Experiment:
@@ -94,16 +110,16 @@ def short(experiment: Experiment, steps: int) -> Experiment:
     return experiment.model_copy(update=changes)
 
 
-def _frame_s(weights: Path, experiment: Experiment, job: Job) -> float:
-    """Seconds to read a frame and detect in it."""
+def _frame_s(detector: Detector, experiment: Experiment, job: Job, which: int) -> float:
+    """Seconds to read a frame and detect in it, by one of both clocks."""
     groups = experiment.data if isinstance(experiment.data, dict) else {"": experiment.data}
     config: DataConfig = groups.get("target", next(iter(groups.values())))
     data = Place(path=config.path, split=config.split or "", options=config.options).opened()
     cloud = next(cloud for cloud in (*job.clouds, *config.clouds) if cloud in data[0].clouds)
     first = _first(data, _FRAMES)
-    began = time.perf_counter()
-    detect(Detector.load(weights), first, cloud=cloud, annotated_only=True)
-    return (time.perf_counter() - began) / len(first)
+    began = _now()[which]
+    detect(detector, first, cloud=cloud, annotated_only=True)
+    return (_now()[which] - began) / len(first)
 
 
 def _first(data: Dataset, count: int) -> Dataset:
@@ -124,7 +140,7 @@ def measure(
     """
     kinds = {job.kind: job for job in reversed(jobs)}
     if said is not None and kinds:
-        said(f"measuring {steps} steps of {len(kinds)} kinds of run")
+        said(f"measuring {steps} steps of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
     found = values(_Trial(folder, steps), units, bulk)
     return {unit.name: done.value for unit, done in zip(units, found, strict=True)}
@@ -161,10 +177,10 @@ def measure_simulating(
         if kind in seconds and name not in needed:
             continue
         small[name] = Place(path=folder / name, simulated=wanted, options=places[name].options)
-        fresh, began = not small[name].path.exists(), time.monotonic()
+        fresh, began = not small[name].path.exists(), time.process_time()
         simulate(wanted, small[name].path, workers=1, progress=progress)
         if fresh:
-            seconds[kind] = (time.monotonic() - began) / (wanted.sequences * wanted.frames)
+            seconds[kind] = (time.process_time() - began) / (wanted.sequences * wanted.frames)
     return {name: seconds.get(f"{each.preset} {each.sensors}", 0.0) for name, each in simulated.items()}, small
 
 

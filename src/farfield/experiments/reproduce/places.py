@@ -10,7 +10,7 @@ from typing import Any
 from farfield.bulk.runs import Progress
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
-from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Simulated
+from farfield.experiments.reproduce.grid import Grid, Simulated
 from farfield.recording import record
 
 _DIGITS = 8
@@ -39,13 +39,13 @@ class Place:
 
 
 def places_of(
-    grid: Grid, budget: BudgetSettings, folder: Path, *, data: Path | None = None, source: Path | None = None
+    grid: Grid, budget: str, folder: Path, *, data: Path | None = None, source: Path | None = None
 ) -> dict[str, Place]:
-    """The place of each set of a budget.
+    """The place of each set that a budget needs.
 
     Args:
         grid: The grid.
-        budget: The budget.
+        budget: Name of the budget.
         folder: Where simulated sets stand, each in a folder named by what it is.
         data: The user's data set; without one all is simulated.
         source: The user's data of the other device; without them it is simulated.
@@ -58,7 +58,8 @@ def places_of(
         if path is not None and not path.is_dir():
             raise ConfigError(f"--{what}: expected a folder, found none at {path}")
     found: dict[str, Place] = {}
-    for name, simulated in budget.sets.items():
+    for name in grid.sets_of(budget):
+        simulated = grid.budgets[budget].sets[name]
         real = grid.real.get(name)
         path = given[real.of] if real is not None else None
         if real is not None and path is not None:

@@ -109,7 +109,7 @@ class Reproduction:
     @property
     def places(self) -> dict[str, Place]:
         """Where each set stands."""
-        return places_of(self.grid, self.settings, self.out / "data", data=self.data, source=self.source)
+        return places_of(self.grid, self.budget, self.out / "data", data=self.data, source=self.source)
 
     def outline(self) -> planning.Outline:
         """The plan: measured first, then kept, so that the same command goes on with the same steps."""

@@ -1,6 +1,7 @@
 """Do the jobs of a grid in bulk: train or go on, detect, score; a finished job is never done again."""
 
 import json
+import logging
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -41,6 +42,7 @@ class Doing:
         job: Job = unit.parameters
         home, began = self.folder / job.folder, time.monotonic()
         forget_peak()
+        quiet()
         weights = home / "weights.safetensors"
         if not weights.is_file():
             Plan(job.experiment, home).run()
@@ -56,6 +58,11 @@ class Doing:
 def _note(path: Path, clock: Mapping[str, Any]) -> None:
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(clock) + "\n")
+
+
+def quiet() -> None:
+    """Let the trainings of this process say only what is amiss."""
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
 
 
 def forget_peak() -> None:
