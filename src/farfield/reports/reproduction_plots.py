@@ -77,6 +77,27 @@ def ranges_of_classes(objects: Mapping[str, Any]) -> "Figure":
     return figure
 
 
+def features_apart(pair: Mapping[str, Any]) -> "Figure":
+    """Features of two domains on their two main axes, before and after an adaptation.
+
+    Args:
+        pair: ``runs``, two names, and ``sides``: of each run ``domains``, rows of two numbers by name, and ``probe``.
+    """
+    with house_style():
+        figure = new_figure(10.6, 4.2)
+        panels = figure.subplots(1, 2)
+        for axes, run, side in zip(panels, pair["runs"], pair["sides"], strict=True):
+            for (name, rows), colour in zip(side["domains"].items(), PATTERNS, strict=False):
+                points = np.asarray(rows, dtype=np.float64).reshape(-1, 2)
+                axes.scatter(*points.T, s=7, c=colour, alpha=0.5, linewidths=0, label=name, rasterized=True)
+            probe = "" if side["probe"] is None else f": told apart {side['probe']:.0%}"
+            axes.set_title(run.replace("_", " ") + probe)
+            axes.set(xlabel="first axis", ylabel="second axis")
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=2, markerscale=2.0)
+    return figure
+
+
 def returns_by_weather(objects: Mapping[str, Any], cloud: str) -> "Figure":
     """Share of objects with enough returns, by weather (K-Radar, appendix A.1).
 

@@ -16,6 +16,7 @@ from farfield.experiments.claims import Claims
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.reproduce import planning
 from farfield.experiments.reproduce.deciding import Judge, Scores
+from farfield.experiments.reproduce.feature_maps import feature_maps
 from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
 from farfield.experiments.reproduce.measuring import STEPS, measure, measure_simulating
@@ -264,12 +265,20 @@ class Reproduction:
             sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
         )
         summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
+        summary["features"] = self._features(done, places)
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
         runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
         timing = {"planned": outline.to_json(), "runs": runs}
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns)
+
+    def _features(self, done: Sequence[Job], places: Mapping[str, Place]) -> list[Tree]:
+        weights = {
+            run: self._runs / job.folder / "weights.safetensors" for job in done if job.seed == 0 for run in job.runs
+        }
+        (first, *_) = self._chosen(self.settings.scored_on, places)
+        return feature_maps(weights, places[first], self.settings.score)
 
 
 def _read(path: Path) -> Tree:
