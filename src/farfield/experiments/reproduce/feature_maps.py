@@ -104,6 +104,6 @@ def probe_accuracy(values: Rows, second: Mask, frame: Int[np.ndarray, " n"]) -> 
     return round(float((said[true].mean() + (~said[~true]).mean()) / 2), _DIGITS)
 
 
-def _scaled(values: Rows, reference: Rows) -> Rows:
+def _scaled(values: Rows, reference: Float[np.ndarray, "m c"]) -> Rows:
     spread = reference.std(axis=0)
     return np.asarray((values - reference.mean(axis=0)) / np.where(spread > 0, spread, 1.0))
