@@ -219,7 +219,7 @@ def test_the_summary_and_its_page(tmp_path) -> None:
         sets={"train": ("f" * 64, SETTINGS.sets["train"])},
     )
     summary = json.loads(json.dumps(summary_of(made, GRID, CLAIMS, scores, data, found)))
-    clock = {"training_s": 60.0, "scoring_s": 6.0, "peak_memory_mb": 512.0}
+    clock = {"training_s": 60.0, "scoring_s": 6.0, "processor_s": 66.0, "peak_memory_mb": 512.0}
     timing = {
         "planned": {"core_minutes": 90.0, "workers": 2},
         "runs": {"a": {"runs": ["gaussian"], "clock": [clock]}},

@@ -40,7 +40,7 @@ class Doing:
     def __call__(self, unit: Unit) -> Done:
         """Train unless the weights are there, score, and write the scores."""
         job: Job = unit.parameters
-        home, began = self.folder / job.folder, time.monotonic()
+        home, began, busy = self.folder / job.folder, time.monotonic(), time.process_time()
         forget_peak()
         quiet()
         weights = home / "weights.safetensors"
@@ -51,6 +51,7 @@ class Doing:
         write_text(home / SCORES, json.dumps(self.scoring.of_job(job, weights), separators=(",", ":")) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
         clock["scoring_s"] = round(time.monotonic() - trained, 1)
+        clock["processor_s"] = round(time.process_time() - busy, 1)
         _note(home / "clock.jsonl", clock)
         return Done(files=(home / SCORES,), clock=clock)
 

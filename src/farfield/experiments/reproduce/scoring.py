@@ -16,7 +16,7 @@ from farfield.experiments.reproduce.grid import Score, Tree
 from farfield.experiments.reproduce.jobs import Job, code_digest
 from farfield.experiments.reproduce.needs import Need
 from farfield.experiments.reproduce.places import Place
-from farfield.frame import Key
+from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.deciding import Sample, samples
 
@@ -126,7 +126,9 @@ def _only(protocol: str, needs: Sequence[Need]) -> Tree:
 def together(parts: Mapping[str, Detections]) -> Detections:
     """Detections in several sets as those in one, whose sequences are named by set."""
     first = next(iter(parts.values()))
-    boxes, annotations, conditions = {}, {}, {}
+    boxes: dict[Key, Boxes] = {}
+    annotations: dict[Key, Annotation] = {}
+    conditions: dict[Key, Mapping[str, str]] = {}
     drives = []
     for name, part in parts.items():
         boxes |= {_named(name, key): each for key, each in part.boxes.items()}

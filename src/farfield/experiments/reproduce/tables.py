@@ -155,4 +155,5 @@ def classes_of(grid: Grid, settings: BudgetSettings, annotated: Mapping[str, int
 def _learnt(settings: BudgetSettings) -> Iterator[str]:
     """Classes that any network of a budget has an anchor or a size of."""
     for tree in settings.networks.values():
-        yield from tree.get("anchors", tree.get("sizes_m", {"vehicle": None}))
+        named: Mapping[str, Any] = tree.get("anchors") or tree.get("sizes_m") or {"vehicle": None}
+        yield from named
