@@ -45,6 +45,7 @@ def test_shipped_budgets_keep_the_rules(paper: str) -> None:
 def test_every_run_of_every_budget_is_a_valid_experiment_and_method(paper: str, budget: str) -> None:
     from farfield.detectors import build_detector
     from farfield.training.method import METHODS
+    from farfield.training.streams import batch_shares
 
     grid, built = load_grid(paper), set()
     for job in jobs(grid, budget):
@@ -58,6 +59,8 @@ def test_every_run_of_every_budget_is_a_valid_experiment_and_method(paper: str, 
             made = METHODS[experiment.method.name](network, **method)
             data = experiment.data
             assert set(made.streams) == ({"labelled"} if not isinstance(data, dict) else set(data))
+            counts = batch_shares(experiment.training.batch_size, made.streams)
+            assert counts.get("target", 2) == counts.get("source", 2) == 2  # as many as a row of the target alone
             built.add(said)
 
 

@@ -40,15 +40,17 @@ class Line:
     """A row of a table.
 
     Args:
-        name: What the run is, and the cloud that it was scored on.
+        name: What the run is, and the cloud that it was scored on; empty where it goes on in another metric.
+        metric: The metric.
         printed: Whether the paper prints the row.
-        seeds: Number of seeds.
+        seeds: Number of seeds; None where it goes on.
         cells: Figures in the order of the table's columns.
     """
 
     name: str
+    metric: str
     printed: bool
-    seeds: int
+    seeds: int | None
     cells: tuple[Cell, ...]
 
 
@@ -58,9 +60,9 @@ class Table:
 
     Args:
         title: Its title.
-        columns: Heads of its columns: part and metric.
+        columns: Heads of its columns: ranges or weathers.
         lines: Its rows, controls last.
-        lacking: Runs of the table that this budget does not have.
+        lacking: Rows without a finished run.
     """
 
     title: str
@@ -208,20 +210,27 @@ def _signed(value: float | None) -> str:
 
 
 def _table(table: Mapping[str, Any]) -> Table:
-    names = [(part, metric) for part in table["parts"] for metric in table["metrics"]]
-    bins, words = table["bins"], table["metrics"]
-    shown = [
-        (part, metric)
-        for part, metric in names
-        if any(_known(row["cells"][part][metric]) for row in table["rows"] if part in row["cells"])
-    ]
-    lines = [_line(row, shown) for row in table["rows"]]
+    metrics, rows = table["metrics"], table["rows"]
+    parts = [part for part in table["parts"] if any(_known(row, part, metric) for row in rows for metric in metrics)]
+    done = [row for row in rows if row["n"]]
     return Table(
         title=f"Table {table['number']}: {table['title']}",
-        columns=tuple(f"{words[metric]}, {_part(part, bins)}" for part, metric in shown),
-        lines=tuple(line for line in lines if line.seeds),
-        lacking=tuple(line.name for line in lines if not line.seeds),
+        columns=tuple(_part(part, table["bins"]) for part in parts),
+        lines=tuple(
+            _line(row, parts, metric, words, first=place == 0)
+            for row in done
+            for place, (metric, words) in enumerate(_shown(row, parts, metrics))
+        ),
+        lacking=tuple(_called(row) for row in rows if not row["n"]),
     )
+
+
+def _shown(row: Mapping[str, Any], parts: Sequence[str], metrics: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Metrics of a row: those that the paper prints for it; of one that it does not print the first and wDDS."""
+    known = [(name, words) for name, words in metrics.items() if any(_known(row, part, name) for part in parts)]
+    if not row["published"]:
+        return [each for each in known if each[0] in (next(iter(metrics)), "wdds")]
+    return known
 
 
 def _part(part: str, bins: Mapping[str, str]) -> str:
@@ -229,17 +238,22 @@ def _part(part: str, bins: Mapping[str, str]) -> str:
     return f"{name} ({bins[part]} m)" if part in bins else name
 
 
-def _known(cell: Mapping[str, Any]) -> bool:
-    return cell["published"] is not None or cell["mean"] is not None
+def _known(row: Mapping[str, Any], part: str, metric: str) -> bool:
+    cell = row["cells"].get(part, {}).get(metric)
+    return cell is not None and (cell["published"] is not None or cell["mean"] is not None)
 
 
-def _line(row: Mapping[str, Any], columns: Sequence[tuple[str, str]]) -> Line:
-    cells = [row["cells"].get(part, {}).get(metric) for part, metric in columns]
+def _called(row: Mapping[str, Any]) -> str:
+    return f"{row['words']}, on {row['cloud']}"
+
+
+def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str, *, first: bool) -> Line:
     return Line(
-        name=f"{row['words']}, on {row['cloud']}",
+        name=_called(row) if first else "",
+        metric=words,
         printed=bool(row["published"]),
-        seeds=row["n"],
-        cells=tuple(_cell(cell) for cell in cells),
+        seeds=row["n"] if first else None,
+        cells=tuple(_cell(row["cells"].get(part, {}).get(metric)) for part in parts),
     )
 
 
