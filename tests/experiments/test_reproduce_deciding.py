@@ -79,6 +79,15 @@ def test_rows_that_found_nothing_agree_on_nothing() -> None:
     assert verdict_of(CLAIMS["C1"], decided(scores, "C1")) == "holds not"  # one of both found something
 
 
+def test_a_run_without_such_a_figure_is_no_run_that_is_missing() -> None:
+    scores = made_up({"gaussian": 0.5, "uniform": 0.4})
+    for seed in range(SEEDS):
+        scores.by_run["uniform"][seed]["clouds"]["uniform"]["samples"] = {}
+    found = decided(scores, "C1")
+    assert {each.decision.words for each in found} == {"no figure: no decision"}
+    assert verdict_of(CLAIMS["C1"], found) == "no decision"
+
+
 def test_spreads_are_pooled_by_metric_and_network() -> None:
     scores = made_up(dict.fromkeys(GRID.runs_of("laptop"), 0.5))
     found = Judge(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decided()

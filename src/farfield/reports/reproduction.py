@@ -235,7 +235,7 @@ def _shown(row: Mapping[str, Any], parts: Sequence[str], metrics: Mapping[str, s
 
 def _part(part: str, bins: Mapping[str, str]) -> str:
     name = "all" if part == "overall" else part.removeprefix("weather/").replace("_", " ")
-    return f"{name} ({bins[part]} m)" if part in bins else name
+    return f"{name} (ours {bins[part]} m)" if part in bins else name
 
 
 def _known(row: Mapping[str, Any], part: str, metric: str) -> bool:

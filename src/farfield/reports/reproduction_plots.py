@@ -73,7 +73,7 @@ def ranges_of_classes(objects: Mapping[str, Any]) -> "Figure":
         first.set(xlabel="range (m)", ylabel="annotated vehicles", xlim=(0, _REACH_M))
         order = np.argsort(counts)
         second.barh([str(names[each]).replace("_", " ") for each in order], counts[order], color=ANNOTATED)
-        second.set(xscale="log", xlabel="annotated objects")
+        second.set(xscale="log", xlabel="annotated objects", xlim=(0.7, None))
     return figure
 
 

@@ -173,7 +173,9 @@ class Judge:
         if found.seeds:
             found.difference = difference_of([a[seed] for seed in found.seeds], [b[seed] for seed in found.seeds])
             found.pool = f"{metric}, {self._network(pair)}"
-            found.empty = not any(row[seed].value for row in (a, b) for seed in found.seeds)
+            found.empty = all(row[seed].value == 0 for row in (a, b) for seed in found.seeds)
+        elif self.scores.by_run.get(pair.a.run) and self.scores.by_run.get(pair.b.run):
+            found.difference = Difference(by_seed=(), s_seq=None, groups=0)  # run, but without such a figure
         return found
 
     def _samples(self, row: Row, claim: Claim, metric: str) -> dict[int, Sample]:

@@ -1,5 +1,7 @@
 """Do the jobs of a grid in bulk: train or go on, detect, score; a finished job is never done again."""
 
+import ctypes
+import gc
 import json
 import logging
 import time
@@ -67,7 +69,10 @@ def quiet() -> None:
 
 
 def forget_peak() -> None:
-    """Let the peak memory of this process count from now on, where the system can."""
+    """Hand what is free back to the system and let the peak memory of this process count from now on, where it can."""
+    gc.collect()
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
     with suppress(OSError):
         _REFERENCES.write_text("5", encoding="ascii")
 
