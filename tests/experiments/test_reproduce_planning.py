@@ -12,7 +12,7 @@ from farfield.errors import ConfigError
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.reproduce.grid import load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import Pace, little, short
+from farfield.experiments.reproduce.measuring import Pace, StepClock, little, short
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.reproduce.planning import (
     PAGE_S,
@@ -85,7 +85,31 @@ def test_a_trial_needs_neither_weights_nor_many_sequences() -> None:
     assert adapted.method.settings["rest_share"] == 0.5
     assert {group.part for group in adapted.data.values()} == {(0.0, 1.0)}
     assert adapted.training.steps == 5
+    large = short(
+        by_run["device_25"].model_copy(
+            update={"training": adapted.training.model_copy(update={"batch_size": 20, "workers": 2})}
+        ),
+        5,
+        0.25,
+    )
+    assert (large.training.batch_size, large.training.workers) == (5, 0)
     assert little(LAPTOP.sets["train"]).sequences == 3
+
+
+@pytest.mark.parametrize(
+    ("times", "step_s", "begin_s"),
+    [
+        ([7.0], 7.0, 0.0),
+        ([5.0, 6.0], 1.0, 4.0),
+        ([5.0, 9.0, 10.0, 11.0], 1.0, 4.0),
+        ([2.0 * n + 3 for n in range(20)], 2.0, 1.0),
+    ],
+)
+def test_the_pace_leaves_out_what_comes_before_the_steps_are_settled(times, step_s: float, begin_s: float) -> None:
+    clock = StepClock()
+    clock.began, clock.times = (0.0, 100.0), [(time, 100 + 2 * time) for time in times]
+    assert clock.pace(0, 0.1) == Pace(step_s=step_s, begin_s=begin_s, frame_s=0.1)
+    assert clock.pace(1, 0.1) == Pace(step_s=2 * step_s, begin_s=2 * begin_s, frame_s=0.1)
 
 
 def test_outlooks_follow_seeds_and_published_differences() -> None:

@@ -4,7 +4,7 @@ import shutil
 import statistics
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -23,8 +23,13 @@ from farfield.experiments.schema import DataConfig, Experiment, MethodConfig
 from farfield.training.report import Report
 
 STEPS = 20
+"""Steps of each trial."""
+SMALL_BATCH = 2
+"""Frames a step of one pattern with which trials are made."""
 _SEQUENCES = 3  # of a set that is only measured on
 _FRAMES = 6
+_GLANCE = 2  # steps that show whether there is time for more
+_PATIENCE_S = 60.0  # for the trial of a kind
 _SETTLED = 8  # steps until the allocator and the caches have settled
 
 
@@ -53,20 +58,21 @@ def _now() -> Moment:
     return time.process_time(), time.perf_counter()
 
 
-class _Clock(Report):
+class StepClock(Report):
     """Notes when steps were done."""
 
     def __init__(self) -> None:
         self.began, self.times = _now(), list[Moment]()
 
     def step(self, step: int, losses: dict[str, float]) -> None:
+        """Note the moment."""
         del step, losses
         self.times.append(_now())
 
     def pace(self, which: int, frame_s: float) -> Pace:
         """The pace by one of both clocks."""
         began, times = self.began[which], [moment[which] for moment in self.times]
-        settled = times[min(_SETTLED, len(times) // 2) :]
+        settled = times[max(0, min(_SETTLED, len(times) // 2, len(times) - 2)) :]
         steps = [later - earlier for earlier, later in pairwise(settled)]
         step_s = statistics.mean(steps) if steps else times[0] - began
         return Pace(step_s=step_s, begin_s=max(times[0] - began - step_s, 0.0), frame_s=frame_s)
@@ -78,34 +84,46 @@ class _Trial:
 
     folder: Path
     steps: int
+    batch_share: float
 
     memory_bytes = 2_000_000_000
 
     def __call__(self, unit: Unit) -> Done:
         job: Job = unit.parameters
         quiet()
-        folder, clock = self.folder / unit.name, _Clock()
+        pace = self._pace(job, self.folder / unit.name, min(_GLANCE, self.steps))
+        if self.steps > _GLANCE and pace.step_s * self.steps <= _PATIENCE_S:
+            pace = self._pace(job, self.folder / unit.name, self.steps)
+        return Done(value=replace(pace, step_s=pace.step_s / self.batch_share))
+
+    def _pace(self, job: Job, folder: Path, steps: int) -> Pace:
         shutil.rmtree(folder, ignore_errors=True)
-        experiment = short(job.experiment, self.steps)
+        experiment, clock = short(job.experiment, steps, self.batch_share), StepClock()
         detector = Detector.load(Plan(experiment, folder).run(clock))
-        alone = experiment.training.workers == 0 and detector.device.type == "cpu"
-        which = 0 if alone else 1
+        which = 0 if detector.device.type == "cpu" else 1
         pace = clock.pace(which, _frame_s(detector, experiment, job, which))
         shutil.rmtree(folder, ignore_errors=True)
-        return Done(value=pace)
+        return pace
 
 
-def short(experiment: Experiment, steps: int) -> Experiment:
-    """An experiment of a few steps that needs no other run's weights and takes all sequences of its data."""
+def short(experiment: Experiment, steps: int, batch_share: float = 1.0) -> Experiment:
+    """An experiment of a few steps, in this process, that needs no other run's weights and takes all of its data.
+
+    Args:
+        experiment: The experiment.
+        steps: Its steps.
+        batch_share: Share of its batch that is taken.
+    """
     method = {name: value for name, value in experiment.method.model_dump().items() if name != "start"}
     method["name"] = "supervised" if method["name"] == "continued" else method["name"]
     data = experiment.data
     groups = data if isinstance(data, dict) else {"": data}
     whole = {name: group.model_copy(update={"part": (0.0, 1.0)}) for name, group in groups.items()}
+    training = {"steps": steps, "workers": 0, "batch_size": round(experiment.training.batch_size * batch_share)}
     changes: dict[str, Any] = {
         "method": MethodConfig.model_validate(method),
         "data": whole if isinstance(data, dict) else whole[""],
-        "training": experiment.training.model_copy(update={"steps": steps}),
+        "training": experiment.training.model_copy(update=training),
     }
     return experiment.model_copy(update=changes)
 
@@ -127,22 +145,32 @@ def _first(data: Dataset, count: int) -> Dataset:
 
 
 def measure(
-    jobs: Sequence[Job], folder: Path, bulk: Bulk, *, steps: int = STEPS, said: Callable[[str], object] | None = None
+    jobs: Sequence[Job],
+    folder: Path,
+    bulk: Bulk,
+    *,
+    steps: int = STEPS,
+    batch_share: float = 1.0,
+    said: Callable[[str], object] | None = None,
 ) -> dict[str, Pace]:
     """The pace of every kind of job.
+
+    Where a step takes seconds fewer are taken. Large batches are measured by a part of them: the time of a step is
+    taken to grow with its frames, which is so on a CPU and too much on a GPU.
 
     Args:
         jobs: The jobs; the first of each kind is tried.
         folder: Where they may write meanwhile.
         bulk: Who does it: as many at a time as later.
         steps: Steps of each trial.
+        batch_share: Share of each batch.
         said: Called with a line before it begins.
     """
     kinds = {job.kind: job for job in reversed(jobs)}
     if said is not None and kinds:
         said(f"measuring {steps} steps of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
-    found = values(_Trial(folder, steps), units, bulk)
+    found = values(_Trial(folder, steps, batch_share), units, bulk)
     return {unit.name: done.value for unit, done in zip(units, found, strict=True)}
 
 

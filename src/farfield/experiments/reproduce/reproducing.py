@@ -19,7 +19,7 @@ from farfield.experiments.reproduce.deciding import Judge, Scores
 from farfield.experiments.reproduce.feature_maps import feature_maps
 from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import STEPS, measure, measure_simulating
+from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, measure, measure_simulating
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
 from farfield.experiments.reproduce.running import clocks_of, do_all, done_jobs, scores_of
@@ -144,7 +144,10 @@ class Reproduction:
             places, needed, scratch / "data", progress=self.progress("simulating a few frames")
         )
         bulk = Bulk(workers=self.hands, progress=self.progress("measuring"))
-        paces = measure(self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, said=self.said)
+        part = min(1.0, SMALL_BATCH / self.settings.batch)
+        paces = measure(
+            self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
+        )
         shutil.rmtree(scratch, ignore_errors=True)
         left = {name: seconds for name, seconds in simulating.items() if not places[name].path.exists()}
         frames = self._frames_scored(places)
