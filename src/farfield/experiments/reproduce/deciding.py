@@ -30,7 +30,7 @@ class Scores:
         """Sort the scores of jobs."""
         by_run: dict[str, dict[int, Tree]] = defaultdict(dict)
         for scores in found:
-            for run in scores["runs"]:
+            for run in scores["runs"] if not scores.get("failed") else ():
                 by_run[run][int(scores["seed"])] = scores
         return cls(by_run={run: dict(sorted(seeds.items())) for run, seeds in by_run.items()})
 

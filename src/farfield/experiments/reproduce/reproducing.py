@@ -5,11 +5,13 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from farfield.bulk import Bulk
+from farfield.bulk.folders import locked
 from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError
 from farfield.experiments.claims import Claims
@@ -22,7 +24,7 @@ from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
 from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, measure, measure_simulating
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
-from farfield.experiments.reproduce.running import clocks_of, do_all, done_jobs, scores_of
+from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
 from farfield.experiments.reproduce.scoring import Scoring
 from farfield.experiments.reproduce.statistics import objects_in
 from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
@@ -205,8 +207,20 @@ class Reproduction:
             The page.
 
         Raises:
-            ConfigError: If the plan does not fit into the minutes, or nothing is there for a page.
+            ConfigError: If the plan does not fit into the minutes, nothing is there for a page, or another command is
+                at work in the folder.
         """
+        self.out.mkdir(parents=True, exist_ok=True)
+        try:
+            with nullcontext() if page_only else locked(self.out, shared=False):
+                return self._run(page_only=page_only)
+        except BlockingIOError as error:
+            raise ConfigError(
+                f"{self.out}: expected no other command at work in this folder, found one. Wait for it, or name "
+                "another folder with --out; --page writes the page of what is done meanwhile."
+            ) from error
+
+    def _run(self, *, page_only: bool) -> Path:
         outline = self.outline()
         for line in planning.described(outline):
             self.said(line)
@@ -251,7 +265,8 @@ class Reproduction:
         from farfield.reports.reproduction import write_page
 
         self.said(f"deciding on {len(self.claims)} claims with {len(done)} of {len(jobs)} runs")
-        scores = Scores.of(scores_of(job, self._runs) for job in done)
+        kept = [scores_of(job, self._runs) for job in done]
+        scores = Scores.of(kept)
         chosen = self._chosen(self.settings.statistics_on, places)
         bulk = Bulk(workers=self.hands, progress=self.progress("counting points"))
         objects = objects_in({name: places[name] for name in chosen}, bulk)
@@ -265,6 +280,7 @@ class Reproduction:
             steps=outline.steps,
             planned=len(jobs),
             done=len(done),
+            failed=[(each["runs"][0], each["seed"], each["failed"]) for each in kept if each.get("failed")],
             sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
         )
         summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
@@ -277,9 +293,8 @@ class Reproduction:
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns)
 
     def _features(self, done: Sequence[Job], places: Mapping[str, Place]) -> list[Tree]:
-        weights = {
-            run: self._runs / job.folder / "weights.safetensors" for job in done if job.seed == 0 for run in job.runs
-        }
+        files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
+        weights = {run: path for run, path in files.items() if path.is_file()}
         (first, *_) = self._chosen(self.settings.scored_on, places)
         return feature_maps(weights, places[first], self.settings.score)
 

@@ -20,7 +20,7 @@ from farfield.experiments.reproduce.scoring import Scoring
 from farfield.files.atomic import read_bytes, write_text
 
 JOURNAL = ".journal.jsonl"
-SCORES = "scores.json"
+SCORES, WEIGHTS = "scores.json", "weights.safetensors"
 _MAX_BYTES = 1 << 28
 _STATUS, _REFERENCES = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
@@ -45,17 +45,33 @@ class Doing:
         home, began, busy = self.folder / job.folder, time.monotonic(), time.process_time()
         forget_peak()
         quiet()
-        weights = home / "weights.safetensors"
-        if not weights.is_file():
-            Plan(job.experiment, home).run()
+        weights = home / WEIGHTS
+        failed = "" if weights.is_file() else _trained(job, home)
         trained = time.monotonic()
         clock: dict[str, Any] = {"training_s": round(trained - began, 1), "peak_memory_mb": peak_memory_mb()}
-        write_text(home / SCORES, json.dumps(self.scoring.of_job(job, weights), separators=(",", ":")) + "\n")
+        scores = failure(job, failed) if failed else self.scoring.of_job(job, weights)
+        write_text(home / SCORES, json.dumps(scores, separators=(",", ":")) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
         clock["scoring_s"] = round(time.monotonic() - trained, 1)
         clock["processor_s"] = round(time.process_time() - busy, 1)
         _note(home / "clock.jsonl", clock)
         return Done(files=(home / SCORES,), clock=clock)
+
+
+def _trained(job: Job, home: Path) -> str:
+    """Train a job; what went wrong if it diverged, which it would do again."""
+    try:
+        Plan(job.experiment, home).run()
+    except RuntimeError as error:
+        if "non-finite" not in str(error):
+            raise
+        return f"diverged: {error}"
+    return ""
+
+
+def failure(job: Job, why: str) -> Tree:
+    """The scores of a job that has none."""
+    return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": {}, "failed": why}
 
 
 def _note(path: Path, clock: Mapping[str, Any]) -> None:

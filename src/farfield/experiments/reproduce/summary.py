@@ -24,6 +24,7 @@ class Made:
         steps: Steps by network.
         planned: Number of trainings that were planned.
         done: Number of those that are done.
+        failed: Run, seed and reason of trainings that diverged.
         sets: Fingerprint of each set, and what was simulated for it.
     """
 
@@ -34,6 +35,7 @@ class Made:
     planned: int
     done: int
     sets: Mapping[str, tuple[str, Simulated | None]]
+    failed: Sequence[tuple[str, int, str]] = ()
 
 
 def summary_of(
@@ -60,6 +62,7 @@ def summary_of(
         "steps": dict(made.steps),
         "batch": settings.batch,
         "runs": {"planned": made.planned, "done": made.done},
+        "failed": [{"run": run, "seed": seed, "why": why} for run, seed, why in made.failed],
         "claims_sha256": claims.sha256,
         "score": settings.score.model_dump(mode="json"),
         "networks": settings.networks,
