@@ -2,7 +2,7 @@
 
 from farfield.bulk.engines import ENGINES, BulkError, Engine, Lost
 from farfield.bulk.journal import Journal
-from farfield.bulk.runs import HERE, Bulk, Outcome, faults, run, values
+from farfield.bulk.runs import HERE, Bulk, Outcome, Running, faults, run, values
 from farfield.bulk.units import Done, Unit, Work, blocks
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Journal",
     "Lost",
     "Outcome",
+    "Running",
     "Unit",
     "Work",
     "blocks",

@@ -1,8 +1,9 @@
 """A work over many units, from the plan to the last one."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from farfield.bulk.folders import locked, sweep_out
 from farfield.bulk.journal import Journal, Mark, mark_of, state_of
 from farfield.bulk.memory import fitting
 from farfield.bulk.signals import check
+from farfield.bulk.threads import one_thread
 from farfield.bulk.units import Done, Unit, Work
 from farfield.errors import ConfigError
 
@@ -70,6 +72,97 @@ class Outcome:
     clocks: dict[int, Any] = field(default_factory=dict)
 
 
+class Running:
+    """A work under way over the units that the journal does not have.
+
+    Who iterates over it gets the place of each unit: after workers did it, or, where ``here`` is true, before, and then
+    does it himself and hands in what it gave::
+
+        with Running(work, units, bulk, journal=journal) as running:
+            for place in bulk.progress(running):
+                if running.here:
+                    running.enter(place, work(units[place]))
+
+    Args:
+        work: What is done with each.
+        units: The units.
+        bulk: How.
+        journal: As of :func:`run`.
+
+    Raises:
+        BulkError: If the memory does not suffice; on leaving, if workers died twice over a unit.
+    """
+
+    def __init__(self, work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journal | None = None) -> None:
+        self.work, self.units, self.journal, self._engine = work, units, journal, bulk.engine
+        if journal is not None and journal.files:
+            sweep_out(journal.folder)
+        self.left = [place for place, unit in enumerate(units) if journal is None or not journal.has(unit)]
+        self.outcome = Outcome(skipped=len(units) - len(self.left))
+        self._workers = bulk.hands(work, len(self.left))
+        self._lost, self._source = list[tuple[str, str]](), ""
+        self._iterating: Generator[int, None, None] | None = None
+        self.here = bulk.engine == "local" and self._workers == 1
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def __iter__(self) -> Iterator[int]:
+        self._iterating = self._alone() if self.here else self._by_workers()
+        return self._iterating
+
+    def __enter__(self) -> "Running":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *unused: object) -> None:
+        if self._iterating is not None:
+            self._iterating.close()
+        if self.journal is not None:
+            self.journal.commit()
+            if self.journal.files and self.left:  # a worker that was killed left what it was at
+                sweep_out(self.journal.folder)
+        if kind is None:
+            _raise_for(self._lost, len(self.left))
+            if self.journal is not None:
+                self.journal.finish()
+
+    def enter(self, place: int, done: Done) -> None:
+        """Hand in what the unit at the place gave that the iteration came to last."""
+        value = done.value
+        if self.journal is not None:
+            value = _entry(self.journal.folder, self._source, done)
+        self._enter(place, replace(done, value=value))
+
+    def _enter(self, place: int, done: Done) -> None:
+        if self.journal is not None:
+            self.journal.add(self.units[place], *done.value)
+        self.outcome.written, self.outcome.clocks[place] = self.outcome.written + 1, done.clock
+
+    def _alone(self) -> Generator[int, None, None]:
+        with one_thread():
+            for place in self.left:
+                if self.journal is None:
+                    yield place
+                else:
+                    with locked(self.journal.folder, shared=True):
+                        self._source = state_of(self.units[place].sources, self.journal.setting)
+                        yield place
+                check()
+
+    def _by_workers(self) -> Generator[int, None, None]:
+        journal = self.journal
+        marking = self.work if journal is None else _Marking(self.work, journal.folder, journal.setting)
+        units = [self.units[place] for place in self.left]
+        with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
+            for index, done in results:
+                if isinstance(done, Lost):
+                    self._lost.append((units[index].name, done.why))
+                else:
+                    self._enter(self.left[index], done)
+                check()
+                yield self.left[index]
+
+
 def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journal | None = None) -> Outcome:
     """Do all units that the journal does not have, and enter them.
 
@@ -85,27 +178,11 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
     Raises:
         BulkError: If workers died twice over a unit; all others are done, and the same call tries these again.
     """
-    if journal is None:
-        outcome = Outcome()
-        for index, done in _work(work, units, bulk, ordered=False):
-            outcome.written, outcome.clocks[index] = outcome.written + 1, done.clock
-        return outcome
-    if journal.files:
-        sweep_out(journal.folder)
-    places = [place for place, unit in enumerate(units) if not journal.has(unit)]
-    outcome = Outcome(skipped=len(units) - len(places))
-    marking = _Marking(work, journal.folder, journal.setting)
-    try:
-        for index, done in _work(marking, [units[place] for place in places], bulk, ordered=False):
-            source, files, value = done.value
-            journal.add(units[places[index]], source, files, value)
-            outcome.written, outcome.clocks[places[index]] = outcome.written + 1, done.clock
-    finally:
-        journal.commit()
-        if journal.files and places:  # a worker that was killed left what it was at
-            sweep_out(journal.folder)
-    journal.finish()
-    return outcome
+    with Running(work, units, bulk, journal=journal) as running:
+        for place in bulk.progress(running):
+            if running.here:
+                running.enter(place, work(units[place]))
+    return running.outcome
 
 
 def faults(units: Sequence[Unit], journal: Journal) -> list[str]:
@@ -128,38 +205,36 @@ def values(work: Work, units: Sequence[Unit], bulk: Bulk = HERE) -> Iterator[Don
     Raises:
         BulkError: If workers died twice over a unit.
     """
-    for _, done in _work(work, units, bulk, ordered=True):
-        yield done
-
-
-def _work(work: Work, units: Sequence[Unit], bulk: Bulk, *, ordered: bool) -> Iterator[tuple[int, Done]]:
-    """What each unit gave; those that were lost are named at the end."""
-    if not units:
-        return
-    engine, lost = ENGINES[bulk.engine](), list[tuple[str, str]]()
-    results = engine.run(work, units, workers=bulk.hands(work, len(units)), ordered=ordered)
-    numbers = iter(bulk.progress(range(len(units))))
-    try:
-        next(numbers, None)
-        for index, done in results:
+    lost = list[tuple[str, str]]()
+    with closing(_results(bulk.engine, work, units, bulk.hands(work, len(units)), ordered=True)) as results:
+        for _ in bulk.progress(range(len(units))):
+            index, done = next(results)
             if isinstance(done, Lost):
                 lost.append((units[index].name, done.why))
             else:
-                yield index, done
+                yield done
             check()
-            next(numbers, None)
-    finally:
-        results.close()  # type: ignore[attr-defined]
-        close = getattr(numbers, "close", None)
-        if close is not None:
-            close()
-    if lost:
-        named = "; ".join(f"{name} ({why})" for name, why in lost[:_SHOWN])
-        more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-        raise BulkError(
-            f"{len(lost)} of {len(units)} units could not be done, since their workers died twice: {named}{more}. All "
-            "others are done. Run the same command again to try these, with fewer --workers if memory is short."
-        )
+    _raise_for(lost, len(units))
+
+
+def _results(
+    engine: str, work: Work, units: Sequence[Unit], workers: int, *, ordered: bool
+) -> Generator[tuple[int, Done | Lost], None, None]:
+    """What an engine gives of units, none included."""
+    if units:
+        yield from ENGINES[engine]().run(work, units, workers=workers, ordered=ordered)
+
+
+def _raise_for(lost: Sequence[tuple[str, str]], units: int) -> None:
+    """Name the units that were lost, if any."""
+    if not lost:
+        return
+    named = "; ".join(f"{name} ({why})" for name, why in lost[:_SHOWN])
+    more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    raise BulkError(
+        f"{len(lost)} of {units} units could not be done, since their workers died twice: {named}{more}. All others "
+        "are done. Run the same command again to try these, with fewer --workers if memory is short."
+    )
 
 
 @dataclass(frozen=True)
@@ -178,5 +253,9 @@ class _Marking:
         with locked(self.folder, shared=True):
             source = state_of(unit.sources, self.setting)
             done = self.work(unit)
-            files: dict[str, Mark] = {path.relative_to(self.folder).as_posix(): mark_of(path) for path in done.files}
-        return Done(value=(source, files, done.value), clock=done.clock)
+            return replace(done, files=(), value=_entry(self.folder, source, done))
+
+
+def _entry(folder: Path, source: str, done: Done) -> tuple[str, dict[str, Mark], Any]:
+    """What a journal keeps of a unit besides its name."""
+    return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in done.files}, done.value

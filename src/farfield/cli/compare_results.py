@@ -12,7 +12,7 @@ def run(
     names: str = "",
     label: str | None = None,
     figures: tuple[str, ...] = (),
-    by: Literal["none", "weather", "road", "time", "range", "visibility"] = "none",
+    by: Literal["none", "weather", "road", "time", "range", "visibility", "azimuth"] = "none",
     separate: bool = False,
     paper: bool = False,
 ) -> int:

@@ -128,6 +128,7 @@ def run(
         settings=evaluation.settings,
         provenance=evaluation.provenance,
         objects=evaluation.objects,
+        parts=evaluation.parts,
     )
     for name, measured in clocks.items():
         print(f"{name}: {measured['median_ms']:.1f} ms a frame from points to boxes (median of {measured['frames']})")

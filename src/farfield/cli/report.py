@@ -36,6 +36,7 @@ def run(evaluation: Positional[Path], *, out: Path | None = None, title: str = "
         settings=content.settings,
         provenance=content.provenance,
         objects=content.objects,
+        parts=content.parts,
         shown_score=shown_score,
     )
     print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")

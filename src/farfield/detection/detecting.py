@@ -1,6 +1,6 @@
 """From a detector and frames to what was found, ready to be scored."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from farfield.datasets.base import Dataset
 from farfield.detection.seeing import Frames, as_trained, suitable_clouds
 from farfield.detection.work import AnyDetector, Detecting, Found, points_in
 from farfield.errors import DatasetError
+from farfield.files.spool import Spool, alike
 from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics.detections import Detections
 
@@ -129,7 +130,7 @@ def detect(
         cloud: Which of the frames' clouds to read; by default the first of :func:`suitable_clouds`.
         annotated_only: Leave out frames without annotation, which no score counts.
         bulk: As of :class:`Search`.
-        journal: As of :class:`Search`.
+        journal: As of :class:`Search`; boxes and annotations too stand in a file then, of no name beside it.
         overwrite: As of :class:`Search`.
         progress: Wraps the frame numbers, to show progress; with ``bulk`` its own does.
 
@@ -147,8 +148,8 @@ def detect(
         overwrite=overwrite,
     )
     seen, clocks = prepared.work.seen, dict[int, float]()
-    boxes: dict[Key, Boxes] = {}
-    annotations: dict[Key, Annotation] = {}
+    boxes: MutableMapping[Key, Boxes] = {} if journal is None else Spool(journal.parent)
+    annotations: MutableMapping[Key, Annotation] = alike(boxes)
     conditions: dict[Key, Mapping[str, str]] = {}
     numbers = range(len(seen))
     for index, found in zip(progress(numbers) if bulk is None else numbers, prepared.found(clocks), strict=True):

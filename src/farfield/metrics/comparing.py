@@ -61,8 +61,8 @@ def compare(
         entries: The results, see :func:`read_results`.
         label: The class; None for all.
         figures: Names of figures; none for those that stand for a result.
-        by: ``"none"``: the figures of the whole; ``"range"``, ``"visibility"``, ``"weather"``, ``"road"``, ``"time"``:
-            the parts, a table a figure.
+        by: ``"none"``: the figures of the whole; ``"range"``, ``"visibility"``, ``"weather"``, ``"road"``, ``"time"``,
+            ``"azimuth"``: the parts, a table a figure.
         separate: Give each convention columns of its own instead of refusing to compare.
 
     Raises:
@@ -120,6 +120,9 @@ def _read(path: Path) -> dict[str, Tree]:
         raise FileFormatError(path, where="the text", expected="JSON", found=str(error)[:100]) from None
     inner = tree.get("results") if isinstance(tree, dict) else None
     found = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
+    for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and found is inner else ():
+        if isinstance(found.get(name), dict) and isinstance(beside, dict) and "conditions" in beside:
+            found[name] = {"conditions": beside["conditions"], **found[name]}
     for result in found.values():
         _check(path, result)
         for each in (result.get("labels") or {}).values():

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Shaped
 
 from farfield.errors import ConfigError
+from farfield.files.spool import Each, alike
 from farfield.frame.annotation import Annotation, CameraField
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
@@ -56,9 +58,9 @@ class Detections:
         return f"Detections({boxes} boxes in {len(self.boxes)} frames, {len(self.annotations)} annotated)"
 
     @property
-    def annotated(self) -> dict[Key, Boxes]:
+    def annotated(self) -> BoxesByFrame:
         """The annotated boxes by frame."""
-        return {key: annotation.boxes for key, annotation in self.annotations.items()}
+        return Each(self.annotations, attrgetter("boxes"))
 
     def replaced(self, boxes: BoxesByFrame) -> "Detections":
         """The same with other boxes, as a tracker gives them."""
@@ -113,7 +115,7 @@ class Detections:
         notes = list(self.notes)
         if strangers:
             notes.append(f"{len(strangers)} of {len(self.boxes)} frames are not annotated and do not count")
-        boxes, annotations, details, left = {}, {}, {}, _LeftOut()
+        boxes, annotations, details, left = alike(self.boxes), alike(self.annotations), {}, _LeftOut()
         for key, annotation in self.annotations.items():
             found, known = self.boxes.get(key, _NOTHING), self.prediction_details.get(key)
             if annotation.region is not None:

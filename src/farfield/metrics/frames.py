@@ -1,6 +1,6 @@
 """Predicted and annotated boxes by frame: what the protocols share before they part."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -29,27 +29,35 @@ def check_frames(predictions: BoxesByFrame, annotations: BoxesByFrame) -> None:
         )
 
 
-def flatten(parts: Sequence[Boxes], *, scored: bool) -> Boxes:
-    """Join the boxes of many frames; unlike ``Boxes.concatenate`` it drops what a score does not need.
+def flatten(parts: Iterable[Boxes], *, scored: bool) -> Boxes:
+    """Join the boxes of many frames, one part at a time; it drops what a score does not need.
 
     Raises:
         ConfigError: If scores are asked for and some box has none.
     """
-    parts = [part for part in parts if len(part.yaw_rad)]
-    if not parts:
+    names = ("centre_m", "size_m", "yaw_rad", "label", "score" if scored else "point_count")
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    counted = False
+    for part in parts:
+        if not len(part.yaw_rad):
+            continue
+        if scored:
+            check_scores(part)
+        counted |= part.point_count is not None
+        for name, column in columns.items():
+            values = getattr(part, name)
+            column.append(np.full(len(part), -1) if values is None else values)
+    if not columns["yaw_rad"]:
         return Boxes.empty(scored=scored)
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("centre_m", "size_m", "yaw_rad", "label")
-    }
-    if scored:
-        if any(part.score is None for part in parts):
-            raise ConfigError("predictions: expected a score for every box, got boxes without scores")
-        joined["score"] = np.concatenate([part.score for part in parts if part.score is not None])
-    elif any(part.point_count is not None for part in parts):
-        counts = [np.full(len(part), -1) if part.point_count is None else part.point_count for part in parts]
-        joined["point_count"] = np.concatenate(counts)
-    return Boxes(**joined)
+    if not scored and not counted:
+        del columns["point_count"]
+    return Boxes(**{name: np.concatenate(columns.pop(name)) for name in names if name in columns})
+
+
+def check_scores(boxes: Boxes) -> None:
+    """Raise ConfigError if predicted boxes have no scores."""
+    if boxes.score is None and len(boxes.yaw_rad):
+        raise ConfigError("predictions: expected a score for every box, got boxes without scores")
 
 
 def has_label(boxes: Boxes, label: str, relabel: Mapping[str, str]) -> Bool[np.ndarray, " n"]:

@@ -11,6 +11,7 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
 from farfield.metrics.result import Result, figure_names, value_at
 from farfield.registry import PluginError, Registry
+from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 if TYPE_CHECKING:
     from farfield.metrics.bootstrap import Weighted
@@ -45,6 +46,8 @@ class Protocol(ABC):
     """What it takes of the detections besides boxes: ``"conditions"``, ``"visibility"``, ``"details"``."""
     several_classes: ClassVar[bool] = False
     """Whether one result holds several classes, named by the setting ``classes``, as ``ap/CLASS/...``."""
+    classes: ClassVar[Mapping[str, str]] = {name: name for name in CIRRUS_CLASSES if name != "unknown"}
+    """All classes of the data that it is for, ours by the data's own name."""
     per_cent: ClassVar[bool] = False
     """Whether tables show its figures in per cent."""
 

@@ -147,6 +147,7 @@ _BESIDE = frozenset(
         "counts",
         "intervals",
         "curves",
+        "classes",
         "conditions",
         "visibility",
         "labels",

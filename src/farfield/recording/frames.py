@@ -3,7 +3,7 @@
 import errno
 import json
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,14 +115,15 @@ class Simulate:
 
     Args:
         recording: What is written where.
+        memory_bytes: What a worker needs at most.
     """
 
     recording: Recording
+    memory_bytes: int = field(init=False)
 
-    @property
-    def memory_bytes(self) -> int:
-        """What a worker needs at most."""
-        return _RADAR_WORKER_BYTES if _RADAR_SENSORS & {*self.recording.sensors} else _WORKER_BYTES
+    def __post_init__(self) -> None:
+        radar = _RADAR_SENSORS & {*self.recording.sensors}
+        object.__setattr__(self, "memory_bytes", _RADAR_WORKER_BYTES if radar else _WORKER_BYTES)
 
     def __call__(self, unit: Unit) -> Done:
         """Simulate one frame.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk import Bulk, Unit, run
+from farfield.bulk import Bulk, Running, Unit
 from farfield.bulk.journal import mark_of, state_of
 from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError
@@ -140,13 +140,17 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     for line in announced(recording, left, bulk.hands(work, left)):
         report(line)
     check_disk(recording, left)
-    outcome = run(work, units, bulk, journal=journal)
+    with Running(work, units, bulk, journal=journal) as running:
+        for place in bulk.progress(running):
+            if running.here:
+                running.enter(place, work(units[place]))
+    outcome = running.outcome
     if files_of(recording.preset).finishes and (outcome.written or not journal.has(_FINISHED)):
         files = writer_for(recording.preset, recording.out).finish() or ()  # calibration, times, splits, odometry
         marks = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in files}
         journal.add(_FINISHED, state_of((), journal.setting), marks)
         journal.finish()
-    said = journal.values(units[place].name for place in sorted(outcome.clocks))
+    said = journal.values([units[place].name for place in sorted(outcome.clocks)])
     verdicts = tuple(str(verdict or "written") for verdict in said)
     for line in concluded(recording, verdicts):
         report(line)

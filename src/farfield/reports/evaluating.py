@@ -11,6 +11,9 @@ from farfield.datasets.base import Dataset
 from farfield.detection import as_trained, detect, median_ms, suitable_clouds
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment
+from farfield.metrics import PROTOCOLS, Bootstrap
+from farfield.metrics.detections import Detections
+from farfield.metrics.parts import by_class, by_part, parts_json
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
 
@@ -59,7 +62,7 @@ def evaluate_clouds(
         ConfigError: If a cloud is missing or does not suit.
     """
     seen: Dataset = as_trained(data, detector)
-    results, objects, predicted = {}, {}, {}
+    results, objects, predicted, parts = {}, {}, {}, {}
     for name in clouds or suitable_clouds(detector, seen[0]):
         found = detect(
             detector,
@@ -71,8 +74,8 @@ def evaluate_clouds(
             overwrite=overwrite,
         )
         results[name] = found.score(protocol, **options).to_json()
-        annotated = {key: annotation.boxes for key, annotation in found.annotations.items()}
-        objects[name] = annotated_objects(found.boxes, annotated)
+        parts[name] = _parts(found, protocol, options, by_condition="conditions" not in results[name])
+        objects[name] = annotated_objects(found.boxes, found.annotated)
         predicted[name] = found.boxes
         if clocks is not None and found.ms:
             clocks[name] = {"frames": len(found.ms), "median_ms": round(median_ms(found), 1)}
@@ -80,6 +83,7 @@ def evaluate_clouds(
         title=title,
         results=results,
         objects=objects,
+        parts=parts,
         frames=[_view(seen, index, predicted) for index in _spread(len(seen), shown_frames)],
         settings={
             "detector": type(detector.network).__name__,
@@ -98,6 +102,16 @@ def evaluate_clouds(
             **(provenance or {}),
         },
     )
+
+
+def _parts(found: Detections, protocol: str, options: Mapping[str, Any], *, by_condition: bool) -> dict[str, Any]:
+    """Figures by condition and sector, over the whole range, and a row for each class of the data."""
+    chosen = PROTOCOLS[protocol]
+    edges_m = options.get("range_bins_m") or chosen.default("range_bins_m") or ()
+    whole = {**options, **({"range_bins_m": (edges_m[0], edges_m[-1])} if edges_m else {})}
+    tree = parts_json(by_part(found, chosen, **whole)) if by_condition else {}
+    still = {"bootstrap": Bootstrap(replicates=0)} if "bootstrap" in chosen.options() else {}
+    return {**tree, "classes": {row.label: row.to_json() for row in by_class(found, chosen, **{**whole, **still})}}
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -61,6 +61,8 @@ class Evaluation:
         provenance: Where it comes from: versions, seed, commit, data fingerprint, ``simulated`` (bool).
         frames: Frames to show.
         objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
+        parts: Figures by condition and sector and rows of all classes, by result name, see
+            :func:`farfield.metrics.parts.parts_json` and :func:`farfield.metrics.parts.by_class`.
         title: Title of the report.
     """
 
@@ -69,6 +71,7 @@ class Evaluation:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     frames: list[FrameView] = field(default_factory=list)
     objects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     title: str = "Farfield evaluation"
 
     def save(self, folder: Path | str) -> Path:
@@ -89,6 +92,7 @@ class Evaluation:
             "settings": self.settings,
             "provenance": self.provenance,
             "objects": self.objects,
+            "parts": self.parts,
             "frames": names,
         }
         write_text(folder / EVALUATION, json.dumps(content, indent=1, allow_nan=False, default=str) + "\n")
@@ -130,6 +134,7 @@ class Evaluation:
             provenance=content["provenance"],
             frames=frames,
             objects=content.get("objects") or {},
+            parts=content.get("parts") or {},
             title=str(content.get("title", cls.title)),
         )
 

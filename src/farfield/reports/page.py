@@ -8,6 +8,7 @@ from typing import Any
 from farfield.files.atomic import write_text
 from farfield.reports import words
 from farfield.reports.evaluation import Evaluation, FrameView
+from farfield.reports.parts import class_rows, condition_tables
 from farfield.reports.pictures import Picture, frame_pictures, pattern_picture
 from farfield.reports.plots import points_against_range, precision_recall
 from farfield.reports.results import ap_names, epsilons, scored_labels
@@ -28,6 +29,7 @@ def write_report(
     settings: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Any] | None = None,
     objects: Mapping[str, Mapping[str, Any]] | None = None,
+    parts: Mapping[str, Mapping[str, Any]] | None = None,
     shown_score: float = 0.3,
 ) -> Path:
     """Write the report page, all or nothing.
@@ -40,6 +42,7 @@ def write_report(
         settings: What the detector and the run were set to.
         provenance: Versions, seed, commit, data fingerprint, ``simulated`` (bool), ``trained_on``.
         objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
+        parts: Figures by condition and sector and rows of all classes, see :class:`Evaluation`.
         shown_score: Predictions below this score are left out of pictures.
 
     Returns:
@@ -54,6 +57,7 @@ def write_report(
             settings=settings or {},
             provenance=provenance or {},
             objects=objects or {},
+            parts=parts or {},
         ),
         shown_score=shown_score,
     )
@@ -85,6 +89,8 @@ def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
         part_rows=rows(results, parts),
         all_epsilons=all_epsilons,
         detail_rows=rows(results, [f"dds/{e}/{part}" for e in all_epsilons for part in ("dds", "map", "aiou")]),
+        condition_tables=condition_tables(evaluation.parts, names),
+        class_rows=class_rows(evaluation.parts, names),
         result_names=list(results),
         curves=_curves(results),
         patterns=_patterns(evaluation.frames),

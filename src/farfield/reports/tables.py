@@ -71,6 +71,8 @@ def score_names(results: Results) -> list[str]:
 def score_title(name: str) -> str:
     """Head of a figure's column: ``DDS``, ``wDDS 0.006``, ``mAP``, ``aIoU``, ``AP 0.5 m`` or ``AP 3d r40``."""
     kind, *steps = name.split("/")
+    if not steps:
+        return {"map": "mAP"}.get(kind, kind)
     if kind == "ap":
         metres = len(steps) == 1 and steps[0].replace(".", "", 1).isdecimal()
         return f"AP {float(steps[0]):g} m" if metres else " ".join(["AP", *steps])

@@ -1,18 +1,19 @@
 """All frames of an evaluation by centre distance as flat arrays: one class, one region."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.errors import ConfigError
-from farfield.frame.drive import Drive
+from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.frames import (
     BoxesByFrame,
     check_frames,
+    check_scores,
     flatten,
     frame_order,
     group_frames,
@@ -95,16 +96,10 @@ def gather(
     """
     check_frames(predictions, annotations)
     keys = sorted(annotations, key=frame_order)
-    found = [predictions[key] for key in keys if key in predictions]
-    found_frame = np.array([i for i, key in enumerate(keys) if key in predictions], dtype=np.int64)
-    predicted = flatten(found, scored=True)
-    frame = np.repeat(found_frame, [len(part) for part in found]) if found else np.zeros(0, dtype=np.int64)
-    keep = _best_of_frame(predicted, frame, settings.max_boxes)
-    over_limit = len(predicted) - int(keep.sum())
-    keep &= has_label(predicted, settings.label, settings.relabel)
-    parts = [annotations[key] for key in keys]
-    annotated = flatten(parts, scored=False)
-    annotated_frame = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    counts = np.zeros((3, len(keys)), dtype=np.int64)  # predictions that count, those over the limit, annotated boxes
+    predicted = flatten(_that_count(predictions, keys, settings, counts), scored=True)
+    annotated = flatten(_every(annotations, keys, counts), scored=False)
+    annotated_frame = np.repeat(np.arange(len(keys)), counts[2])
     ignored = np.zeros(len(annotated), dtype=bool)
     for name in settings.ignore:
         ignored |= has_label(annotated, name, settings.relabel)
@@ -113,24 +108,44 @@ def gather(
     group, grouped_by = group_frames(keys, drives)
     scene = Scene(
         predicted=predicted,
-        predicted_frame=frame,
+        predicted_frame=np.repeat(np.arange(len(keys)), counts[0]),
         annotated=annotated,
         annotated_frame=annotated_frame,
         ignored=ignored,
         group=group,
         grouped_by=grouped_by,
-        over_limit=over_limit,
+        over_limit=int(counts[1].sum()),
     )
-    return scene.cut(keep & in_region(predicted, settings), counted & in_region(annotated, settings))
+    return scene.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings))
 
 
-def _best_of_frame(boxes: Boxes, frame: Int[np.ndarray, " n"], limit: int) -> Bool[np.ndarray, " n"]:
+def _that_count(
+    predictions: BoxesByFrame, keys: Sequence[Key], settings: CentreSettings, counts: Int[np.ndarray, "3 frames"]
+) -> Iterator[Boxes]:
+    """The predictions of each frame that count, and how many those are and how many were over the limit."""
+    for place, key in enumerate(keys):
+        if key in predictions:
+            boxes = predictions[key]
+            check_scores(boxes)
+            keep = _best(boxes, settings.max_boxes)
+            counts[1, place] = len(boxes) - np.count_nonzero(keep)
+            keep &= has_label(boxes, settings.label, settings.relabel) & in_region(boxes, settings)
+            counts[0, place] = np.count_nonzero(keep)
+            yield boxes[keep]
+
+
+def _every(annotations: BoxesByFrame, keys: Sequence[Key], counts: Int[np.ndarray, "3 frames"]) -> Iterator[Boxes]:
+    for place, key in enumerate(keys):
+        boxes = annotations[key]
+        counts[2, place] = len(boxes)
+        yield boxes
+
+
+def _best(boxes: Boxes, limit: int) -> Bool[np.ndarray, " n"]:
+    """Which boxes of a frame are among its best by score."""
     keep = np.ones(len(boxes), dtype=bool)
-    counts = np.bincount(frame) if len(frame) else np.zeros(0, dtype=np.int64)
-    for crowded in np.flatnonzero(counts > limit):
-        members = np.flatnonzero(frame == crowded)
-        score: Float[np.ndarray, " k"] = boxes.score[members]  # type: ignore[index]
-        keep[members[np.argsort(-score, kind="stable")[limit:]]] = False
+    if len(boxes) > limit and boxes.score is not None:
+        keep[np.argsort(-boxes.score, kind="stable")[limit:]] = False
     return keep
 
 

@@ -14,6 +14,7 @@ from farfield.metrics.deciding.decision import Decision, Hypothesis, decide, hol
 from farfield.metrics.deciding.difference import Difference, Spread, difference, difference_of, measured, pooled
 from farfield.metrics.deciding.power import half_width, power
 from farfield.metrics.deciding.samples import Sample, Scalar, figure, sample, samples
+from farfield.metrics.deciding.switching import Switched, best_by, switched, switching_gains
 
 __all__ = [
     "Decision",
@@ -22,6 +23,8 @@ __all__ = [
     "Sample",
     "Scalar",
     "Spread",
+    "Switched",
+    "best_by",
     "decide",
     "difference",
     "difference_of",
@@ -33,4 +36,6 @@ __all__ = [
     "power",
     "sample",
     "samples",
+    "switched",
+    "switching_gains",
 ]

@@ -12,7 +12,7 @@ from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, we
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
 from farfield.metrics.protocol import Protocol
-from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
+from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
 
 if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
@@ -29,6 +29,7 @@ class KRadar(Protocol):
     Settings = KRadarSettings
     uses = frozenset({"conditions", "visibility"})
     several_classes = True
+    classes = CIRRUS_FROM_KRADAR
     per_cent = True
 
     @property

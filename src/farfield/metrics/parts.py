@@ -1,0 +1,231 @@
+"""Parts of what was found: the frames of a road, a weather or a time of day, the boxes of a sector; and every class."""
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from farfield.files.spool import Each, alike
+from farfield.geometry.boxes import Boxes
+from farfield.metrics.detections import Detections
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.protocol import PROTOCOLS, Protocol
+from farfield.metrics.result import Result, nest
+from farfield.vocabulary.conditions import CONDITIONS
+
+AZIMUTHS_DEG = (0.0, 15.0, 30.0, 60.0)
+"""Edges of the sectors to both sides of straight ahead: a Gaussian pattern is densest in the middle."""
+
+KINDS = (*CONDITIONS, "azimuth")
+"""By what detections can be parted."""
+
+
+def parts(
+    found: Detections, kinds: Collection[str] = KINDS, *, azimuths_deg: Sequence[float] = AZIMUTHS_DEG
+) -> dict[str, dict[str, Detections]]:
+    """Detections by condition of their frames and by sector.
+
+    A sector such as ``"15-30"`` holds the annotated and predicted boxes whose own azimuth, to the left or to the
+    right, lies in [15, 30) degrees: each sector is scored as if there were nothing beside it, as range bins are.
+
+    Args:
+        found: Detections.
+        kinds: Some of :data:`KINDS`; a condition that no frame states has no entry.
+        azimuths_deg: Edges of the sectors, degrees, rising.
+
+    Returns:
+        By kind and value, such as ``["road"]["urban"]``, in the order of the vocabulary.
+    """
+    found, parted = found.counted(), dict[str, dict[str, Detections]]()
+    for kind in (kind for kind in CONDITIONS if kind in kinds):
+        stated = {key: known[kind] for key, known in found.conditions.items() if kind in known}
+        present = set(stated.values())
+        values = [name for name in CONDITIONS[kind] if name in present]
+        values += sorted(present.difference(values))
+        if values:
+            parted[kind] = {value: _of_frames(found, {k for k, v in stated.items() if v == value}) for value in values}
+    if "azimuth" in kinds:
+        edges = [(low, high) for low, high in pairwise(map(float, azimuths_deg))]
+        parted["azimuth"] = {
+            f"{low:g}-{high:g}": _of_boxes(found, partial(_in_sector, low, high)) for low, high in edges
+        }
+    return parted
+
+
+def by_part(
+    found: Detections,
+    protocol: str | Protocol = "dds",
+    kinds: Collection[str] = KINDS,
+    *,
+    azimuths_deg: Sequence[float] = AZIMUTHS_DEG,
+    **settings: Any,
+) -> dict[str, dict[str, Result]]:
+    """Score each part of the detections by itself; arguments are those of :func:`parts` and of ``Detections.score``.
+
+    All parts have the class that is most frequent in the whole unless one is given.
+
+    Raises:
+        ConfigError: As of ``Detections.score``.
+    """
+    chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+    if settings.get("label") is None and "label" in chosen.options():
+        settings["label"] = getattr(chosen.settings(found.counted(), **settings), "label", None)
+    parted = parts(found, kinds, azimuths_deg=azimuths_deg)
+    return {
+        kind: {value: part.score(chosen, **settings) for value, part in values.items()}
+        for kind, values in parted.items()
+    }
+
+
+def parts_json(scored: Mapping[str, Mapping[str, Result]]) -> dict[str, Any]:
+    """The figures of parts as JSON values, under the names that K-Radar's results have them under.
+
+    Args:
+        scored: What :func:`by_part` gives.
+
+    Returns:
+        ``conditions`` and ``counts`` by kind and value, ``intervals`` by ``"kind/value"``; null is "not annotated".
+    """
+    tree: dict[str, Any] = {"conditions": {}, "counts": {}, "intervals": {}}
+    for kind, values in scored.items():
+        for value, part in values.items():
+            known = any(figure is not None for figure in part.figures.values())
+            tree["conditions"].setdefault(kind, {})[value] = nest(part.figures) if known else None
+            counts = {name: number for name, number in part.counts.items() if isinstance(number, int)}
+            tree["counts"].setdefault(kind, {})[value] = counts
+            tree["intervals"][f"{kind}/{value}"] = nest(part.intervals.get("overall", {}))
+    return tree
+
+
+def _of_frames(found: Detections, keys: Collection[Any]) -> Detections:
+    boxes, annotations = alike(found.boxes), alike(found.annotations)
+    for key in (key for key in found.annotations if key in keys):
+        boxes[key], annotations[key] = found.boxes[key], found.annotations[key]
+    return replace(
+        found,
+        boxes=boxes,
+        annotations=annotations,
+        prediction_details={key: rows for key, rows in found.prediction_details.items() if key in annotations},
+        conditions={key: known for key, known in found.conditions.items() if key in annotations},
+    )
+
+
+def _of_boxes(found: Detections, inside: Callable[[Boxes], Bool[np.ndarray, " n"]]) -> Detections:
+    masks = {key: inside(found.boxes[key]) for key in found.prediction_details}
+    details = {
+        key: {name: np.asarray(rows)[masks[key]] for name, rows in known.items()}
+        for key, known in found.prediction_details.items()
+    }
+    return replace(
+        found,
+        boxes=Each(found.boxes, partial(_cut, inside)),
+        annotations=Each(found.annotations, partial(_cut_annotation, inside)),
+        prediction_details=details,
+    )
+
+
+def _cut(inside: Callable[[Boxes], Any], boxes: Boxes) -> Boxes:
+    return boxes[inside(boxes)]
+
+
+def _cut_annotation(inside: Callable[[Boxes], Any], annotation: Any) -> Any:
+    return annotation[inside(annotation.boxes)]
+
+
+def _in_sector(low_deg: float, high_deg: float, boxes: Boxes) -> Bool[np.ndarray, " n"]:
+    beside = np.abs(np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0]))
+    return (beside >= math.radians(low_deg)) & (beside < math.radians(high_deg))
+
+
+@dataclass(frozen=True)
+class ClassRow:
+    """One class in a table of all classes.
+
+    Args:
+        label: The class.
+        annotated: How many boxes of it are annotated; where it is scored by itself, in the region that counts.
+        figures: Its figures by name; None where there is none.
+        why: Why there is none: ``"not annotated"``, ``"not learnt"``, or ``"counted as vehicle"``; empty if there is.
+    """
+
+    label: str
+    annotated: int
+    figures: Mapping[str, float | None] | None
+    why: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The row as JSON values."""
+        return {"annotated": self.annotated, "figures": self.figures, **({"why": self.why} if self.why else {})}
+
+
+def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: Any) -> list[ClassRow]:
+    """A row for each class of a data set, null where nothing is annotated or learnt.
+
+    The classes are the protocol's: Cirrus' eight, or for K-Radar's protocols its seven, of which the two groups are
+    counted as what they are groups of. A class stands for itself where the detector learnt it; where it learnt the
+    class only under another name (large vehicles as vehicles) it is counted there, as the setting ``relabel`` says.
+
+    Args:
+        found: Detections; without a word on what the detector learnt, the classes that it found count as learnt.
+        protocol: The protocol or its name.
+        **settings: Its settings; a label is of no use here.
+
+    Raises:
+        ConfigError: If a setting is unknown or impossible.
+    """
+    chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+    found, settings = found.counted(), {name: value for name, value in settings.items() if name != "label"}
+    annotated, learnt = _labels(found.annotated), set(found.classes) or set(_labels(found.boxes))
+    relabel = {**(settings.get("relabel") or chosen.default("relabel") or {})}
+    relabel = {name: other for name, other in relabel.items() if name not in learnt}
+    given = {**settings, "relabel": relabel}
+    rows, seen = list[ClassRow](), set[str]()
+    for name, label in chosen.classes.items():
+        other = relabel.get(label, label)
+        number = sum(count for each, count in annotated.items() if relabel.get(each, each) == label)
+        if label in seen:
+            rows.append(ClassRow(name, 0, None, f"counted as {label}"))
+        elif other != label and other in chosen.classes.values():
+            rows.append(ClassRow(name, annotated.get(label, 0), None, f"counted as {other}"))
+        elif not number:
+            rows.append(ClassRow(name, 0, None, "not annotated"))
+        elif not any(relabel.get(each, each) == label for each in learnt):
+            rows.append(ClassRow(name, number, None, "not learnt"))
+        else:
+            figures, counted = _figures_of(found, chosen, label, settings if chosen.several_classes else given)
+            why = "" if figures else f"not scored by {chosen}"
+            rows.append(ClassRow(name, number if counted is None else counted, figures, why))
+        seen.add(label)
+    return rows
+
+
+def _figures_of(
+    found: Detections, protocol: Protocol, label: str, settings: Mapping[str, Any]
+) -> tuple[dict[str, float | None] | None, int | None]:
+    """The headline of one class, None where the protocol leaves the class out, and how many boxes of it counted."""
+    given = dict(settings)
+    if "ignore" in protocol.options():
+        ignore = settings.get("ignore") or protocol.default("ignore") or ()
+        given["ignore"] = tuple(name for name in ignore if name != label)
+    if not protocol.several_classes:
+        given["label"] = label
+    result = found.evaluated(protocol, protocol.settings(found, **given)).to_json()
+    figures, prefix = protocol.headline(result), f"ap/{label}/"
+    if not protocol.several_classes:
+        counted = result["counts"].get("annotated")
+        return dict(figures), counted if isinstance(counted, int) else None
+    own = {name.removeprefix(prefix): value for name, value in figures.items() if name.startswith(prefix)}
+    return own or None, None
+
+
+def _labels(boxes: BoxesByFrame) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for part in boxes.values():
+        for name in np.asarray(part.label).tolist():
+            counts[name] = counts.get(name, 0) + 1
+    return counts

@@ -1,0 +1,59 @@
+"""Values that stand in a file instead of in memory."""
+
+import pickle
+import tracemalloc
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield.files.spool import Each, Spool, alike
+
+
+def test_gives_back_what_was_put_in_whatever_came_between(tmp_path: Path) -> None:
+    spool = Spool[str, np.ndarray](tmp_path / "made")
+    spool["a"], spool["b"] = np.arange(5), np.arange(3)
+    assert spool["a"].tolist() == [0, 1, 2, 3, 4]
+    spool["c"] = np.arange(2)  # written after something was read
+    spool["a"] = np.arange(1)
+    assert {name: len(values) for name, values in spool.items()} == {"a": 1, "b": 3, "c": 2}
+    del spool["b"]
+    assert list(spool) == ["a", "c"]
+    assert len(spool) == 2
+    assert "b" not in spool
+    with pytest.raises(KeyError):
+        spool["b"]
+
+
+def test_leaves_no_file(tmp_path: Path) -> None:
+    spool = Spool[int, int](tmp_path)
+    spool[0] = 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_values_do_not_stand_in_memory(tmp_path: Path) -> None:
+    spool = Spool[int, bytes](tmp_path)
+    tracemalloc.start()
+    try:
+        for number in range(200):
+            spool[number] = bytes(100_000)
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000  # of 20 MB
+    finally:
+        tracemalloc.stop()
+
+
+def test_views_follow_and_pickle_as_a_dictionary(tmp_path: Path) -> None:
+    spool = Spool[str, tuple[int, str]](tmp_path)
+    view = Each(spool, itemgetter(1))
+    spool["x"] = (1, "one")
+    assert dict(view) == {"x": "one"}
+    assert "x" in view
+    assert len(view) == 1
+    assert pickle.loads(pickle.dumps(spool)) == {"x": (1, "one")}
+
+
+def test_alike_keeps_values_where_the_other_does(tmp_path: Path) -> None:
+    assert isinstance(alike(Spool(tmp_path)), Spool)
+    assert alike({}) == {}
+    assert isinstance(alike({}), dict)
