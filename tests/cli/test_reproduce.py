@@ -38,7 +38,7 @@ def test_a_plan_says_what_it_costs_and_runs_nothing(
         assert f"{len(RUNS)} runs x 2 seeds, {2 * len(RUNS)} trainings; steps: grid 4" in said
         assert "core minutes" in said
         assert "C4: not run at this budget" in said
-    assert sorted(path.name for path in out.iterdir()) == ["plan.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["measured.json", "plan.json"]
 
 
 def _tiny(paper: str) -> object:

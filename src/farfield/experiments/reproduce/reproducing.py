@@ -6,7 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from farfield.experiments.reproduce.deciding import Judge, Scores
 from farfield.experiments.reproduce.feature_maps import feature_maps
 from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, measure, measure_simulating
+from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, Pace, measure, measure_simulating
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
@@ -30,7 +30,7 @@ from farfield.experiments.reproduce.statistics import objects_in
 from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
 from farfield.files.atomic import read_bytes, write_text
 
-PLAN, SUMMARY, TIMING, PAGE = "plan.json", "reproduction.json", "timing.json", "report.html"
+MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
 Said = Callable[[str], object]
 
@@ -126,20 +126,25 @@ class Reproduction:
     @property
     def _asked(self) -> Tree:
         """What a plan was made for."""
-        declared = hashlib.sha256(self.grid.model_dump_json().encode()).hexdigest()
+        return {**self._measured_for, "minutes": self.minutes}
+
+    @property
+    def _measured_for(self) -> Tree:
         return {
             "budget": self.budget,
-            "minutes": self.minutes,
             "workers": self.hands,
-            "grid": declared,
+            "grid": hashlib.sha256(self.grid.model_dump_json().encode()).hexdigest(),
             "data": None if self.data is None else str(self.data.resolve()),
             "source": None if self.source is None else str(self.source.resolve()),
         }
 
-    def _planned(self) -> planning.Outline:
-        places, scratch = self.places, self.out / ".measure"
+    def _measured(self, places: Mapping[str, Place]) -> tuple[dict[str, Pace], dict[str, float]]:
+        """The pace of each kind of run, and core seconds a simulated frame by set: measured once."""
+        kept = _read(self.out / MEASURED)
+        if kept.get("for") == self._measured_for:
+            return planning.paces_of(kept), dict(kept["simulating_s"])
+        scratch = self.out / ".measure"
         self.out.mkdir(parents=True, exist_ok=True)
-        jobs = self.jobs(places)
         needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
         self.said("measuring: a few simulated frames, then a few steps of each kind of run")
         simulating, small = measure_simulating(
@@ -151,6 +156,14 @@ class Reproduction:
             self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
         )
         shutil.rmtree(scratch, ignore_errors=True)
+        found = {"paces": {kind: asdict(pace) for kind, pace in paces.items()}, "simulating_s": simulating}
+        write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
+        return paces, simulating
+
+    def _planned(self) -> planning.Outline:
+        places = self.places
+        jobs = self.jobs(places)
+        paces, simulating = self._measured(places)
         left = {name: seconds for name, seconds in simulating.items() if not places[name].path.exists()}
         frames = self._frames_scored(places)
         limits = [self.settings.core_minutes, None if self.minutes is None else self.minutes * self.hands]
