@@ -165,11 +165,11 @@ def fitted(
             return share, cost
         if settings.lowered(share) == settings.lowered(_SHARES[-1]):
             break
+    parts = f"simulating {cost.simulating:.0f}, training {cost.training:.0f}, scoring {cost.scoring:.0f}"
     raise ConfigError(
         f"minutes: expected at least {cost.core_minutes:.0f} core minutes, which {len(jobs)} runs take on this machine "
-        f"with the fewest steps, {settings.least_steps} (simulating {cost.simulating:.0f}, training {cost.training:.0f}, "
-        f"scoring {cost.scoring:.0f}); got {core_minutes:.0f}. Runs with fewer steps say nothing of a method. Give more "
-        "--minutes, more --workers or another --budget."
+        f"with the fewest steps, {settings.least_steps} ({parts}); got {core_minutes:.0f}. Runs with fewer steps say "
+        "nothing of a method. Give more --minutes, more --workers or another --budget."
     )
 
 
