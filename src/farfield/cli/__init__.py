@@ -18,6 +18,7 @@ VERBS = {
     "experiments": "list the experiments that ship, or print one as YAML",
     "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
     "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
+    "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
     "import-weights": "turn an OpenPCDet checkpoint into a weights file",
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",

@@ -189,6 +189,7 @@ METHODS: Registry[Callable[..., Method]] = Registry(
     "training method",
     {
         "supervised": "farfield.training.method:Supervised",
+        "continued": "farfield.adaptation.continued:Continued",
         "range": "farfield.adaptation.range:RangeAdaptation",
         "device": "farfield.adaptation.device:DeviceAdaptation",
         "pattern": "farfield.adaptation.pattern:PatternAdaptation",

@@ -7,7 +7,7 @@ from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.metrics import Bootstrap, Detections, Protocol
 from farfield.metrics.centre.dds import Dds
-from farfield.metrics.deciding import figure, sample
+from farfield.metrics.deciding import figure, sample, samples
 from metrics.scenes import random_scene
 
 
@@ -93,3 +93,38 @@ def test_what_is_not_there_is_named() -> None:
 def test_a_protocol_without_weights_says_so() -> None:
     with pytest.raises(ConfigError, match="whose figures can be resampled"):
         sample(found(), figure("dds/0/dds"), protocol=Unweighted(), replicates=2)
+
+
+def test_several_numbers_at_once_are_those_taken_one_by_one() -> None:
+    scalars = {"all": figure("dds/0/dds"), "lost": figure("dds/0/dds", "0-70") - figure("dds/0/dds", "70-150")}
+    together = samples(found(), scalars, replicates=25, seed=2)
+    for name, scalar in scalars.items():
+        alone = sample(found(), scalar, replicates=25, seed=2)
+        assert together[name].value == alone.value
+        np.testing.assert_array_equal(together[name].draws, alone.draws)
+        assert together[name].drawn == alone.drawn
+
+
+def test_of_some_frames_sequences_are_drawn_as_of_all() -> None:
+    whole, scalar = found(), figure("dds/0/dds")
+    some = sorted(whole.annotations)[::3]  # of some sequences other frames than of others
+    few = Detections(
+        boxes={key: whole.boxes[key] for key in some if key in whole.boxes},
+        annotations={key: whole.annotations[key] for key in some},
+    )
+    taken = samples(whole, {"": scalar}, replicates=20, frames=some)[""]
+    assert taken.value == sample(few, scalar, replicates=2).value
+    everything = samples(whole, {"": scalar}, replicates=20, frames=[*whole.annotations])[""]
+    plain = sample(whole, scalar, replicates=20)
+    np.testing.assert_array_equal(everything.draws, plain.draws)
+    assert taken.drawn == plain.drawn  # so that both can be compared
+    assert not np.array_equal(taken.draws, plain.draws)
+
+
+def test_of_frames_of_one_sequence_each_draw_weighs_it_as_often_as_it_came() -> None:
+    whole = found()
+    one = [key for key in whole.annotations if key[0] == next(iter(whole.annotations))[0]]
+    taken = samples(whole, {"": figure("dds/0/dds")}, replicates=40, frames=one)[""]
+    known = taken.draws[np.isfinite(taken.draws)]
+    np.testing.assert_allclose(known, taken.value)  # a single sequence, however often it is drawn
+    assert 0 < len(known) < 40  # some draws have it not at all

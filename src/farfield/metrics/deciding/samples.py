@@ -1,14 +1,15 @@
 """One number of a run, and the same number under draws of its sequences."""
 
 import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.errors import ConfigError
+from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Statistics, Weighted, replicate_weights
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
@@ -117,25 +118,85 @@ def sample(
     Raises:
         ConfigError: If the protocol, a setting, a part or a figure is unknown, or the protocol cannot be resampled.
     """
+    return samples(found, {"": scalar}, protocol=protocol, replicates=replicates, seed=seed, **settings)[""]
+
+
+def samples(
+    found: Detections,
+    scalars: Mapping[str, Scalar],
+    *,
+    protocol: str | Protocol = "dds",
+    replicates: int = REPLICATES,
+    seed: int = 0,
+    frames: Collection[Key] | None = None,
+    **settings: Any,
+) -> dict[str, Sample]:
+    """Several numbers of a run, each part of the result evaluated once a draw.
+
+    Args:
+        found: What a detector found.
+        scalars: The numbers by name.
+        protocol: The protocol or its name.
+        replicates: How many draws.
+        seed: Seed of the draws.
+        frames: Only these frames count, though sequences are drawn as if all did; None: all.
+        **settings: Settings of the protocol.
+
+    Raises:
+        ConfigError: As of :func:`sample`.
+    """
     chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
     counted = found.counted()
     resolved = chosen.settings(counted, **settings)
     weighted = chosen.weighted(counted, resolved)
-    unknown = [part for part in scalar.parts if part not in weighted.parts]
+    keys = sorted(counted.annotations, key=frame_order)
+    groups, text = max(weighted.groups, default=-1) + 1, repr([*zip(keys, weighted.groups, strict=True)])
+    drawn = hashlib.sha256(f"{text}{replicates} {seed}".encode()).hexdigest()[:16]
+    known = (weighted.grouped_by, groups)
+    place: Int[np.ndarray, " some"] | None = None
+    if frames is not None:
+        weighted, place = _of_frames(chosen, counted, resolved, weighted, keys, frames)
+    parts = tuple(dict.fromkeys(part for scalar in scalars.values() for part in scalar.parts))
+    unknown = [part for part in parts if part not in weighted.parts]
     if unknown:
         raise ConfigError(f"part: expected some of {', '.join(weighted.parts)}; got {', '.join(unknown)}")
-    groups = max(weighted.groups, default=-1) + 1
     beyond = _beyond_reach(resolved, found.reach_m)
-    value_of = _Valued(weighted, scalar, hidden=any(part in beyond for part in scalar.parts))
-    keys = sorted(counted.annotations, key=frame_order)
-    text = repr([*zip(keys, weighted.groups, strict=True), replicates, seed])
-    return Sample(
-        value=value_of(np.ones(groups)),
-        draws=drawn_values(value_of, groups, replicates=replicates, seed=seed),
-        drawn=hashlib.sha256(text.encode()).hexdigest()[:16],
-        grouped_by=weighted.grouped_by,
-        groups=groups,
+    values = _Valued(weighted, scalars, parts, beyond, place)
+    whole, draws = values(np.ones(groups)), _drawn(values, groups, len(scalars), replicates, seed)
+    return {
+        name: Sample(value=whole[row], draws=draws[row], drawn=drawn, grouped_by=known[0], groups=known[1])
+        for row, name in enumerate(scalars)
+    }
+
+
+def _of_frames(
+    protocol: Protocol, found: Detections, settings: Any, whole: Weighted, keys: Sequence[Key], frames: Collection[Key]
+) -> tuple[Weighted, Int[np.ndarray, " some"]]:
+    """The figures of some frames, and of each of their groups which one of the whole it is."""
+    kept = [key for key in keys if key in frames]
+    some = replace(
+        found,
+        boxes={key: found.boxes[key] for key in kept},
+        annotations={key: found.annotations[key] for key in kept},
     )
+    weighted = protocol.weighted(some, settings)
+    of_key = dict(zip(keys, whole.groups, strict=True))
+    place = np.zeros(max(weighted.groups, default=-1) + 1, dtype=np.int64)
+    place[list(weighted.groups)] = [of_key[key] for key in kept]
+    return weighted, place
+
+
+def _drawn(values: "_Valued", groups: int, count: int, replicates: int, seed: int) -> Float[np.ndarray, "count draws"]:
+    """Numbers under draws of groups, NaN where they are None; few groups are drawn alike again and again."""
+    known: dict[bytes, list[float]] = {}
+    found = np.full((count, replicates), np.nan)
+    weights = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((0, 0))
+    for column, weight in enumerate(weights):
+        key = weight.tobytes()
+        if key not in known:
+            known[key] = [np.nan if value is None else value for value in values(weight)]
+        found[:, column] = known[key]
+    return found
 
 
 def drawn_values(
@@ -159,15 +220,26 @@ def drawn_values(
 
 
 class _Valued:
-    """The number under group weights."""
+    """Numbers under group weights, each None where it is not known."""
 
-    def __init__(self, weighted: Weighted, scalar: Scalar, *, hidden: bool) -> None:
-        self.weighted, self.scalar, self.hidden = weighted, scalar, hidden
+    def __init__(
+        self,
+        weighted: Weighted,
+        scalars: Mapping[str, Scalar],
+        parts: Sequence[str],
+        beyond: Collection[str],
+        place: Int[np.ndarray, " some"] | None,
+    ) -> None:
+        self.weighted, self.place = weighted, place
+        self.scalars = [(scalar, any(part in beyond for part in scalar.parts)) for scalar in scalars.values()]
+        self.parts = [part for part in parts if part not in beyond]
 
-    def __call__(self, weight: Float[np.ndarray, " groups"]) -> float | None:
-        if self.hidden or not len(weight):
-            return None
-        return self.scalar.of({part: self.weighted.parts[part](weight) for part in self.scalar.parts})
+    def __call__(self, weight: Float[np.ndarray, " groups"]) -> list[float | None]:
+        weight = weight if self.place is None else weight[self.place]
+        if not len(weight):
+            return [None] * len(self.scalars)
+        found = {part: self.weighted.parts[part](weight) for part in self.parts}
+        return [None if hidden else scalar.of(found) for scalar, hidden in self.scalars]
 
 
 def _beyond_reach(settings: Any, reach_m: float | None) -> set[str]:

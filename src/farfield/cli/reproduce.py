@@ -1,0 +1,74 @@
+"""``farfield reproduce``."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import bar
+
+
+def run(
+    paper: Positional[Literal["cirrus", "kradar"]],
+    *,
+    budget: Literal["laptop", "desk", "workstation", "gpu"] = "laptop",
+    minutes: float | None = None,
+    plan: bool = False,
+    page: bool = False,
+    data: Path | None = None,
+    source: Path | None = None,
+    workers: int = 0,
+    out: Path | None = None,
+) -> int:
+    """Put a paper's tables to the test: a declared grid of trainings, decisions on its claims, one page.
+
+    examples:
+      farfield reproduce cirrus --plan
+      farfield reproduce cirrus
+      farfield reproduce cirrus --budget workstation --plan
+      farfield reproduce kradar --minutes 90
+      farfield reproduce cirrus --data /data/Cirrus --source /data/kitti --budget gpu
+
+    First some steps of each kind of run are measured, and what the whole will cost on this machine and which claims can
+    be decided at this size are printed. Then data are simulated, unless --data names the real ones, and the runs done
+    seed by seed. Interrupted at any time, the same command goes on: finished runs are not done again, an unfinished
+    training resumes. OUT holds report.html, reproduction.json with every figure and decision, plan.json, timing.json,
+    data and runs.
+
+    Args:
+        paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9.
+        budget: laptop: two cores, one to two hours. desk, workstation, gpu: see --plan.
+        minutes: Lower the steps until it fits; refused where fewer than 200 would be left. Seeds and rows stay.
+        plan: Only measure, and print what it would cost.
+        page: Only write the page of the runs that are done, such as while others are at work.
+        data: The real data set; without one all is simulated.
+        source: Real data of the other device for Table IV, such as KITTI; simulated unless given.
+        workers: Processes, one thread each; 0 takes as many as there are cores.
+        out: Folder; runs/reproduce-PAPER-BUDGET unless given.
+    """
+    from farfield.experiments.reproduce import Reproduction, described
+
+    reproduction = Reproduction.of(
+        paper,
+        budget=budget,
+        out=out or Path("runs") / f"reproduce-{paper}-{budget}",
+        minutes=minutes,
+        workers=workers,
+        data=data,
+        source=source,
+        progress=_shown,
+        said=partial(print, flush=True),
+    )
+    if plan:
+        for line in described(reproduction.outline()):
+            print(line)
+        return 0
+    written = reproduction.run(page_only=page)
+    print(f"summary: {(reproduction.out / 'reproduction.json').resolve()}\nreport: {written.resolve()}")
+    return 0
+
+
+def _shown(what: str) -> Callable[[Iterable[int]], Iterable[int]]:
+    return partial(bar, what=what, transient=True)

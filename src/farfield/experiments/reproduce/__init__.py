@@ -1,0 +1,12 @@
+"""The papers' tables put to the test by one command: a declared grid of experiments, planned, run and decided.
+
+reproduction = Reproduction.of("cirrus", budget="laptop", out=Path("runs/reproduce-cirrus-laptop"), said=print)
+reproduction.outline()      # measures, then says what it costs and which claims can be decided
+reproduction.run()          # the page; interrupted, the same call goes on
+"""
+
+from farfield.experiments.reproduce.grid import Grid, load_grid
+from farfield.experiments.reproduce.planning import Outline, described
+from farfield.experiments.reproduce.reproducing import Reproduction
+
+__all__ = ["Grid", "Outline", "Reproduction", "described", "load_grid"]

@@ -1,0 +1,321 @@
+"""A paper's tables by one command: plan, simulate, train, score, decide, write the page; resumable throughout."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from farfield.bulk import Bulk
+from farfield.bulk.folders import locked
+from farfield.bulk.runs import Progress
+from farfield.errors import ConfigError
+from farfield.experiments.claims import Claims
+from farfield.experiments.claims import load as load_claims
+from farfield.experiments.reproduce import planning
+from farfield.experiments.reproduce.deciding import Judge, Scores
+from farfield.experiments.reproduce.feature_maps import feature_maps
+from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load_grid
+from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
+from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, Pace, measure, measure_simulating
+from farfield.experiments.reproduce.needs import needs_of
+from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
+from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
+from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.statistics import objects_in
+from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
+from farfield.files.atomic import read_bytes, write_text
+
+MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
+_MAX_BYTES = 1 << 26
+Said = Callable[[str], object]
+
+
+def _silent(line: str) -> None:
+    del line
+
+
+def _unseen(what: str) -> Progress:
+    del what
+    return iter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduction:
+    """A paper's tables with a budget, in a folder.
+
+    Args:
+        grid: The grid.
+        claims: The claims that it decides.
+        out: The folder: data, runs, plan, summary, page.
+        budget: Name of the budget.
+        minutes: Minutes that the whole is to take at most; None for the budget's own core minutes.
+        workers: Processes, one thread each; 0 for as many as there are cores.
+        data: The user's data set; without one all is simulated.
+        source: The user's data of the other device, for Table IV.
+        measured_steps: Steps of each trial before the plan is made.
+        progress: Makes what wraps the numbers of units that are left, by what is done.
+        said: Called with each line for the user.
+
+    Raises:
+        ConfigError: If there is no such budget.
+    """
+
+    grid: Grid
+    claims: Claims
+    out: Path
+    budget: str = "laptop"
+    minutes: float | None = None
+    workers: int = 0
+    data: Path | None = None
+    source: Path | None = None
+    measured_steps: int = STEPS
+    progress: Callable[[str], Progress] = _unseen
+    said: Said = _silent
+
+    def __post_init__(self) -> None:
+        if self.budget not in self.grid.budgets:
+            raise ConfigError(f"--budget: expected one of {', '.join(self.grid.budgets)}; got {self.budget!r}")
+        if self.minutes is not None and self.minutes <= 0:
+            raise ConfigError(f"--minutes: expected more than 0, got {self.minutes:g}")
+
+    @classmethod
+    def of(cls, paper: str, **options: Any) -> "Reproduction":
+        """The shipped grid and claims of a paper, ``"cirrus"`` or ``"kradar"``; options are the other fields."""
+        return cls(grid=load_grid(paper), claims=load_claims(paper), **options)
+
+    @property
+    def paper(self) -> str:
+        """The paper."""
+        return self.grid.paper
+
+    @property
+    def settings(self) -> BudgetSettings:
+        """What the budget makes of the grid."""
+        return self.grid.budgets[self.budget]
+
+    @property
+    def hands(self) -> int:
+        """Processes at a time."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return self.workers or cores
+
+    @property
+    def simulated(self) -> bool:
+        """Whether rows are scored on simulated frames."""
+        return self.data is None
+
+    @property
+    def places(self) -> dict[str, Place]:
+        """Where each set stands."""
+        return places_of(self.grid, self.budget, self.out / "data", data=self.data, source=self.source)
+
+    def outline(self) -> planning.Outline:
+        """The plan: measured first, then kept, so that the same command goes on with the same steps."""
+        kept = _read(self.out / PLAN)
+        if kept.get("asked") == self._asked:
+            return planning.outline_of(kept["outline"])
+        outline = self._planned()
+        write_text(self.out / PLAN, json.dumps({"asked": self._asked, "outline": outline.to_json()}, indent=1) + "\n")
+        return outline
+
+    @property
+    def _asked(self) -> Tree:
+        """What a plan was made for."""
+        return {**self._measured_for, "minutes": self.minutes}
+
+    @property
+    def _measured_for(self) -> Tree:
+        return {
+            "budget": self.budget,
+            "workers": self.hands,
+            "grid": hashlib.sha256(self.grid.model_dump_json().encode()).hexdigest(),
+            "data": None if self.data is None else str(self.data.resolve()),
+            "source": None if self.source is None else str(self.source.resolve()),
+        }
+
+    def _measured(self, places: Mapping[str, Place]) -> tuple[dict[str, Pace], dict[str, float]]:
+        """The pace of each kind of run, and core seconds a simulated frame by set: measured once."""
+        kept = _read(self.out / MEASURED)
+        if kept.get("for") == self._measured_for:
+            return planning.paces_of(kept), dict(kept["simulating_s"])
+        scratch = self.out / ".measure"
+        self.out.mkdir(parents=True, exist_ok=True)
+        needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
+        self.said("measuring: a few simulated frames, then a few steps of each kind of run")
+        simulating, small = measure_simulating(
+            places, needed, scratch / "data", progress=self.progress("simulating a few frames")
+        )
+        bulk = Bulk(workers=self.hands, progress=self.progress("measuring"))
+        part = min(1.0, SMALL_BATCH / self.settings.batch)
+        paces = measure(
+            self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
+        )
+        shutil.rmtree(scratch, ignore_errors=True)
+        found = {"paces": {kind: asdict(pace) for kind, pace in paces.items()}, "simulating_s": simulating}
+        write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
+        return paces, simulating
+
+    def _planned(self) -> planning.Outline:
+        places = self.places
+        jobs = self.jobs(places)
+        paces, simulating = self._measured(places)
+        left = {name: seconds for name, seconds in simulating.items() if not places[name].path.exists()}
+        frames = self._frames_scored(places)
+        limits = [self.settings.core_minutes, None if self.minutes is None else self.minutes * self.hands]
+        limit = min((each for each in limits if each is not None), default=None)
+        share, cost = planning.fitted(jobs, self.settings, paces, left, frames, limit)
+        lowered = self.settings.lowered(share)
+        networks = sorted({job.network for job in jobs})
+        runs = tuple(self.grid.runs_of(self.budget))
+        return planning.Outline(
+            budget=self.budget,
+            steps_share=share,
+            steps={network: lowered.steps_for(network) for network in networks},
+            jobs=len(jobs),
+            rows=len(runs),
+            seeds=self.settings.seeds,
+            cost=cost,
+            workers=self.hands,
+            outlooks=planning.outlooks(self.claims, runs, self.settings),
+            paces=paces,
+            simulating_s=simulating,
+        )
+
+    def _frames_scored(self, places: Mapping[str, Place]) -> int:
+        total = 0
+        for name in self._chosen(self.settings.scored_on, places):
+            place = places[name]
+            known = place.simulated
+            total += len(place.opened()) if known is None else known.sequences * known.frames
+        return total
+
+    @staticmethod
+    def _chosen(names: Iterable[str], places: Mapping[str, Place]) -> list[str]:
+        """Those of the sets that there are; the validation set where there is none of them."""
+        return [name for name in names if name in places] or ["val"]
+
+    def jobs(
+        self, places: Mapping[str, Place], fingerprints: Mapping[str, str] | None = None, *, steps_share: float = 1.0
+    ) -> list[Job]:
+        """All trainings, seed by seed."""
+        data = Plotted(places=places, fingerprints=fingerprints or {})
+        return jobs_of(self.grid, self.budget, self.claims, data, self._runs, steps_share=steps_share)
+
+    @property
+    def _runs(self) -> Path:
+        return self.out / "runs"
+
+    def run(self, *, page_only: bool = False) -> Path:
+        """Do all that is not done, and write the summary and the page.
+
+        Args:
+            page_only: Do no run: the page of what is there.
+
+        Returns:
+            The page.
+
+        Raises:
+            ConfigError: If the plan does not fit into the minutes, nothing is there for a page, or another command is
+                at work in the folder.
+        """
+        self.out.mkdir(parents=True, exist_ok=True)
+        try:
+            with nullcontext() if page_only else locked(self.out, shared=False):
+                return self._run(page_only=page_only)
+        except BlockingIOError as error:
+            raise ConfigError(
+                f"{self.out}: expected no other command at work in this folder, found one. Wait for it, or name "
+                "another folder with --out; --page writes the page of what is done meanwhile."
+            ) from error
+
+    def _run(self, *, page_only: bool) -> Path:
+        outline = self.outline()
+        for line in planning.described(outline):
+            self.said(line)
+        places = self.places
+        if not page_only:
+            provide(places, workers=self.hands, progress=self.progress("simulating"), report=self.said)
+        fingerprints = fingerprints_of(places)
+        jobs = self.jobs(places, fingerprints, steps_share=outline.steps_share)
+        scoring = self._scoring(places, fingerprints)
+        if not page_only:
+            do_all(
+                jobs,
+                self._runs,
+                scoring,
+                workers=self.hands,
+                progress=self.progress("runs"),
+                said=self.said,
+            )
+        done = done_jobs(jobs, self._runs, scoring)
+        if not done:
+            raise ConfigError(f"{self.out}: expected finished runs to write a page of, found none of {len(jobs)}")
+        return self._conclude(outline, jobs, done, places, fingerprints)
+
+    def _scoring(self, places: Mapping[str, Place], fingerprints: Mapping[str, str]) -> Scoring:
+        chosen = self._chosen(self.settings.scored_on, places)
+        return Scoring(
+            score=self.settings.score,
+            places={name: places[name] for name in chosen},
+            fingerprints={name: fingerprints[name] for name in chosen},
+            needs=tuple(needs_of(self.claims, self.grid, self.settings.score)),
+            replicates=self.settings.replicates,
+        )
+
+    def _conclude(
+        self,
+        outline: planning.Outline,
+        jobs: Sequence[Job],
+        done: Sequence[Job],
+        places: Mapping[str, Place],
+        fingerprints: Mapping[str, str],
+    ) -> Path:
+        from farfield.reports.reproduction import write_page
+
+        self.said(f"deciding on {len(self.claims)} claims with {len(done)} of {len(jobs)} runs")
+        kept = [scores_of(job, self._runs) for job in done]
+        scores = Scores.of(kept)
+        chosen = self._chosen(self.settings.statistics_on, places)
+        bulk = Bulk(workers=self.hands, progress=self.progress("counting points"))
+        objects = objects_in({name: places[name] for name in chosen}, bulk)
+        decided = Judge(
+            claims=self.claims, grid=self.grid, settings=self.settings, scores=scores, objects=objects
+        ).decided()
+        made = Made(
+            paper=self.paper,
+            budget=self.budget,
+            simulated=self.simulated,
+            steps=outline.steps,
+            planned=len(jobs),
+            done=len(done),
+            failed=[(each["runs"][0], each["seed"], each["failed"]) for each in kept if each.get("failed")],
+            sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
+        )
+        summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
+        summary["features"] = self._features(done, places)
+        write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
+        runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
+        timing = {"planned": outline.to_json(), "runs": runs}
+        write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
+        curves = curves_of(scores, self.settings.score)
+        return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns)
+
+    def _features(self, done: Sequence[Job], places: Mapping[str, Place]) -> list[Tree]:
+        files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
+        weights = {run: path for run, path in files.items() if path.is_file()}
+        (first, *_) = self._chosen(self.settings.scored_on, places)
+        return feature_maps(weights, places[first], self.settings.score)
+
+
+def _read(path: Path) -> Tree:
+    if not path.is_file():
+        return {}
+    try:
+        return dict(json.loads(read_bytes(path, max_bytes=_MAX_BYTES)))
+    except ValueError:
+        return {}  # cut off or foreign: planned anew

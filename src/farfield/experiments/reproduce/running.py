@@ -1,0 +1,170 @@
+"""Do the jobs of a grid in bulk: train or go on, detect, score; a finished job is never done again."""
+
+import ctypes
+import gc
+import json
+import logging
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from farfield.bulk import Bulk, Done, Journal, Unit, run
+from farfield.errors import FileFormatError
+from farfield.experiments.plan import Plan
+from farfield.experiments.reproduce.grid import Tree
+from farfield.experiments.reproduce.jobs import Job, waves
+from farfield.experiments.reproduce.scoring import Scoring
+from farfield.files.atomic import read_bytes, write_text
+
+JOURNAL = ".journal.jsonl"
+SCORES, WEIGHTS = "scores.json", "weights.safetensors"
+_MAX_BYTES = 1 << 28
+_STATUS, _REFERENCES = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+@dataclass(frozen=True)
+class Doing:
+    """Does a job in its folder; the unit's parameters are the job.
+
+    Args:
+        folder: Folder of all jobs' folders.
+        scoring: How it is scored.
+    """
+
+    folder: Path
+    scoring: Scoring
+
+    memory_bytes = 2_500_000_000
+
+    def __call__(self, unit: Unit) -> Done:
+        """Train unless the weights are there, score, and write the scores."""
+        job: Job = unit.parameters
+        home, began, busy = self.folder / job.folder, time.monotonic(), time.process_time()
+        forget_peak()
+        quiet()
+        weights = home / WEIGHTS
+        failed = "" if weights.is_file() else _trained(job, home)
+        trained = time.monotonic()
+        clock: dict[str, Any] = {"training_s": round(trained - began, 1), "peak_memory_mb": peak_memory_mb()}
+        scores = failure(job, failed) if failed else self.scoring.of_job(job, weights)
+        write_text(home / SCORES, json.dumps(scores, separators=(",", ":")) + "\n")
+        (home / "checkpoint.pt").unlink(missing_ok=True)
+        clock["scoring_s"] = round(time.monotonic() - trained, 1)
+        clock["processor_s"] = round(time.process_time() - busy, 1)
+        _note(home / "clock.jsonl", clock)
+        return Done(files=(home / SCORES,), clock=clock)
+
+
+def _trained(job: Job, home: Path) -> str:
+    """Train a job; what went wrong if it diverged, which it would do again."""
+    try:
+        Plan(job.experiment, home).run()
+    except RuntimeError as error:
+        if "non-finite" not in str(error):
+            raise
+        return f"diverged: {error}"
+    return ""
+
+
+def failure(job: Job, why: str) -> Tree:
+    """The scores of a job that has none."""
+    return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": {}, "failed": why}
+
+
+def _note(path: Path, clock: Mapping[str, Any]) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(clock) + "\n")
+
+
+def quiet() -> None:
+    """Let the trainings of this process say only what is amiss."""
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
+
+
+def forget_peak() -> None:
+    """Hand what is free back to the system and let the peak memory of this process count from now on, where it can."""
+    gc.collect()
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    with suppress(OSError):
+        _REFERENCES.write_text("5", encoding="ascii")
+
+
+def peak_memory_mb() -> float | None:
+    """Peak memory of this process, 10^6 bytes; None where the system does not say."""
+    with suppress(OSError, ValueError):
+        lines = _STATUS.read_text(encoding="ascii", errors="replace").splitlines()
+        found = [line.split()[1] for line in lines if line.startswith("VmHWM:")]
+        return round(int(found[0]) * 1024 / 1e6, 1) if found else None
+    return None
+
+
+def do_all(
+    jobs: Sequence[Job],
+    folder: Path,
+    scoring: Scoring,
+    *,
+    workers: int,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    said: Callable[[str], object] | None = None,
+) -> None:
+    """Do all jobs that are not done: first those that others start from, then seed by seed.
+
+    Args:
+        jobs: The jobs.
+        folder: Folder of their folders and of the journal.
+        scoring: How they are scored.
+        workers: Processes, one thread each.
+        progress: Wraps the numbers of the jobs that are left.
+        said: Called with a line before each wave.
+
+    Raises:
+        BulkError: If jobs killed their workers twice; all others are done.
+    """
+    journal = Journal(folder / JOURNAL, scoring.digest)
+    for wave in waves(jobs):
+        units = units_of(wave)
+        left = sum(not journal.has(unit) for unit in units)
+        if said is not None and left:
+            said(f"{left} of {len(units)} runs are left: {_named(wave)}")
+        run(Doing(folder, scoring), units, Bulk(workers=workers, progress=progress), journal=journal)
+
+
+def _named(wave: Sequence[Job]) -> str:
+    return ", ".join(dict.fromkeys(name for job in wave for name in job.runs))
+
+
+def units_of(jobs: Iterable[Job]) -> list[Unit]:
+    """Jobs as units of work."""
+    return [Unit(job.folder, parameters=job) for job in jobs]
+
+
+def done_jobs(jobs: Sequence[Job], folder: Path, scoring: Scoring) -> list[Job]:
+    """The jobs whose scores are there."""
+    journal = Journal(folder / JOURNAL, scoring.digest)
+    return [job for job, unit in zip(jobs, units_of(jobs), strict=True) if journal.has(unit)]
+
+
+def scores_of(job: Job, folder: Path) -> Tree:
+    """The scores of a finished job.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+    """
+    path = folder / job.folder / SCORES
+    try:
+        found = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
+    except ValueError as error:
+        raise FileFormatError(path, where="the file", expected="the scores of a run", found=str(error)[:200]) from None
+    return dict(found)
+
+
+def clocks_of(job: Job, folder: Path) -> list[dict[str, Any]]:
+    """What the clock measured of a job, a line each time that it was done or gone on with."""
+    path = folder / job.folder / "clock.jsonl"
+    if not path.is_file():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]

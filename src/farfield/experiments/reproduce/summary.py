@@ -1,0 +1,103 @@
+"""All that a grid found as one JSON tree, in which no clock has a part: equal runs give equal files."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from farfield.experiments.claims import Claim, Claims
+from farfield.experiments.reproduce.deciding import Decided, Scores, to_json, verdict_of
+from farfield.experiments.reproduce.grid import Grid, Score, Simulated, Tree
+from farfield.experiments.reproduce.statistics import Objects
+from farfield.experiments.reproduce.tables import classes_of, tables_of
+from farfield.frame.provenance import environment
+from farfield.vocabulary.patterns import PATTERNS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """What was done.
+
+    Args:
+        paper: The paper.
+        budget: Name of the budget.
+        simulated: Whether runs were scored on simulated frames.
+        steps: Steps by network.
+        planned: Number of trainings that were planned.
+        done: Number of those that are done.
+        failed: Run, seed and reason of trainings that diverged.
+        sets: Fingerprint of each set, and what was simulated for it.
+    """
+
+    paper: str
+    budget: str
+    simulated: bool
+    steps: Mapping[str, int]
+    planned: int
+    done: int
+    sets: Mapping[str, tuple[str, Simulated | None]]
+    failed: Sequence[tuple[str, int, str]] = ()
+
+
+def summary_of(
+    made: Made, grid: Grid, claims: Claims, scores: Scores, objects: Objects, decided: Sequence[Decided]
+) -> Tree:
+    """Tables, classes, claims and decisions as JSON values.
+
+    Args:
+        made: What was done.
+        grid: The grid.
+        claims: The claims.
+        scores: Scores of the finished runs.
+        objects: The annotated objects.
+        decided: All comparisons.
+    """
+    settings = grid.budgets[made.budget]
+    return {
+        "paper": made.paper,
+        "budget": made.budget,
+        "words": settings.words,
+        "simulated": made.simulated,
+        "scaled": settings.scaled,
+        "seeds": settings.seeds,
+        "steps": dict(made.steps),
+        "batch": settings.batch,
+        "runs": {"planned": made.planned, "done": made.done},
+        "failed": [{"run": run, "seed": seed, "why": why} for run, seed, why in made.failed],
+        "claims_sha256": claims.sha256,
+        "score": settings.score.model_dump(mode="json"),
+        "networks": settings.networks,
+        "sets": {name: _set(*known) for name, known in made.sets.items()},
+        "tables": tables_of(claims, grid, settings, scores),
+        "classes": classes_of(grid, settings, Counter(objects.label.tolist())),
+        "claims": [_claim(claim, claims, decided) for claim in claims],
+        "environment": environment(),
+    }
+
+
+def _set(fingerprint: str, simulated: Simulated | None) -> Tree:
+    return {"fingerprint": fingerprint, "simulated": None if simulated is None else simulated.model_dump(mode="json")}
+
+
+def _claim(claim: Claim, claims: Claims, decided: Sequence[Decided]) -> Tree:
+    own = [each for each in decided if each.claim.id == claim.id]
+    first = [each for each in own if each.first and each.role == "comparison"]
+    return {
+        "id": claim.id,
+        "words": claim.words,
+        "table": claim.table,
+        "note": claim.note,
+        "verdict": verdict_of(claim, first),
+        "metrics": {name: claims.metrics[name].words for name in claim.metrics},
+        "decided": [to_json(each) for each in own],
+    }
+
+
+def curves_of(scores: Scores, score: Score) -> dict[str, Tree]:
+    """Results with their curves, of the first seed: each pattern by the detector that was trained on it."""
+    found = {}
+    for name in PATTERNS:
+        clouds = scores.by_run.get(name, {}).get(0, {}).get("clouds", {})
+        kept = clouds.get(name, {}).get("results", {}).get(score.tables[0])
+        if kept and kept.get("curves"):
+            found[name] = kept
+    return found

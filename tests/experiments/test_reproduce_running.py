@@ -1,0 +1,70 @@
+"""What a job leaves besides its scores: peak memory of the process, and words that are kept down."""
+
+import json
+import logging
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from tinygrid import tiny
+
+from farfield.bulk import Unit
+from farfield.bulk.folders import locked
+from farfield.errors import ConfigError
+from farfield.experiments.reproduce import running
+from farfield.experiments.reproduce.deciding import Scores
+from farfield.experiments.reproduce.running import forget_peak, peak_memory_mb, quiet
+from farfield.experiments.reproduce.scoring import Scoring
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux says")
+def test_peak_memory_is_that_since_it_was_forgotten() -> None:
+    forget_peak()
+    before = peak_memory_mb()
+    large = np.ones(40_000_000)
+    assert large.sum() > 0
+    there = peak_memory_mb()
+    assert before is not None
+    assert there is not None
+    assert 300 < there - before < 340  # 320 MB more
+    del large
+    assert peak_memory_mb() >= there - 1
+    forget_peak()
+    assert peak_memory_mb() < there - 250
+
+
+def test_trainings_are_kept_from_saying_what_is_in_order() -> None:
+    quiet()
+    assert logging.getLogger("lightning_fabric").getEffectiveLevel() == logging.WARNING
+
+
+def diverge(self: object, report: object = None) -> None:
+    raise RuntimeError("The total norm of order 2.0 for gradients is non-finite, so it cannot be clipped.")
+
+
+def run_out(self: object, report: object = None) -> None:
+    raise RuntimeError("not enough memory")
+
+
+def test_a_training_that_diverges_is_said_and_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = tiny(tmp_path)
+    (job, *_) = made.jobs(made.places)
+    scoring = Scoring(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    monkeypatch.setattr(running.Plan, "run", diverge)
+    (tmp_path / job.folder).mkdir(parents=True)
+    done = running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+    scores = json.loads(done.files[0].read_text())
+    assert scores["failed"].startswith("diverged: ")
+    assert Scores.of([scores]).by_run == {}
+    monkeypatch.setattr(running.Plan, "run", run_out)
+    with pytest.raises(RuntimeError, match="memory"):  # the next time it may suffice
+        running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+
+
+def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    with locked(tmp_path, shared=False), pytest.raises(ConfigError, match="no other command"):
+        tiny(tmp_path).run()

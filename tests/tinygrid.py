@@ -1,0 +1,62 @@
+"""The Cirrus grid with a budget of minutes: five of its runs, tiny networks and frames. Too small to say anything."""
+
+import json
+import sys
+from pathlib import Path
+
+from farfield.experiments.reproduce import Grid, Reproduction, load_grid
+from farfield.experiments.reproduce.grid import BudgetSettings
+
+RUNS = ("device_a", "gaussian", "uniform", "range", "device_pretrained")
+SCALE = {"range_m": 64.0, "half_width_m": 16.0, "cell_m": 0.5}
+PATTERNS = "gaussian,uniform"
+MINI = {
+    "words": "a test",
+    "seeds": 2,
+    "steps": 4,
+    "least_steps": 4,
+    "batch": 1,
+    "training": {"average_decay": 0.5, "precision": "fp32", "checkpoint_every_s": 0.01},
+    "sets": {
+        "train": {"preset": "cirrus-sim-mini", "sequences": 2, "frames": 3, "seed": 1, "sensors": PATTERNS},
+        "val": {"preset": "cirrus-sim-mini", "sequences": 2, "frames": 2, "seed": 2, "sensors": PATTERNS},
+        "device": {"preset": "kitti-sim-mini", "sequences": 2, "frames": 2, "seed": 3, "sensors": "lidar"},
+    },
+    "score": {
+        "protocol": "dds",
+        "settings": {"label": "vehicle", "window_m": (0.0, 64.0, -16.0, 16.0)},
+        "bins_m": {"I": {"near": (0, 20), "mid": (20, 40), "far": (40, 64)}, "III": {"near": (0, 32), "far": (32, 64)}},
+    },
+    "method": {"range": {"near_m": (0.0, 32.0), "far_m": (32.0, 64.0), "half_width_m": 16.0, "min_range_m": 2.0}},
+    "networks": {
+        "grid": {
+            "name": "pointpillars",
+            "positions": "relative",
+            "grid": SCALE,
+            "pillar_channels": 8,
+            "widths": (8, 8, 8),
+            "depths": (0, 0, 0),
+            "neck_width": 8,
+            "anchors": {"vehicle": {"size_m": (4.6, 1.95, 1.7), "z_m": -1.15}},
+        }
+    },
+    "replicates": 20,
+}
+
+
+def tiny_grid() -> Grid:
+    """The shipped grid whose laptop budget is tiny and leaves out all but some runs."""
+    whole = load_grid("cirrus")
+    mini = BudgetSettings.model_validate({**MINI, "without": [name for name in whole.runs if name not in RUNS]})
+    return whole.model_copy(update={"budgets": {"laptop": mini}})
+
+
+def tiny(out: Path, workers: int = 1) -> Reproduction:
+    """A reproduction of it in a folder."""
+    shipped = Reproduction.of("cirrus", out=out)
+    return Reproduction(grid=tiny_grid(), claims=shipped.claims, out=out, workers=workers, measured_steps=2)
+
+
+if __name__ == "__main__":
+    tiny(Path(sys.argv[1]), int(sys.argv[2])).run()
+    print(json.dumps("done"))
