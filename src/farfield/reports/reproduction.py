@@ -10,6 +10,7 @@ from farfield.files.atomic import write_text
 from farfield.reports.pictures import Picture
 from farfield.reports.plots import precision_recall
 from farfield.reports.reproduction_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
+from farfield.reports.reproduction_scenarios import scenarios
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
 from farfield.vocabulary.patterns import PATTERNS
@@ -130,6 +131,7 @@ def write_page(
         claims=claims,
         tables=[_table(each) for each in summary["tables"]],
         classes=summary["classes"],
+        scenarios=scenarios(summary.get("scenarios") or {}),
         pictures=[*_pictures(summary["paper"], curves or {}, objects or {}), *_features(summary.get("features", ()))],
         memory=_memory(timing),
         minutes=_minutes(timing),

@@ -25,10 +25,12 @@ from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, Pace, m
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
+from farfield.experiments.reproduce.scenarios import scenarios_of, seeds_of
 from farfield.experiments.reproduce.scoring import Scoring
 from farfield.experiments.reproduce.statistics import objects_in
 from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
 from farfield.files.atomic import read_bytes, write_text
+from farfield.vocabulary.patterns import PATTERNS
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
@@ -298,6 +300,7 @@ class Reproduction:
         )
         summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
         summary["features"] = self._features(done, places)
+        summary["scenarios"] = self._scenarios(done, self._scoring(places, fingerprints))
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
         runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
         timing = {"planned": outline.to_json(), "runs": runs}
@@ -310,6 +313,14 @@ class Reproduction:
         weights = {run: path for run, path in files.items() if path.is_file()}
         (first, *_) = self._chosen(self.settings.scored_on, places)
         return feature_maps(weights, places[first], self.settings.score)
+
+    def _scenarios(self, done: Sequence[Job], scoring: Scoring) -> Tree:
+        seeds = seeds_of(job for job in done if (self._runs / job.folder / WEIGHTS).is_file())
+        runs = {
+            name: [scoring.detections(self._runs / jobs[name].folder / WEIGHTS, name) for jobs in seeds.values()]
+            for name in PATTERNS
+        }
+        return scenarios_of(runs, scoring.score)
 
 
 def _read(path: Path) -> Tree:

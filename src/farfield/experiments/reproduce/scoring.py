@@ -57,25 +57,26 @@ class Scoring:
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
     def of_job(self, job: Job, weights: Path) -> Tree:
-        """The scores of a job as JSON values; what was detected is kept beside the weights, frame by frame."""
-        detector, found = Detector.load(weights), dict[str, Any]()
+        """The scores of a job as JSON values."""
+        found = dict[str, Any]()
         for cloud in job.clouds:
-            seen = self._detections(detector, cloud, weights.parent)
+            seen = self.detections(weights, cloud)
             found[cloud] = {
                 "results": self._results(seen, whole=job.seed == 0),
                 "samples": self._samples(seen, job, cloud),
             }
         return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": found}
 
-    def _detections(self, detector: Detector, cloud: str, folder: Path) -> Detections:
-        several = len(self.places) > 1
+    def detections(self, weights: Path, cloud: str) -> Detections:
+        """What a run's detector finds in all frames; it is kept beside the weights, and not searched for again."""
+        detector, several = Detector.load(weights), len(self.places) > 1
         parts = {
             name: detect(
                 detector,
                 place.opened(),
                 cloud=cloud,
                 annotated_only=True,
-                journal=folder / f"found-{name}-{cloud}.jsonl",
+                journal=weights.parent / f"found-{name}-{cloud}.jsonl",
             )
             for name, place in self.places.items()
         }
