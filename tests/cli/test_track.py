@@ -67,7 +67,7 @@ def test_csv_and_nuscenes_hold_identities_and_velocities(drives: Path) -> None:
     (drives / "one.csv").write_text("\n".join(line for line in text.splitlines() if not line.startswith("0001")) + "\n")
     assert cli.main(["track", str(drives / "one.csv"), "--to", "nuscenes", "--out", str(drives / "one.json")]) == 0
     results = json.loads((drives / "one.json").read_text())["results"]
-    first = results["3"][0]
+    first = results["6"][0]
     assert first["size"] == pytest.approx([1.6, 4.0, 1.5])
     assert first["tracking_id"] == "0000:0"
     assert first["velocity"][0] == pytest.approx(4.0, abs=0.5)
@@ -78,7 +78,41 @@ def test_what_cannot_be_is_said(drives: Path, capsys: pytest.CaptureFixture[str]
     assert "found nothing there" in capsys.readouterr().err
     arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "sort", "--out", str(drives / "x")]
     assert cli.main(["track", *arguments]) == 1
-    assert "preset: expected one of default, ab3dmot" in capsys.readouterr().err
+    assert "preset: expected one of default, offline, ab3dmot" in capsys.readouterr().err
     scored = ["score", str(drives / "found"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
     assert cli.main([*scored, "--protocol", "tracking"]) == 1
     assert "farfield track" in capsys.readouterr().err
+
+
+def test_stamps_and_poses_are_those_of_the_data_set(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A drive with uneven steps: a car that stands is tracked as one, in the world."""
+    data, found, _ = standing_car(drives)
+    out, picture = drives / "world.csv", drives / "trails.png"
+    arguments = ["track", str(found), "--data", str(data), "--out", str(out)]
+    assert cli.main([*arguments, "--picture", str(picture)]) == 0
+    assert "note" not in capsys.readouterr().out
+    rows = read_boxes_csv(out)
+    assert rows.velocity_m_s is not None
+    np.testing.assert_allclose(rows.velocity_m_s[-1, :2], 0.0, atol=0.3)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    before = (out.read_bytes(), picture.read_bytes())
+    assert cli.main([*arguments, "--picture", str(picture)]) == 0
+    assert (out.read_bytes(), picture.read_bytes()) == before
+    assert cli.main(["track", str(found), "--out", str(out)]) == 0
+    assert "steps of 0.1 s" in capsys.readouterr().out
+    assert read_boxes_csv(out).velocity_m_s[-1, 0] < -3  # type: ignore[index]
+
+
+def test_frames_that_the_data_do_not_have_are_named(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, found, _ = standing_car(drives)
+    strange = drives / "strange.csv"
+    strange.write_text(found.read_text() + "drive,000099,Car,10,0,0,4,2,1.5,0,0.9\n")
+    assert cli.main(["track", str(strange), "--data", str(data), "--out", str(drives / "x.csv")]) == 1
+    said = capsys.readouterr().err
+    assert "drive/000099" in said
+    assert "1 of 13 are not there" in said
+    assert not (drives / "x.csv").exists()
+    bad = ["track", str(found), "--out", str(drives / "x.csv"), "--picture", str(drives / "x.gif")]
+    assert cli.main(bad) == 1
+    assert "expected a name that ends with .svg" in capsys.readouterr().err
+    assert not (drives / "x.csv").exists()

@@ -68,7 +68,7 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
     drive, gate = np.arange(120), np.full(1, -0.5)
     label = np.zeros(120, dtype=np.int64)
     for least in (-0.8, -0.5, -0.2, 0.1):
-        settings = TrackerSettings(gate=least)
+        settings = TrackerSettings(similarity="giou", gate=least, gate_sigmas=None)
         rows, _ = associate(a, drive, label, b, drive, label, settings, gate * 0 + least)
         np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
 
@@ -165,7 +165,7 @@ def test_a_weak_detection_keeps_a_track_alive_or_moves_it() -> None:
     weak = {
         key: boxes.replace(score=np.array([0.2])) if key[1] in "345" else boxes for key, boxes in found.boxes.items()
     }
-    settings = TrackerSettings(strong_score=0.5, weak_gate=-0.5, max_age=2)
+    settings = TrackerSettings(similarity="giou", gate=-0.5, strong_score=0.5, weak_gate=-0.5, max_age=2)
     assert shown_in(track(Detections(boxes=weak, annotations={}), settings)) == [[0]] * 7
     assert shown_in(track(Detections(boxes=weak, annotations={}), settings, weak_gate=None))[3:6] == [[], [], []]
 
