@@ -178,10 +178,72 @@ def test_distances_gate_by_class_and_greedy_goes_by_score() -> None:
     assert shown_in(track(line([10.0, None, 10.0]), "centerpoint")) == [[0], [], [1]]
 
 
+def at_scores(scores: list[float], x: float = 10.0) -> Detections:
+    found = line([x] * len(scores))
+    boxes = found.boxes.items()
+    return Detections(
+        boxes={key: part.replace(score=np.array([scores[row]])) for row, (key, part) in enumerate(boxes)},
+        annotations={},
+    )
+
+
+def test_weak_tracks_wait_for_more_matches_and_are_not_lost() -> None:
+    weak = [0.3] * 7
+    assert shown_in(track(at_scores(weak))) == [[]] * 4 + [[0]] * 3
+    assert shown_in(track(at_scores(weak), unsure_hits=7)) == [[]] * 6 + [[0]]
+    assert shown_in(track(at_scores(weak), sure_score=None)) == [[0]] * 7
+    # One sure detection is enough for ever; logits of the same probability say the same.
+    once = [0.3, 0.95, 0.3, 0.3]
+    assert shown_in(track(at_scores(once))) == [[], [0], [0], [0]]
+    logits = [float(np.log(p / (1 - p))) for p in once]
+    assert shown_in(track(at_scores(logits))) == [[], [0], [0], [0]]
+
+
+def test_gates_grow_with_time_and_with_uncertainty() -> None:
+    found = line([10.0, 10.0, 10.0, 12.5])
+    wide = {"gate_sigmas": None, "sure_score": None, "gate": 1.0}
+    assert shown_in(track(found, **wide, gate_speed_m_s=0.0))[3] == []
+    assert shown_in(track(found, **wide, gate_speed_m_s=0.0, min_hits=1))[3] == [1]
+    assert shown_in(track(found, **wide, gate_speed_m_s=16.0))[3] == [0]
+    assert shown_in(track(found, **wide, gate_speed_m_s=8.0, step_s=0.2))[3] == [0]
+    # Two frames without a match: twice as far.
+    coasted = line([10.0, 10.0, 10.0, None, 13.5])
+    assert shown_in(track(coasted, **wide, gate_speed_m_s=10.0, min_hits=1))[4] == [1]
+    assert shown_in(track(coasted, **wide, gate_speed_m_s=13.0, min_hits=1))[4] == [0]
+
+
+def test_gates_by_uncertainty_are_wider_far_away() -> None:
+    """A jump of 2 m across the ray: impossible at 20 m, nothing at 200 m, where half a degree is 1.7 m."""
+    radar = {
+        "gate": 50.0,
+        "gate_sigmas": 3.0,
+        "range_sigma_m": 0.3,
+        "azimuth_sigma_rad": np.radians(0.5),
+        "min_hits": 1,
+    }
+    names = []
+    for x in (20.0, 200.0):
+        found = line([x] * 12)
+        last = list(found.boxes)[-1]
+        moved = found.boxes[last].replace(centre_m=np.array([[x, 2.0, 0.0]]))
+        jumped = Detections(boxes={**found.boxes, last: moved}, annotations={})
+        names.append(shown_in(track(jumped, sure_score=None, acceleration=1.0, **radar))[-1])
+    assert names == [[1], [0]]
+
+
+def test_births_and_deaths_are_others_far_away() -> None:
+    far = {"far_m": 100.0, "far_min_hits": 4, "far_max_age": 5, "max_age": 2, "warm_up": 0, "sure_score": None}
+    for x, wanted in ((50.0, [[], [], [0], [], [], []]), (150.0, [[], [], [], [], [], [0]])):
+        assert shown_in(track(line([x, x, x, None, None, x]), **far)) == wanted
+
+
 def test_impossible_options_are_refused() -> None:
     with pytest.raises(ConfigError, match="preset: expected one of default"):
         track(line([1.0]), "sort")
     with pytest.raises(ConfigError, match="max_age: expected 1 or more"):
         TrackerSettings().changed(max_age=0)
+    for name, value in (("sure_score", 2.0), ("gate_sigmas", 0.0), ("gate_speed_m_s", -1.0), ("unsure_hits", 0)):
+        with pytest.raises(ConfigError, match=f"{name}: expected"):
+            TrackerSettings().changed(**{name: value})
     with pytest.raises(ConfigError, match="expected options among"):
         track(line([1.0]), far=3)

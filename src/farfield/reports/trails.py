@@ -73,7 +73,7 @@ def trails_picture(tracks: Detections) -> "Figure":
     return figure
 
 
-def _draw(axes: "Axes", trails: Mapping[int, Trail], path: Trail) -> None:
+def _draw(axes: "Axes", trails: Mapping[int, np.ndarray], path: Trail) -> None:
     for name, trail in trails.items():
         colour = _COLOURS[name % len(_COLOURS)]
         axes.plot(*trail.T, color=colour, linewidth=1.3, solid_capstyle="round")

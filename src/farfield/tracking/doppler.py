@@ -93,6 +93,21 @@ def update_doppler(
     _joseph(tracks, rows, h, innovation[:, None], np.full((len(rows), 1, 1), sigma_m_s**2))
 
 
+def narrow_births(tracks: Tracks, radial: Float[np.ndarray, "n 7"], across_m_s: float) -> None:
+    """Make the velocities of new tracks with a radial velocity surer across the ray, in place.
+
+    Args:
+        tracks: New tracks, whose velocities are as unsure in each direction.
+        radial: As in :func:`update_doppler`.
+        across_m_s: Standard deviation of the velocity across the ray.
+    """
+    known = np.isfinite(radial[:, 6])
+    unit = radial[known, :2] / np.maximum(np.hypot(*radial[known, :2].T), 1e-9)[:, None]
+    along2 = tracks.vv[known, 0][:, None, None]
+    v = along2 * _outer(unit, unit) + across_m_s**2 * (np.eye(2) - _outer(unit, unit))
+    tracks.vv[known, 0], tracks.vv[known, 1], tracks.cross[known, 1, 1] = v[:, 0, 0], v[:, 1, 1], v[:, 0, 1]
+
+
 def covariance(tracks: Tracks, rows: Int[np.ndarray, " k"]) -> _Four:
     """Covariances of (x, velocity along x, y, velocity along y)."""
     p = np.zeros((len(rows), 4, 4))

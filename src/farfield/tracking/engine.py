@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.tracking.association import Reach, associate
-from farfield.tracking.doppler import polar_covariance, spread_cross, update_coupled, update_doppler
+from farfield.tracking.doppler import narrow_births, polar_covariance, spread_cross, update_coupled, update_doppler
 from farfield.tracking.kalman import Tracks, predict, update
 from farfield.tracking.settings import TrackerSettings
 
@@ -217,6 +217,8 @@ class Engine:
             cross=np.zeros((n, 2, 2)),
         )
         if self.coupled:
+            if s.across_speed_m_s is not None and seen.radial is not None:
+                narrow_births(born, seen.radial, s.across_speed_m_s)
             self._doppler(born, np.arange(n), seen)
         return born
 

@@ -15,6 +15,15 @@ _WORDS = {
     "output": ("filtered", "detection"),
 }
 
+_POSITIVE_OR_NONE = (
+    "gate_sigmas",
+    "far_m",
+    "range_sigma_m",
+    "doppler_sigma_m_s",
+    "doppler_span_m_s",
+    "across_speed_m_s",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
@@ -46,6 +55,8 @@ class TrackerSettings:
         azimuth_sigma_rad: Error across the ray, as an angle. Errors along x and y are taken as independent.
         doppler_sigma_m_s: Error of measured radial velocities, where detections have them; None takes none.
         doppler_span_m_s: Span modulo which they are known; None where they are not ambiguous.
+        across_speed_m_s: Deviation of the velocity across the ray at birth, where the radial one is measured; None
+            takes that of ``initial_speed_variance``. 3 suits roads that lead away from the sensor.
         min_hits: Frames with a match, that of birth counted, from which on a track is reported.
         warm_up: First frames of a drive in which every track is reported at once.
         sure_score: Tracks whose best score so far is lower are reported from ``unsure_hits`` matches on, in the first
@@ -88,6 +99,7 @@ class TrackerSettings:
     azimuth_sigma_rad: float = 0.002
     doppler_sigma_m_s: float | None = 0.1
     doppler_span_m_s: float | None = None
+    across_speed_m_s: float | None = None
     min_hits: int = 3
     warm_up: int = 3
     sure_score: float | None = 0.9
@@ -118,7 +130,14 @@ class TrackerSettings:
                 raise ConfigError(f"{name}: expected 1 or more, got {getattr(self, name)!r}")
         if self.sure_score is not None and not 0 <= self.sure_score <= 1:
             raise ConfigError(f"sure_score: expected a probability between 0 and 1, got {self.sure_score!r}")
-        for name in ("gate_sigmas", "far_m", "range_sigma_m", "doppler_sigma_m_s", "doppler_span_m_s"):
+        for name in (
+            "gate_sigmas",
+            "far_m",
+            "range_sigma_m",
+            "doppler_sigma_m_s",
+            "doppler_span_m_s",
+            "across_speed_m_s",
+        ):
             if getattr(self, name) is not None and not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         if not self.gate_speed_m_s >= 0:

@@ -12,7 +12,7 @@ from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.metrics.detections import Details, Detections
+from farfield.metrics.detections import Detections
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.kalman import Tracks
 from farfield.tracking.presets import preset
@@ -147,7 +147,7 @@ def _frame_rows(
     drive: int,
     number: int,
     pose: Float[np.ndarray, "4 4"] | None,
-    known: Details,
+    known: Mapping[str, np.ndarray],
     number_of: dict[str, int],
     settings: TrackerSettings,
 ) -> dict[str, np.ndarray]:
@@ -180,7 +180,7 @@ def _frame_rows(
 
 
 def _radial(
-    known: Details, centre_m: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "4 4"] | None
+    known: Mapping[str, np.ndarray], centre_m: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "4 4"] | None
 ) -> Float[np.ndarray, "n 7"]:
     """Rays and measured velocities along them; the sensor's velocity is still 0."""
     n = len(centre_m)
@@ -190,7 +190,7 @@ def _radial(
     return np.column_stack([ray, np.zeros((n, 3)), _column(known, "doppler_m_s", np.full(n, np.nan))])
 
 
-def _column(known: Details, name: str, otherwise: np.ndarray) -> np.ndarray:
+def _column(known: Mapping[str, np.ndarray], name: str, otherwise: np.ndarray) -> np.ndarray:
     """A column of details, checked against the shape that it must have."""
     values = np.asarray(known[name], dtype=np.float64) if name in known else otherwise
     if values.shape != otherwise.shape:
