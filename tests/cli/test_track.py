@@ -139,8 +139,8 @@ def test_radial_velocities_of_the_csv_are_taken(tmp_path: Path) -> None:
     """A car at 60 m that drives away at 12 m/s is known to do so at its second detection, modulo the span too."""
     lines = ["frame,label,x,y,z,l,w,h,yaw_rad,score,doppler_m_s"]
     rng = np.random.default_rng(0)
-    for frame in range(12):
-        lines.append(f"{frame},Car,{60 + 1.2 * frame + rng.normal(0, 0.3)},0,0,4,2,1.5,0,0.95,12")
+    places = 60 + 1.2 * np.arange(12) + rng.normal(0, 0.3, 12)
+    lines += [f"{frame},Car,{x},0,0,4,2,1.5,0,0.95,12" for frame, x in enumerate(places)]
     found, out = tmp_path / "found.csv", tmp_path / "out.csv"
     found.write_text("\n".join(lines) + "\n")
     assert cli.main(["track", str(found), "--out", str(out)]) == 0

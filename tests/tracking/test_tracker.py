@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import ConvexHull
 
 from farfield.errors import ConfigError
@@ -15,6 +16,7 @@ from farfield.tracking import PRESETS, TrackerSettings, track
 from farfield.tracking.association import associate
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
+from farfield.tracking.whole import best_whole
 
 
 def random_boxes(rng: np.random.Generator, n: int, spread_m: float = 4.0) -> Boxes:
@@ -71,6 +73,25 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
         settings = TrackerSettings(similarity="giou", gate=least, gate_sigmas=None)
         rows, _ = associate(a, drive, label, b, drive, label, settings, gate * 0 + least)
         np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
+
+
+def test_the_assignment_by_bounds_is_that_of_all_pairs() -> None:
+    rng = np.random.default_rng(8)
+    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9)):
+        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(3)]
+        a, b, worth = best_whole(
+            np.concatenate([one for one, _ in parts]),
+            np.repeat(np.arange(3), n),
+            np.concatenate([other for _, other in parts]),
+            np.repeat(np.arange(3), m),
+            4,
+        )
+        for drive, (one, other) in enumerate(parts):
+            whole = iou_3d(np.repeat(one, m, axis=0), np.tile(other, (n, 1)), generalised=True).reshape(n, m)
+            wanted = linear_sum_assignment(whole, maximize=True)
+            here = a // n == drive
+            np.testing.assert_array_equal(np.stack([a[here] - drive * n, b[here] - drive * m]), np.stack(wanted))
+            np.testing.assert_array_equal(worth[here], whole[wanted])
 
 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:

@@ -9,6 +9,7 @@ from farfield.metrics.frames import same_owner
 from farfield.metrics.tracking.pairing import best_pairs, greedy_pairs
 from farfield.tracking.settings import TrackerSettings
 from farfield.tracking.similarity import iou_3d
+from farfield.tracking.whole import best_whole
 
 _Pairs = tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]
 
@@ -62,6 +63,10 @@ def associate(
         Rows of the tracks and rows of their detections.
     """
     drives = int(max(track_drive.max(initial=-1), seen_drive.max(initial=-1))) + 1
+    if _is_whole(settings, track_label, seen_label):
+        a, b, worth = best_whole(tracks, track_drive, seen, seen_drive, drives)
+        kept = worth >= gate[seen_label[b]]
+        return a[kept], b[kept]
     a, b = same_owner(track_drive, seen_drive, drives)
     if settings.same_class:
         alike = track_label[a] == seen_label[b]
@@ -88,6 +93,13 @@ def associate(
         chosen = best_pairs(a, b, worth + _lift(worth, settings), track_drive[a])
     chosen = chosen[worth[chosen] >= least[chosen]]
     return a[chosen], b[chosen]
+
+
+def _is_whole(settings: TrackerSettings, of_tracks: np.ndarray, of_seen: np.ndarray) -> bool:
+    """Whether every track may take every detection of its drive, by generalised IoU."""
+    alike = not settings.same_class or len({*of_tracks.tolist(), *of_seen.tolist()}) < 2
+    gated = settings.gate_first or settings.gate_sigmas is not None
+    return alike and not gated and settings.similarity == "giou" and settings.assignment == "hungarian"
 
 
 def _lift(worth: Float[np.ndarray, " p"], settings: TrackerSettings) -> float:

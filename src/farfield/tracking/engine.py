@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -40,7 +41,8 @@ class Seen:
         return len(self.drive)
 
     def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Seen":
-        return Seen(**{name: None if values is None else values[rows] for name, values in vars(self).items()})
+        chosen: dict[str, Any] = {name: None if all_ is None else all_[rows] for name, all_ in vars(self).items()}
+        return Seen(**chosen)
 
 
 class Engine:
