@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from farfield.frame import Annotation, Cloud, Frame, Sensor, joined, moved
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.protocol import protocol
+    from farfield.tracking import track
 
 _HOMES = {
     "Annotation": "farfield.frame",
@@ -42,6 +43,7 @@ _HOMES = {
     "open_dataset": "farfield.api",
     "protocol": "farfield.metrics.protocol",
     "show": "farfield.api",
+    "track": "farfield.tracking",
 }
 __all__ = [
     "Annotation",
@@ -61,6 +63,7 @@ __all__ = [
     "open_dataset",
     "protocol",
     "show",
+    "track",
 ]
 
 

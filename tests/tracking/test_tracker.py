@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import ConvexHull
 
 from farfield.errors import ConfigError
@@ -15,6 +16,7 @@ from farfield.tracking import PRESETS, TrackerSettings, track
 from farfield.tracking.association import associate
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
+from farfield.tracking.whole import best_whole
 
 
 def random_boxes(rng: np.random.Generator, n: int, spread_m: float = 4.0) -> Boxes:
@@ -68,9 +70,28 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
     drive, gate = np.arange(120), np.full(1, -0.5)
     label = np.zeros(120, dtype=np.int64)
     for least in (-0.8, -0.5, -0.2, 0.1):
-        settings = TrackerSettings(gate=least)
+        settings = TrackerSettings(similarity="giou", gate=least, gate_sigmas=None)
         rows, _ = associate(a, drive, label, b, drive, label, settings, gate * 0 + least)
         np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
+
+
+def test_the_assignment_by_bounds_is_that_of_all_pairs() -> None:
+    rng = np.random.default_rng(8)
+    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9)):
+        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(3)]
+        a, b, worth = best_whole(
+            np.concatenate([one for one, _ in parts]),
+            np.repeat(np.arange(3), n),
+            np.concatenate([other for _, other in parts]),
+            np.repeat(np.arange(3), m),
+            4,
+        )
+        for drive, (one, other) in enumerate(parts):
+            whole = iou_3d(np.repeat(one, m, axis=0), np.tile(other, (n, 1)), generalised=True).reshape(n, m)
+            wanted = linear_sum_assignment(whole, maximize=True)
+            here = a // n == drive
+            np.testing.assert_array_equal(np.stack([a[here] - drive * n, b[here] - drive * m]), np.stack(wanted))
+            np.testing.assert_array_equal(worth[here], whole[wanted])
 
 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:
@@ -165,7 +186,7 @@ def test_a_weak_detection_keeps_a_track_alive_or_moves_it() -> None:
     weak = {
         key: boxes.replace(score=np.array([0.2])) if key[1] in "345" else boxes for key, boxes in found.boxes.items()
     }
-    settings = TrackerSettings(strong_score=0.5, weak_gate=-0.5, max_age=2)
+    settings = TrackerSettings(similarity="giou", gate=-0.5, strong_score=0.5, weak_gate=-0.5, max_age=2)
     assert shown_in(track(Detections(boxes=weak, annotations={}), settings)) == [[0]] * 7
     assert shown_in(track(Detections(boxes=weak, annotations={}), settings, weak_gate=None))[3:6] == [[], [], []]
 
@@ -178,10 +199,72 @@ def test_distances_gate_by_class_and_greedy_goes_by_score() -> None:
     assert shown_in(track(line([10.0, None, 10.0]), "centerpoint")) == [[0], [], [1]]
 
 
+def at_scores(scores: list[float], x: float = 10.0) -> Detections:
+    found = line([x] * len(scores))
+    boxes = found.boxes.items()
+    return Detections(
+        boxes={key: part.replace(score=np.array([scores[row]])) for row, (key, part) in enumerate(boxes)},
+        annotations={},
+    )
+
+
+def test_weak_tracks_wait_for_more_matches_and_are_not_lost() -> None:
+    weak = [0.3] * 7
+    assert shown_in(track(at_scores(weak))) == [[]] * 4 + [[0]] * 3
+    assert shown_in(track(at_scores(weak), unsure_hits=7)) == [[]] * 6 + [[0]]
+    assert shown_in(track(at_scores(weak), sure_score=None)) == [[0]] * 7
+    # One sure detection is enough for ever; logits of the same probability say the same.
+    once = [0.3, 0.95, 0.3, 0.3]
+    assert shown_in(track(at_scores(once))) == [[], [0], [0], [0]]
+    logits = [float(np.log(p / (1 - p))) for p in once]
+    assert shown_in(track(at_scores(logits))) == [[], [0], [0], [0]]
+
+
+def test_gates_grow_with_time_and_with_uncertainty() -> None:
+    found = line([10.0, 10.0, 10.0, 12.5])
+    wide = {"gate_sigmas": None, "sure_score": None, "gate": 1.0}
+    assert shown_in(track(found, **wide, gate_speed_m_s=0.0))[3] == []
+    assert shown_in(track(found, **wide, gate_speed_m_s=0.0, min_hits=1))[3] == [1]
+    assert shown_in(track(found, **wide, gate_speed_m_s=16.0))[3] == [0]
+    assert shown_in(track(found, **wide, gate_speed_m_s=8.0, step_s=0.2))[3] == [0]
+    # Two frames without a match: twice as far.
+    coasted = line([10.0, 10.0, 10.0, None, 13.5])
+    assert shown_in(track(coasted, **wide, gate_speed_m_s=10.0, min_hits=1))[4] == [1]
+    assert shown_in(track(coasted, **wide, gate_speed_m_s=13.0, min_hits=1))[4] == [0]
+
+
+def test_gates_by_uncertainty_are_wider_far_away() -> None:
+    """A jump of 2 m across the ray: impossible at 20 m, nothing at 200 m, where half a degree is 1.7 m."""
+    radar = {
+        "gate": 50.0,
+        "gate_sigmas": 3.0,
+        "range_sigma_m": 0.3,
+        "azimuth_sigma_rad": np.radians(0.5),
+        "min_hits": 1,
+    }
+    names = []
+    for x in (20.0, 200.0):
+        found = line([x] * 12)
+        last = list(found.boxes)[-1]
+        moved = found.boxes[last].replace(centre_m=np.array([[x, 2.0, 0.0]]))
+        jumped = Detections(boxes={**found.boxes, last: moved}, annotations={})
+        names.append(shown_in(track(jumped, sure_score=None, acceleration=1.0, **radar))[-1])
+    assert names == [[1], [0]]
+
+
+def test_births_and_deaths_are_others_far_away() -> None:
+    far = {"far_m": 100.0, "far_min_hits": 4, "far_max_age": 5, "max_age": 2, "warm_up": 0, "sure_score": None}
+    for x, wanted in ((50.0, [[], [], [0], [], [], []]), (150.0, [[], [], [], [], [], [0]])):
+        assert shown_in(track(line([x, x, x, None, None, x]), **far)) == wanted
+
+
 def test_impossible_options_are_refused() -> None:
     with pytest.raises(ConfigError, match="preset: expected one of default"):
         track(line([1.0]), "sort")
     with pytest.raises(ConfigError, match="max_age: expected 1 or more"):
         TrackerSettings().changed(max_age=0)
+    for name, value in (("sure_score", 2.0), ("gate_sigmas", 0.0), ("gate_speed_m_s", -1.0), ("unsure_hits", 0)):
+        with pytest.raises(ConfigError, match=f"{name}: expected"):
+            TrackerSettings().changed(**{name: value})
     with pytest.raises(ConfigError, match="expected options among"):
         track(line([1.0]), far=3)

@@ -10,51 +10,68 @@ def run(
     detections: tyro.conf.Positional[Path],
     *,
     out: Path,
+    data: Path | None = None,
     format: Literal["boxes-csv", "kitti-tracking"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
-        str, tyro.conf.arg(metavar="{default,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
+        str, tyro.conf.arg(metavar="{default,offline,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
     ] = "default",
     step_s: float | None = None,
     least_score: float | None = None,
     least_track_score: float | None = None,
+    doppler_span_m_s: float | None = None,
     smooth: bool = False,
+    picture: Path | None = None,
 ) -> int:
     """Give detections identities and velocities, frame by frame.
 
     examples:
       farfield track predictions.csv --out tracks.csv
       farfield track detections/ --format kitti-tracking --preset ab3dmot --out tracks/
+      farfield track predictions.csv --data drives/ --out tracks.csv --picture trails.png
       farfield track predictions.csv --step-s 0.25 --smooth --out tracks.csv
 
-    Steps are constant and tracks are kept in the sensor's own coordinates, as files of boxes have no stamps and no
-    poses. `farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car` scores them.
+    With --data, stamps and poses are those of the data set's drives, and tracks are kept in the world. Files of boxes
+    have neither: without it steps are constant and tracks are kept in the sensor's own coordinates.
+    `farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car` scores them.
 
     Args:
         detections: File, or folder of files, of scored boxes; a folder's files are sequences.
         out: The file, for kitti-tracking the folder, to write.
+        data: Data set that the detections were made on; frames are matched by sequence and frame.
         format: Format of the detections.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
-        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our default.
-        step_s: Seconds between frames; 0.1 unless given.
+        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default, and
+            offline, which --smooth takes instead of it.
+        step_s: Seconds between frames where there are no stamps; 0.1 unless given.
         least_score: Detections of a lower score are left out.
         least_track_score: Tracks of a lower mean score are left out.
+        doppler_span_m_s: Span modulo which radial velocities (doppler_m_s of the CSV) are known; they are taken as
+            unambiguous unless given.
         smooth: Look ahead too: smooth each track as a whole (Rauch-Tung-Striebel) and fill its gaps.
+        picture: SVG, PNG or JPEG of the tracks' trails from above to write.
     """
+    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.metrics.reading import read_predictions
+    from farfield.reports.trails import check_picture, write_trails
     from farfield.tracking import track
+    from farfield.tracking.placing import with_drives
     from farfield.tracking.selecting import with_track_score
     from farfield.tracking.smoothing import smoothed
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
-    given: dict[str, Any] = {"step_s": step_s, "least_score": least_score}
+    given: dict[str, Any] = {"step_s": step_s, "least_score": least_score, "doppler_span_m_s": doppler_span_m_s}
     given = {name: value for name, value in given.items() if value is not None}
     given |= {"output": "detection", "report_coasted": False} if smooth else {}
     kind = format if to == "same" else to
     if kind == "kitti-tracking" and out.is_file():
         raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
-    found = track(read_predictions(detections, format=format), preset, **given)
+    if picture is not None:
+        check_picture(picture)
+    preset = "offline" if smooth and preset == "default" else preset
+    seen = read_predictions(detections, format=format)
+    found = track(seen if data is None else with_drives(seen, open_dataset(data).drives()), preset, **given)
     if smooth:
         found = smoothed(found, step_s=0.1 if step_s is None else step_s)
     if least_track_score is not None:
@@ -65,6 +82,8 @@ def run(
         write_nuscenes_tracks(out, found)
     else:
         write_tracks_csv(out, found)
+    if picture is not None:
+        write_trails(picture, found)
     print("".join(f"note: {note}\n" for note in found.notes), end="")
     boxes = sum(map(len, found.boxes.values()))
     names = {(key[0], name) for key, part in found.boxes.items() if part.track_id is not None for name in part.track_id}

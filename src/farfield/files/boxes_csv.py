@@ -3,7 +3,8 @@
 Columns, in any order: ``sequence`` (may be absent), ``frame``, ``label``, ``x``, ``y``, ``z`` (centre, metres, x
 forward, y left, z up), ``l``, ``w``, ``h`` (full sizes, metres), ``yaw_rad`` (counter-clockwise from +x), ``score``
 (empty or absent for annotated boxes); also ``track_id`` and ``point_count`` (both may be absent), and the velocity over
-ground ``vx_m_s``, ``vy_m_s`` and perhaps ``vz_m_s`` along the same axes (empty in a row where it is not known).
+ground ``vx_m_s``, ``vy_m_s`` and perhaps ``vz_m_s`` along the same axes (empty in a row where it is not known), and
+``doppler_m_s``, a radar's radial velocity relative to the sensor, away from it positive (likewise).
 """
 
 import csv
@@ -27,8 +28,9 @@ _NEEDED = ("frame", "label", *_NUMBERS)
 _WORDS = ("sequence", "frame", "label")
 _COUNTS = ("track_id", "point_count")
 _VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
-_OPTIONAL = ("sequence", "score", *_COUNTS)
-COLUMNS = ("sequence", *_NEEDED, "score", *_COUNTS, *_VELOCITY)
+_DOPPLER = "doppler_m_s"
+_OPTIONAL = ("sequence", "score", *_COUNTS, _DOPPLER)
+COLUMNS = ("sequence", *_NEEDED, "score", *_COUNTS, *_VELOCITY, _DOPPLER)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,6 +49,7 @@ class BoxRows:
         point_count: Shape (n,), or None; -1 where a row has none.
         velocity_m_s: Velocity over ground, x, y and perhaps z, shape (n, 2) or (n, 3), or None; NaN where a row has
             none.
+        doppler_m_s: Radial velocity relative to the sensor, away from it positive, shape (n,), or None; NaN likewise.
     """
 
     frame: Shaped[np.ndarray, " n"]
@@ -59,6 +62,7 @@ class BoxRows:
     track_id: Int[np.ndarray, " n"] | None = None
     point_count: Int[np.ndarray, " n"] | None = None
     velocity_m_s: Float[np.ndarray, "n axes"] | None = None
+    doppler_m_s: Float[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -141,6 +145,8 @@ def _cells(rows: BoxRows, names: Sequence[str]) -> Iterable[Sequence[object]]:
         values = getattr(rows, name)
         if values is not None:
             table[name] = values.tolist()
+    if rows.doppler_m_s is not None:
+        table[_DOPPLER] = ["" if math.isnan(value) else value for value in rows.doppler_m_s.tolist()]
     table |= velocity
     return zip(*(table[name] for name in names), strict=True)
 
@@ -217,7 +223,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
         raise _wrong(path, line, f"a finite number as {name}", repr(text[:40]))
     if name in "lwh" and value < _LEAST_M:
         raise _wrong(path, line, f"a positive size as {name}, {_LEAST_M:g} m or more", text[:40])
-    if name in (*_NUMBERS, *_VELOCITY) and abs(value) > _FARTHEST_M:
+    if name in (*_NUMBERS, *_VELOCITY, _DOPPLER) and abs(value) > _FARTHEST_M:
         raise _wrong(path, line, f"a number within {_FARTHEST_M:g} as {name}", text[:40])
     if name in _COUNTS and (value != round(value) or abs(value) > 2**53):
         raise _wrong(path, line, f"a whole number as {name}", text[:40])
@@ -245,6 +251,7 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
         track_id=counts.get("track_id"),
         point_count=counts.get("point_count"),
         velocity_m_s=_velocity(path, numbers),
+        doppler_m_s=numbers.get(_DOPPLER),
     )
 
 

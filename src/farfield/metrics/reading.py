@@ -203,7 +203,8 @@ def _read_csv(side: _Collected, path: Path, stem: str) -> None:
     )
     sequence = np.full(len(rows), stem) if rows.sequence is None else rows.sequence
     for (name, frame), index in _groups(sequence, rows.frame):
-        side.add(path, (name, frame), boxes[index])
+        known = None if rows.doppler_m_s is None else {"doppler_m_s": rows.doppler_m_s[index]}
+        side.add(path, (name, frame), boxes[index], known)
 
 
 def _read_kitti(side: _Collected, path: Path, stem: str) -> None:

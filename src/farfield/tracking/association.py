@@ -1,5 +1,7 @@
 """Which detection continues which track."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -7,8 +9,30 @@ from farfield.metrics.frames import same_owner
 from farfield.metrics.tracking.pairing import best_pairs, greedy_pairs
 from farfield.tracking.settings import TrackerSettings
 from farfield.tracking.similarity import iou_3d
+from farfield.tracking.whole import best_whole
 
 _Pairs = tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reach:
+    """How uncertain places are, for gates.
+
+    Args:
+        wider_m: What gates of distance grow by, of each track, shape (n,).
+        tracks_m2: Variances of the tracks' x and y, shape (n, 2).
+        seen_m2: Variances of the detections' x and y, shape (m, 2).
+    """
+
+    wider_m: Float[np.ndarray, " n"]
+    tracks_m2: Float[np.ndarray, "n 2"]
+    seen_m2: Float[np.ndarray, "m 2"]
+
+    def may_pass(
+        self, gap_m: Float[np.ndarray, "p 2"], a: Int[np.ndarray, " p"], b: Int[np.ndarray, " p"], sigmas: float
+    ) -> np.ndarray:
+        """Pairs whose places differ by at most so many standard deviations."""
+        return np.asarray((gap_m**2 / (self.tracks_m2[a] + self.seen_m2[b])).sum(axis=1) <= sigmas**2)
 
 
 def associate(
@@ -20,6 +44,7 @@ def associate(
     seen_label: Int[np.ndarray, " m"],
     settings: TrackerSettings,
     gate: Float[np.ndarray, " labels"],
+    reach: Reach | None = None,
 ) -> _Pairs:
     """Pair tracks and detections of the same drive, each once.
 
@@ -32,22 +57,33 @@ def associate(
         seen_label: Their classes.
         settings: Similarity, assignment, gate's order.
         gate: Gate of each class: least similarity, or largest distance.
+        reach: What widens or narrows it.
 
     Returns:
         Rows of the tracks and rows of their detections.
     """
     drives = int(max(track_drive.max(initial=-1), seen_drive.max(initial=-1))) + 1
+    if _is_whole(settings, track_label, seen_label):
+        a, b, worth = best_whole(tracks, track_drive, seen, seen_drive, drives)
+        kept = worth >= gate[seen_label[b]]
+        return a[kept], b[kept]
     a, b = same_owner(track_drive, seen_drive, drives)
     if settings.same_class:
         alike = track_label[a] == seen_label[b]
         a, b = a[alike], b[alike]
-    if settings.gate_first or settings.similarity == "iou":
-        near = _may_pass(tracks, seen, a, b, settings, gate[seen_label[b]])
+    if reach is not None and settings.gate_sigmas is not None:
+        near = reach.may_pass(tracks[a, :2] - seen[b, :2], a, b, settings.gate_sigmas)
         a, b = a[near], b[near]
+    limit = gate[seen_label[b]]
+    if reach is not None and settings.similarity == "distance":
+        limit = limit + reach.wider_m[a]
+    if settings.gate_first or settings.similarity == "iou":
+        near = _may_pass(tracks, seen, a, b, settings, limit)
+        a, b, limit = a[near], b[near], limit[near]
     if not len(a):
         return a, b
     worth = _worth(tracks[a], seen[b], settings)
-    least = gate[seen_label[b]] if settings.similarity != "distance" else -gate[seen_label[b]]
+    least = limit if settings.similarity != "distance" else -limit
     if settings.gate_first:
         passed = worth >= least
         a, b, worth, least = a[passed], b[passed], worth[passed], least[passed]
@@ -57,6 +93,13 @@ def associate(
         chosen = best_pairs(a, b, worth + _lift(worth, settings), track_drive[a])
     chosen = chosen[worth[chosen] >= least[chosen]]
     return a[chosen], b[chosen]
+
+
+def _is_whole(settings: TrackerSettings, of_tracks: np.ndarray, of_seen: np.ndarray) -> bool:
+    """Whether every track may take every detection of its drive, by generalised IoU."""
+    alike = not settings.same_class or len({*of_tracks.tolist(), *of_seen.tolist()}) < 2
+    gated = settings.gate_first or settings.gate_sigmas is not None
+    return alike and not gated and settings.similarity == "giou" and settings.assignment == "hungarian"
 
 
 def _lift(worth: Float[np.ndarray, " p"], settings: TrackerSettings) -> float:

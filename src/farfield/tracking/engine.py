@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.tracking.association import associate
+from farfield.tracking.association import Reach, associate
+from farfield.tracking.doppler import narrow_births, polar_covariance, spread_cross, update_coupled, update_doppler
 from farfield.tracking.kalman import Tracks, predict, update
 from farfield.tracking.settings import TrackerSettings
 
@@ -23,6 +25,7 @@ class Seen:
         score: Scores, shape (n,), falling within a drive.
         label: Numbers of the classes, shape (n,).
         source: What they are called, shape (n,).
+        radial: Measured radial velocities as :func:`farfield.tracking.doppler.update_doppler` takes them, shape (n, 7).
     """
 
     drive: Int[np.ndarray, " n"]
@@ -32,12 +35,14 @@ class Seen:
     score: Float[np.ndarray, " n"]
     label: Int[np.ndarray, " n"]
     source: Int[np.ndarray, " n"]
+    radial: Float[np.ndarray, "n 7"] | None = None
 
     def __len__(self) -> int:
         return len(self.drive)
 
     def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Seen":
-        return Seen(**{name: values[rows] for name, values in vars(self).items()})
+        chosen: dict[str, Any] = {name: None if all_ is None else all_[rows] for name, all_ in vars(self).items()}
+        return Seen(**chosen)
 
 
 class Engine:
@@ -47,12 +52,26 @@ class Engine:
         settings: The tracker's options.
         drives: Number of drives.
         labels: Names of the classes.
+        logits: Whether scores are logits rather than probabilities.
+        doppler: Whether detections have radial velocities; x and y are then coupled.
     """
 
-    def __init__(self, settings: TrackerSettings, *, drives: int, labels: Sequence[str]) -> None:
+    def __init__(
+        self,
+        settings: TrackerSettings,
+        *,
+        drives: int,
+        labels: Sequence[str],
+        logits: bool = False,
+        doppler: bool = False,
+    ) -> None:
         self.settings, self.tracks = settings, Tracks.none()
         self.names, self.frames = np.zeros(drives, dtype=np.int64), np.zeros(drives, dtype=np.int64)
         self.gate = np.array([settings.gates_m.get(name.lower(), settings.gate) for name in labels] or [settings.gate])
+        sure = -np.inf if settings.sure_score is None else settings.sure_score
+        self.sure = float(_logit(sure)) if logits and settings.sure_score is not None else sure
+        self.dt = np.zeros(drives)
+        self.coupled = doppler and settings.doppler_sigma_m_s is not None
 
     def step(self, seen: Seen, dt: Float[np.ndarray, " drives"], running: Bool[np.ndarray, " drives"]) -> Tracks:
         """Take one frame of each running drive.
@@ -66,9 +85,12 @@ class Engine:
             The tracks that are reported.
         """
         self.frames += running
+        self.dt = dt
         self._forget(seen, running)
         step = np.ones_like(dt) if self.settings.time == "frames" else dt
         predict(self.tracks, step[self.tracks.drive], self.settings)
+        if self.coupled:
+            spread_cross(self.tracks, step[self.tracks.drive])
         strong = np.ones(len(seen), dtype=bool)
         if self.settings.strong_score is not None:
             strong = seen.score >= self.settings.strong_score
@@ -79,8 +101,15 @@ class Engine:
             self._take(seen[~strong], self.tracks.misses > 0, gate, weak=True)
         self.tracks = self.tracks.joined(self._born(left))
         shown = self.tracks[self._shown()]
-        self.tracks = self.tracks[self.tracks.misses < self.settings.max_age]
+        self.tracks = self.tracks[self.tracks.misses < self._by_range("max_age")]
         return shown
+
+    def _by_range(self, name: str) -> int | Int[np.ndarray, " n"]:
+        """An option that may be another one far away."""
+        near = int(getattr(self.settings, name))
+        if self.settings.far_m is None:
+            return near
+        return np.where(self.tracks.range_m >= self.settings.far_m, getattr(self.settings, f"far_{name}"), near)
 
     def _forget(self, seen: Seen, running: Bool[np.ndarray, " drives"]) -> None:
         kept = running.copy()
@@ -102,7 +131,8 @@ class Engine:
         theirs = seen.rows
         if self.settings.anchor == "bottom":
             rows, theirs = _lifted(rows), _lifted(theirs)
-        a, b = associate(rows, t.drive, t.label, theirs, seen.drive, seen.label, self.settings, gate)
+        reach = self._reach(t, seen)
+        a, b = associate(rows, t.drive, t.label, theirs, seen.drive, seen.label, self.settings, gate, reach)
         a = places[a]
         free[b] = False
         t = self.tracks
@@ -110,13 +140,43 @@ class Engine:
         if weak and not self.settings.weak_updates:
             return free
         t.hits[a] += 1
+        t.best[a] = np.maximum(t.best[a], seen.score[b])
+        t.range_m[a] = np.hypot(*seen.ray_m[b].T)
         t.source[a], t.score[a] = seen.source[b], seen.score[b]
         if self.settings.motion == "kalman":
-            update(t, a, seen.rows[b], self._variance(seen.ray_m[b]), self.settings)
+            self._update(a, seen[b])
         else:
             t.place_m[a], t.size_m[a], t.yaw_rad[a] = seen.rows[b, :3], seen.rows[b, 3:6], seen.rows[b, 6]
             t.speed[a, :2] = seen.velocity_m_s[b]
         return free
+
+    def _update(self, rows: Int[np.ndarray, " k"], seen: Seen) -> None:
+        variance = self._variance(seen.ray_m)
+        if not self.coupled:
+            update(self.tracks, rows, seen.rows, variance, self.settings)
+            return
+        s = self.settings
+        noise = variance[:, :2, None] * np.eye(2)
+        if s.range_sigma_m is not None:
+            noise = polar_covariance(seen.ray_m, s.range_sigma_m, s.azimuth_sigma_rad)
+        update(self.tracks, rows, seen.rows, variance, s, axes=slice(2, 3))
+        update_coupled(self.tracks, rows, seen.rows[:, :2], noise)
+        self._doppler(self.tracks, rows, seen)
+
+    def _doppler(self, tracks: Tracks, rows: Int[np.ndarray, " k"], seen: Seen) -> None:
+        sigma, span = self.settings.doppler_sigma_m_s, self.settings.doppler_span_m_s
+        if seen.radial is not None and sigma is not None:
+            update_doppler(tracks, rows, seen.radial, np.hypot(*seen.ray_m.T), sigma_m_s=sigma, span_m_s=span)
+
+    def _reach(self, tracks: Tracks, seen: Seen) -> Reach | None:
+        s = self.settings
+        if s.gate_sigmas is None and not s.gate_speed_m_s:
+            return None
+        return Reach(
+            wider_m=s.gate_speed_m_s * self.dt[tracks.drive] * tracks.misses,
+            tracks_m2=tracks.pp[:, :2],
+            seen_m2=self._variance(seen.ray_m)[:, :2],
+        )
 
     def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """Variances of places: the same for all, or by range and direction."""
@@ -138,7 +198,7 @@ class Engine:
         if s.motion == "detection" or s.time == "seconds":
             speed[:, :2] = seen.velocity_m_s
         start = np.full((n, 3), s.initial_variance)
-        return Tracks(
+        born = Tracks(
             drive=seen.drive,
             name=name,
             label=seen.label,
@@ -154,12 +214,26 @@ class Engine:
             misses=np.zeros(n, dtype=np.int64),
             source=seen.source.copy(),
             score=seen.score.copy(),
+            best=seen.score.copy(),
+            range_m=np.hypot(*seen.ray_m.T),
+            cross=np.zeros((n, 2, 2)),
         )
+        if self.coupled:
+            if s.across_speed_m_s is not None and seen.radial is not None:
+                narrow_births(born, seen.radial, s.across_speed_m_s)
+            self._doppler(born, np.arange(n), seen)
+        return born
 
     def _shown(self) -> Bool[np.ndarray, " n"]:
         t, s = self.tracks, self.settings
-        proven = (t.hits >= s.min_hits) | (self.frames[t.drive] <= s.warm_up)
-        return proven & ((t.misses < s.max_age) if s.report_coasted else (t.misses == 0))
+        proven = (t.hits >= self._by_range("min_hits")) | (self.frames[t.drive] <= s.warm_up)
+        proven &= (t.best >= self.sure) | (t.hits >= s.unsure_hits)
+        return proven & ((t.misses < self._by_range("max_age")) if s.report_coasted else (t.misses == 0))
+
+
+def _logit(probability: float) -> float:
+    with np.errstate(divide="ignore"):
+        return float(np.log(probability) - np.log1p(-probability))
 
 
 def _lifted(rows: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:

@@ -33,6 +33,9 @@ class Tracks:
         misses: Frames since the last match.
         source: Row of the last detection that was taken.
         score: Its score.
+        best: The best score so far.
+        range_m: How far from the sensor that detection was.
+        cross: Covariances of (x, velocity along x) with (y, velocity along y), shape (n, 2, 2); 0 without Doppler.
     """
 
     drive: Int[np.ndarray, " n"]
@@ -50,6 +53,9 @@ class Tracks:
     misses: Int[np.ndarray, " n"]
     source: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
+    best: Float[np.ndarray, " n"]
+    range_m: Float[np.ndarray, " n"]
+    cross: Float[np.ndarray, "n 2 2"]
 
     @classmethod
     def none(cls) -> "Tracks":
@@ -57,7 +63,8 @@ class Tracks:
         three = ("place_m", "speed", "pp", "pv", "vv", "size_m")
         whole = ("drive", "name", "label", "hits", "misses", "source")
         kinds = {each.name: np.int64 if each.name in whole else np.float64 for each in fields(cls)}
-        return cls(**{name: np.zeros((0, 3) if name in three else 0, dtype=kind) for name, kind in kinds.items()})
+        shape = {name: (0, 2, 2) if name == "cross" else (0, 3) if name in three else (0,) for name in kinds}
+        return cls(**{name: np.zeros(shape[name], dtype=kind) for name, kind in kinds.items()})
 
     def __len__(self) -> int:
         return len(self.drive)
@@ -102,6 +109,7 @@ def update(
     seen: Float[np.ndarray, "k 7"],
     variance: Float[np.ndarray, "k 3"],
     settings: TrackerSettings,
+    axes: slice = slice(0, 3),
 ) -> None:
     """Take detections into tracks, in place.
 
@@ -113,15 +121,9 @@ def update(
         seen: The detections as x, y, z, length, width, height, yaw.
         variance: Variances of their places.
         settings: Variance of size and heading.
+        axes: Axes of the place that are updated here.
     """
-    pp, pv = tracks.pp[rows], tracks.pv[rows]
-    gain_p, gain_v = pp / (pp + variance), pv / (pp + variance)
-    gap = seen[:, :3] - tracks.place_m[rows]
-    tracks.place_m[rows] += gain_p * gap
-    tracks.speed[rows] += gain_v * gap
-    tracks.pp[rows] = pp * (1 - gain_p)
-    tracks.pv[rows] = pv * (1 - gain_p)
-    tracks.vv[rows] -= gain_v * pv
+    _update_axes(tracks, rows, seen[:, :3], variance, axes)
     spread = tracks.spread[rows]
     gain = spread / (spread + settings.measurement_variance)
     tracks.size_m[rows] += gain[:, None] * (seen[:, 3:6] - tracks.size_m[rows])
@@ -130,3 +132,20 @@ def update(
     yaw = tracks.yaw_rad[rows] + np.where(turned, np.pi, 0.0)
     tracks.yaw_rad[rows] = wrap_angle_rad(yaw + gain * wrap_angle_rad(seen[:, 6] - yaw))
     tracks.spread[rows] = spread * (1 - gain)
+
+
+def _update_axes(
+    tracks: Tracks,
+    rows: Int[np.ndarray, " k"],
+    seen_m: Float[np.ndarray, "k 3"],
+    variance: Float[np.ndarray, "k 3"],
+    axes: slice,
+) -> None:
+    pp, pv = tracks.pp[rows, axes], tracks.pv[rows, axes]
+    gain_p, gain_v = pp / (pp + variance[:, axes]), pv / (pp + variance[:, axes])
+    gap = seen_m[:, axes] - tracks.place_m[rows, axes]
+    tracks.place_m[rows, axes] += gain_p * gap
+    tracks.speed[rows, axes] += gain_v * gap
+    tracks.pp[rows, axes] = pp * (1 - gain_p)
+    tracks.pv[rows, axes] = pv * (1 - gain_p)
+    tracks.vv[rows, axes] -= gain_v * pv

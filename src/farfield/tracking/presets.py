@@ -22,12 +22,18 @@ _AB3DMOT: dict[str, Any] = {
     "measurement_variance": 1.0,
     "min_hits": 3,
     "warm_up": 3,
+    "sure_score": None,
+    "doppler_sigma_m_s": None,
+    "gate_speed_m_s": 0.0,
+    "gate_sigmas": None,
     "max_age": 2,
     "report_coasted": True,
     "output": "filtered",
 }
 PRESETS: dict[str, TrackerSettings] = {
     "default": TrackerSettings(),
+    # For smoothing, which sees whole tracks: they live longer, and scores are judged afterwards.
+    "offline": TrackerSettings(max_age=5, min_hits=3, warm_up=3, sure_score=None),
     "ab3dmot": TrackerSettings(**_AB3DMOT),
     "ab3dmot-paper": TrackerSettings(**_AB3DMOT | {"similarity": "iou", "gate": 0.01}),
     # Yin et al., CVPR 2021: greedy on distances, the last centre moved by the detection's velocity.
@@ -48,6 +54,11 @@ PRESETS: dict[str, TrackerSettings] = {
         min_hits=1,
         warm_up=0,
         max_age=3,
+        sure_score=None,
+        doppler_sigma_m_s=None,
+        gate_speed_m_s=0.0,
+        gate_sigmas=None,
+        acceleration=3.0,
         forget_when_empty=True,
     ),
     # Pang et al., ECCV workshops 2022, its Waymo settings: two stages on generalised IoU.

@@ -15,6 +15,15 @@ _WORDS = {
     "output": ("filtered", "detection"),
 }
 
+_POSITIVE_OR_NONE = (
+    "gate_sigmas",
+    "far_m",
+    "range_sigma_m",
+    "doppler_sigma_m_s",
+    "doppler_span_m_s",
+    "across_speed_m_s",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
@@ -25,6 +34,9 @@ class TrackerSettings:
             and y.
         gate: Least IoU or generalised IoU of a pair; largest distance in metres where no class is named.
         gates_m: For distances: the largest one by class.
+        gate_speed_m_s: For distances: what the gate grows by for each second since the track's last match.
+        gate_sigmas: Largest distance in standard deviations of both the track's place and the detection's, beside the
+            gate; None for no such gate.
         gate_first: Whether pairs beyond the gate are taken out before the assignment (True) or after it (AB3DMOT).
         assignment: ``"hungarian"`` for the best sum, ``"greedy"`` for the detections' turn: they choose in their order.
         same_class: Whether a track and its detections are of one class.
@@ -41,8 +53,18 @@ class TrackerSettings:
         measurement_variance: Of place, size and heading of a detection.
         range_sigma_m: Instead of it, for places: error along the ray; with ``azimuth_sigma_rad``.
         azimuth_sigma_rad: Error across the ray, as an angle. Errors along x and y are taken as independent.
+        doppler_sigma_m_s: Error of measured radial velocities, where detections have them; None takes none.
+        doppler_span_m_s: Span modulo which they are known; None where they are not ambiguous.
+        across_speed_m_s: Deviation of the velocity across the ray at birth, where the radial one is measured; None
+            takes that of ``initial_speed_variance``. 3 suits roads that lead away from the sensor.
         min_hits: Frames with a match, that of birth counted, from which on a track is reported.
         warm_up: First frames of a drive in which every track is reported at once.
+        sure_score: Tracks whose best score so far is lower are reported from ``unsure_hits`` matches on, in the first
+            frames too; a probability, also where scores are logits (any outside [0, 1]). None takes all as sure.
+        unsure_hits: Matches from which on such a track is reported.
+        far_m: Range from which ``far_min_hits`` and ``far_max_age`` hold instead; None for nowhere.
+        far_min_hits: Of tracks that were last seen there.
+        far_max_age: Likewise.
         max_age: Frames without a match at which a track dies.
         report_coasted: Whether tracks are reported in frames without a match.
         forget_when_empty: Whether a frame without detections forgets all tracks.
@@ -54,9 +76,11 @@ class TrackerSettings:
         output: Whether the filter's box is reported or the detection's.
     """
 
-    similarity: Literal["iou", "giou", "distance"] = "giou"
-    gate: float = -0.5
+    similarity: Literal["iou", "giou", "distance"] = "distance"
+    gate: float = 2.0
     gates_m: Mapping[str, float] = field(default_factory=dict)
+    gate_speed_m_s: float = 15.0
+    gate_sigmas: float | None = 4.0
     gate_first: bool = True
     assignment: Literal["hungarian", "greedy"] = "hungarian"
     same_class: bool = True
@@ -69,12 +93,20 @@ class TrackerSettings:
     initial_speed_variance: float = 100.0
     process_variance: float = 0.01
     process_speed_variance: float = 0.04
-    acceleration: float | None = 3.0
+    acceleration: float | None = 10.0
     measurement_variance: float = 0.05
     range_sigma_m: float | None = None
     azimuth_sigma_rad: float = 0.002
-    min_hits: int = 2
-    warm_up: int = 2
+    doppler_sigma_m_s: float | None = 0.1
+    doppler_span_m_s: float | None = None
+    across_speed_m_s: float | None = None
+    min_hits: int = 3
+    warm_up: int = 3
+    sure_score: float | None = 0.9
+    unsure_hits: int = 5
+    far_m: float | None = None
+    far_min_hits: int = 3
+    far_max_age: int = 5
     max_age: int = 3
     report_coasted: bool = False
     forget_when_empty: bool = False
@@ -93,9 +125,23 @@ class TrackerSettings:
         for name in positive:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
-        for name in ("min_hits", "max_age"):
+        for name in ("min_hits", "max_age", "unsure_hits", "far_min_hits", "far_max_age"):
             if not getattr(self, name) >= 1:
                 raise ConfigError(f"{name}: expected 1 or more, got {getattr(self, name)!r}")
+        if self.sure_score is not None and not 0 <= self.sure_score <= 1:
+            raise ConfigError(f"sure_score: expected a probability between 0 and 1, got {self.sure_score!r}")
+        for name in (
+            "gate_sigmas",
+            "far_m",
+            "range_sigma_m",
+            "doppler_sigma_m_s",
+            "doppler_span_m_s",
+            "across_speed_m_s",
+        ):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
+                raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
+        if not self.gate_speed_m_s >= 0:
+            raise ConfigError(f"gate_speed_m_s: expected 0 or more, got {self.gate_speed_m_s!r}")
 
     def changed(self, **changes: Any) -> "TrackerSettings":
         """The same with other values.

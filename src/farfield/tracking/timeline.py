@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,15 @@ class Timeline:
     step_s: Float[np.ndarray, " n"]
     stamped: bool
     world_T_frame: Float[np.ndarray, "n 4 4"] | None
+
+    @cached_property
+    def sensor_velocity_m_s(self) -> Float[np.ndarray, "n 3"]:
+        """The sensor's own velocity in the world since the frame before; 0 where tracks are kept relative to it."""
+        velocity = np.zeros((len(self.keys), 3))
+        if self.world_T_frame is not None and len(self.keys) > 1:
+            velocity[1:] = np.diff(self.world_T_frame[:, :3, 3], axis=0) / np.maximum(self.step_s[1:, None], 1e-9)
+            velocity[0] = velocity[1]
+        return velocity
 
 
 def timelines(found: Detections, *, step_s: float, ego_motion: bool = True) -> list[Timeline]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
@@ -27,7 +28,9 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
     without annotated boxes.
 
     Args:
-        found: Scored boxes.
+        found: Scored boxes. ``prediction_details`` may hold ``doppler_m_s``, radial velocities relative to the sensor
+            as measured, away from it positive, NaN for none, shape (n,), and ``doppler_ray``, the mean direction from
+            the sensor to the points that they were measured on, shape (n, 3), else that to the box's centre is taken.
         settings: Options, or a preset's name.
         **changes: Options that differ from these.
 
@@ -36,21 +39,23 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
         are seconds; ``box_px`` is that of the track's last detection. Notes say what was assumed.
 
     Raises:
-        ConfigError: If an option is impossible.
+        ConfigError: If an option is impossible, or a column of details has not a row for each box.
     """
     chosen = (preset(settings) if isinstance(settings, str) else settings).changed(**changes)
     drives = timelines(found, step_s=chosen.step_s, ego_motion=chosen.ego_motion)
     notes = assumed(drives, seconds=chosen.time == "seconds", ego_motion=chosen.ego_motion, step_s=chosen.step_s)
     labels = sorted({str(name) for boxes in found.boxes.values() for name in np.unique(boxes.label)})
     table = _Table(found, drives, labels, chosen)
-    engine = Engine(chosen, drives=len(drives), labels=labels)
+    radial = any("doppler_m_s" in details for details in found.prediction_details.values())
+    engine = Engine(chosen, drives=len(drives), labels=labels, logits=_are_logits(found), doppler=radial)
     shown: list[tuple[int, Tracks]] = []
     for number in range(max((len(drive.keys) for drive in drives), default=0)):
         running = np.array([number < len(drive.keys) for drive in drives])
         dt = np.array([drive.step_s[number] if number < len(drive.keys) else 0.0 for drive in drives])
         shown.append((number, engine.step(table.frame(number), dt, running)))
     boxes, details = table.assembled(shown)
-    kept = {key: {"box_px": rows} for key, rows in details.items()} if found.prediction_details else {}
+    in_image = any("box_px" in known for known in found.prediction_details.values())
+    kept = {key: {"box_px": rows} for key, rows in details.items()} if in_image else {}
     return replace(
         found,
         boxes=boxes,
@@ -58,6 +63,12 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
         annotations=_with_filled(found.annotations, boxes),
         notes=(*found.notes, *notes),
     )
+
+
+def _are_logits(found: Detections) -> bool:
+    """Whether any score lies outside [0, 1]."""
+    scores = [boxes.score for boxes in found.boxes.values() if boxes.score is not None]
+    return any(((score < 0) | (score > 1)).any() for score in scores)
 
 
 def _with_filled(annotations: Mapping[Key, Annotation], boxes: Mapping[Key, Boxes]) -> dict[Key, Annotation]:
@@ -80,9 +91,11 @@ class _Table:
             for number, key in enumerate(drive.keys):
                 if key in found.boxes and len(found.boxes[key]):
                     pose = None if drive.world_T_frame is None else drive.world_T_frame[number]
-                    known = found.prediction_details.get(key, {}).get("box_px")
-                    parts.append(_frame_rows(found.boxes[key], place, number, pose, known, number_of, settings))
-        empty = _frame_rows(Boxes.empty(scored=True), 0, 0, None, None, number_of, settings)
+                    known = found.prediction_details.get(key, {})
+                    part = _frame_rows(found.boxes[key], place, number, pose, known, number_of, settings)
+                    part["radial"][:, 3:6] = drive.sensor_velocity_m_s[number]
+                    parts.append(part)
+        empty = _frame_rows(Boxes.empty(scored=True), 0, 0, None, {}, number_of, settings)
         joined = {name: np.concatenate([part[name] for part in (empty, *parts)]) for name in empty}
         order = np.lexsort(
             [joined["rows"][:, 1], joined["rows"][:, 0], -joined["score"], joined["drive"], joined["number"]]
@@ -90,7 +103,7 @@ class _Table:
         self.columns = {name: values[order] for name, values in joined.items()}
         most = max((len(drive.keys) for drive in drives), default=0)
         self.start = np.searchsorted(self.columns["number"], np.arange(most + 1))
-        fields = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label")
+        fields = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label", "radial")
         self.seen = Seen(**{name: self.columns[name] for name in fields}, source=np.arange(len(order)))
 
     def frame(self, number: int) -> Seen:
@@ -134,7 +147,7 @@ def _frame_rows(
     drive: int,
     number: int,
     pose: Float[np.ndarray, "4 4"] | None,
-    box_px: np.ndarray | None,
+    known: Mapping[str, np.ndarray],
     number_of: dict[str, int],
     settings: TrackerSettings,
 ) -> dict[str, np.ndarray]:
@@ -143,6 +156,7 @@ def _frame_rows(
     kept = np.ones(len(boxes), dtype=bool) if settings.least_score is None else score >= settings.least_score
     if settings.suppress_iou is not None:
         kept = _unsuppressed(boxes, score, kept, settings.suppress_iou)
+    sensed = boxes.centre_m
     boxes, score = boxes[kept], score[kept]
     ray = boxes.centre_m
     if pose is not None:
@@ -160,8 +174,28 @@ def _frame_rows(
         "ray_m": ray[:, :2],
         "score": score,
         "label": np.array([number_of[str(name)] for name in boxes.label], dtype=np.int64),
-        "box_px": np.full((len(boxes), 4), -1.0) if box_px is None else np.asarray(box_px, dtype=np.float64)[kept],
+        "box_px": _column(known, "box_px", np.full((len(kept), 4), -1.0))[kept],
+        "radial": _radial(known, sensed, pose)[kept],
     }
+
+
+def _radial(
+    known: Mapping[str, np.ndarray], centre_m: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "4 4"] | None
+) -> Float[np.ndarray, "n 7"]:
+    """Rays and measured velocities along them; the sensor's velocity is still 0."""
+    n = len(centre_m)
+    ray = _column(known, "doppler_ray", centre_m)
+    ray = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-9)
+    ray = ray if pose is None else ray @ pose[:3, :3].T
+    return np.column_stack([ray, np.zeros((n, 3)), _column(known, "doppler_m_s", np.full(n, np.nan))])
+
+
+def _column(known: Mapping[str, np.ndarray], name: str, otherwise: np.ndarray) -> np.ndarray:
+    """A column of details, checked against the shape that it must have."""
+    values = np.asarray(known[name], dtype=np.float64) if name in known else otherwise
+    if values.shape != otherwise.shape:
+        raise ConfigError(f"{name} of predictions: expected shape {otherwise.shape}, got {values.shape}")
+    return values
 
 
 def _unsuppressed(boxes: Boxes, score: np.ndarray, kept: np.ndarray, most: float) -> np.ndarray:

@@ -86,10 +86,11 @@ def write_tracks_csv(path: Path | str, tracks: Detections) -> None:
 
 
 def _csv_parts(tracks: Detections) -> Iterator[BoxRows]:
+    named = any(sequence for sequence, _ in tracks.boxes)
     for key in sorted(tracks.boxes, key=frame_order):
         boxes = _identified(tracks.boxes[key], key)
         yield BoxRows(
-            sequence=np.full(len(boxes), key[0]),
+            sequence=np.full(len(boxes), key[0]) if named else None,
             frame=np.full(len(boxes), key[1]),
             label=np.asarray(boxes.label),
             centre_m=boxes.centre_m,
