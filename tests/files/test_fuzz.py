@@ -17,7 +17,8 @@ READERS = (
     *("kitti detections", "boxes csv", "cirrus json", "mat", "mat in blocks", "npy", "kradar sparse npy"),
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
-    *("radar cells sealed", "delft poses", "delft labels", "radiate times", "radiate tracks"),
+    *("radar cells sealed", "delft poses", "delft labels", "radiate times", "radiate tracks", "stamps", "clock logs"),
+    *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
 )
 
 

@@ -75,13 +75,13 @@ class Outcome:
 class Running:
     """A work under way over the units that the journal does not have.
 
-    Who iterates over it gets the place of each unit: after workers did it, or, where ``here`` is true, before, and then
-    does it himself and hands in what it gave::
+    Who iterates over it gets the number of each unit that is left: after workers did it, or, where ``here`` is true,
+    before, and then does it himself and hands in what it gave::
 
         with Running(work, units, bulk, journal=journal) as running:
-            for place in bulk.progress(running):
+            for number in bulk.progress(running):
                 if running.here:
-                    running.enter(place, work(units[place]))
+                    running.enter(number, work(running.unit(number)))
 
     Args:
         work: What is done with each.
@@ -126,41 +126,45 @@ class Running:
             if self.journal is not None:
                 self.journal.finish()
 
-    def enter(self, place: int, done: Done) -> None:
-        """Hand in what the unit at the place gave that the iteration came to last."""
+    def unit(self, number: int) -> Unit:
+        """The unit of a number."""
+        return self.units[self.left[number]]
+
+    def enter(self, number: int, done: Done) -> None:
+        """Hand in what the unit gave that the iteration came to last."""
         value = done.value
         if self.journal is not None:
             value = _entry(self.journal.folder, self._source, done)
-        self._enter(place, replace(done, value=value))
+        self._enter(number, replace(done, value=value))
 
-    def _enter(self, place: int, done: Done) -> None:
+    def _enter(self, number: int, done: Done) -> None:
         if self.journal is not None:
-            self.journal.add(self.units[place], *done.value)
-        self.outcome.written, self.outcome.clocks[place] = self.outcome.written + 1, done.clock
+            self.journal.add(self.unit(number), *done.value)
+        self.outcome.written, self.outcome.clocks[self.left[number]] = self.outcome.written + 1, done.clock
 
     def _alone(self) -> Generator[int, None, None]:
         with one_thread():
-            for place in self.left:
+            for number in range(len(self.left)):
                 if self.journal is None:
-                    yield place
+                    yield number
                 else:
                     with locked(self.journal.folder, shared=True):
-                        self._source = state_of(self.units[place].sources, self.journal.setting)
-                        yield place
+                        self._source = state_of(self.unit(number).sources, self.journal.setting)
+                        yield number
                 check()
 
     def _by_workers(self) -> Generator[int, None, None]:
         journal = self.journal
         marking = self.work if journal is None else _Marking(self.work, journal.folder, journal.setting)
-        units = [self.units[place] for place in self.left]
+        units = [self.unit(number) for number in range(len(self.left))]
         with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
-            for index, done in results:
+            for number, done in results:
                 if isinstance(done, Lost):
-                    self._lost.append((units[index].name, done.why))
+                    self._lost.append((units[number].name, done.why))
                 else:
-                    self._enter(self.left[index], done)
+                    self._enter(number, done)
                 check()
-                yield self.left[index]
+                yield number
 
 
 def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journal | None = None) -> Outcome:
@@ -179,9 +183,9 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
         BulkError: If workers died twice over a unit; all others are done, and the same call tries these again.
     """
     with Running(work, units, bulk, journal=journal) as running:
-        for place in bulk.progress(running):
+        for number in bulk.progress(running):
             if running.here:
-                running.enter(place, work(units[place]))
+                running.enter(number, work(running.unit(number)))
     return running.outcome
 
 

@@ -141,9 +141,9 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
         report(line)
     check_disk(recording, left)
     with Running(work, units, bulk, journal=journal) as running:
-        for place in bulk.progress(running):
+        for number in bulk.progress(running):
             if running.here:
-                running.enter(place, work(units[place]))
+                running.enter(number, work(running.unit(number)))
     outcome = running.outcome
     if files_of(recording.preset).finishes and (outcome.written or not journal.has(_FINISHED)):
         files = writer_for(recording.preset, recording.out).finish() or ()  # calibration, times, splits, odometry
