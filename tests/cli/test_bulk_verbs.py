@@ -115,7 +115,7 @@ def begun(folder: Path, running: subprocess.Popen) -> list[psutil.Process]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", ["a worker", "SIGKILL", "SIGTERM", "SIGINT"])
-@pytest.mark.parametrize("name", ["simulate", "convert-kitti", "predict", "evaluate"])
+@pytest.mark.parametrize("name", ["simulate", "convert-kitti", "convert-cirrus", "predict", "evaluate"])
 def test_whatever_ends_a_command_the_next_one_completes_it(
     name: str, ending: str, data: Path, whole: Callable[[str], dict[str, str]], tmp_path: Path
 ) -> None:

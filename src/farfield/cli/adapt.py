@@ -106,7 +106,7 @@ class _Lines(LineReport):
         super().begins(step, steps)
 
     def ends(self, weights: Path | None) -> None:
-        """A round's weights are not the last ones: nothing is said of them."""
+        """Print nothing: the weights of a round are not the final ones."""
         del weights
 
 
