@@ -38,6 +38,18 @@ def test_units_of_a_group_go_to_one_worker() -> None:
     assert all(len({process for _, process in found[first : first + 8]}) == 1 for first in (0, 8, 16))
 
 
+def test_a_work_that_wants_it_gets_a_process_for_each_unit(tmp_path: Path) -> None:
+    for bulk in (HERE, TWO):
+        found = [done.value for done in values(works.Alone(), UNITS[:4], bulk)]
+        assert [number for number, _ in found] == list(range(4))
+        assert len({process for _, process in found} - {os.getpid()}) == 4
+        journal = Journal(tmp_path / f"{bulk.workers}.jsonl", "")
+        assert run(works.Alone(), UNITS[:4], bulk, journal=journal).written == 4
+        kept = journal.values([unit.name for unit in UNITS[:4]])
+        assert len({process for _, process in kept} - {os.getpid()}) == 4
+    assert not workers_of(os.getpid())
+
+
 def test_a_bounded_number_is_under_way() -> None:
     taken: list[int] = []
 

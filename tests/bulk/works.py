@@ -71,3 +71,13 @@ class DiesOnArrival:
 
     def __call__(self, unit: Unit) -> Done:
         return Done(value=unit.parameters)
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Says which process did a unit; wants a new one for each."""
+
+    own_process = True
+
+    def __call__(self, unit: Unit) -> Done:
+        return Done(value=[unit.parameters, os.getpid()])

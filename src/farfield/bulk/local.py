@@ -14,7 +14,7 @@ from typing import IO, Any
 from farfield.bulk.engines import BulkError, Lost
 from farfield.bulk.messages import receive, send
 from farfield.bulk.threads import VARIABLES, one_thread
-from farfield.bulk.units import Done, Unit, Work
+from farfield.bulk.units import Done, Unit, Work, alone
 
 _GROUP = 10  # units of one group that a worker takes at a time
 _AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
@@ -33,10 +33,10 @@ class Local:
         self, work: Work, units: Sequence[Unit], *, workers: int, ordered: bool
     ) -> Iterator[tuple[int, Done | Lost]]:
         """See :class:`~farfield.bulk.engines.Engine`."""
-        if workers <= 1:
+        if workers <= 1 and not alone(work):
             yield from _here(work, units)
             return
-        crew = _Crew(_packed(work), units, workers)
+        crew = _Crew(_packed(work), units, workers, alone=alone(work))
         whole = False
         try:
             crew.start()
@@ -78,8 +78,8 @@ def _words(packed: bytes) -> set[str]:
 class _Crew:
     """Workers, the units that they have yet to take, and what they gave."""
 
-    def __init__(self, work: bytes, units: Sequence[Unit], workers: int) -> None:
-        self.work, self.units = work, units
+    def __init__(self, work: bytes, units: Sequence[Unit], workers: int, *, alone: bool = False) -> None:
+        self.work, self.units, self.alone = work, units, alone
         self.next, self.lock, self.stopping = 0, Lock(), Event()
         self.room = Semaphore(_AHEAD * workers)
         self.results: SimpleQueue[tuple[int, Any]] = SimpleQueue()
@@ -174,6 +174,8 @@ class _Hand(Thread):
                 if self.crew.stopping.is_set():
                     return Lost(why)
                 continue
+            if self.crew.alone:
+                self._ended()
             return result if kind == "done" else _rebuilt(result)
         return Lost(why)
 

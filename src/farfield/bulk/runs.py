@@ -13,7 +13,7 @@ from farfield.bulk.journal import Journal, Mark, mark_of, state_of
 from farfield.bulk.memory import fitting
 from farfield.bulk.signals import check
 from farfield.bulk.threads import one_thread
-from farfield.bulk.units import Done, Unit, Work
+from farfield.bulk.units import Done, Unit, Work, alone
 from farfield.errors import ConfigError
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -102,7 +102,7 @@ class Running:
         self._workers = bulk.hands(work, len(self.left))
         self._lost, self._source = list[tuple[str, str]](), ""
         self._iterating: Generator[int, None, None] | None = None
-        self.here = bulk.engine == "local" and self._workers == 1
+        self.here = bulk.engine == "local" and self._workers == 1 and not alone(work)
 
     def __len__(self) -> int:
         return len(self.left)
@@ -252,6 +252,10 @@ class _Marking:
     @property
     def memory_bytes(self) -> int:
         return int(getattr(self.work, "memory_bytes", 0))
+
+    @property
+    def own_process(self) -> bool:
+        return alone(self.work)
 
     def __call__(self, unit: Unit) -> Done:
         with locked(self.folder, shared=True):

@@ -1,7 +1,5 @@
 """Do the jobs of a grid in bulk: train or go on, detect, score; a finished job is never done again."""
 
-import ctypes
-import gc
 import json
 import logging
 import time
@@ -22,7 +20,7 @@ from farfield.files.atomic import read_bytes, write_text
 JOURNAL = ".journal.jsonl"
 SCORES, WEIGHTS = "scores.json", "weights.safetensors"
 _MAX_BYTES = 1 << 28
-_STATUS, _REFERENCES = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+_STATUS = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
@@ -37,13 +35,13 @@ class Doing:
     folder: Path
     scoring: Scoring
 
-    memory_bytes = 2_500_000_000
+    memory_bytes = 4_000_000_000
+    own_process = True
 
     def __call__(self, unit: Unit) -> Done:
         """Train unless the weights are there, score, and write the scores."""
         job: Job = unit.parameters
         home, began, busy = self.folder / job.folder, time.monotonic(), time.process_time()
-        forget_peak()
         quiet()
         weights = home / WEIGHTS
         failed = "" if weights.is_file() else _trained(job, home)
@@ -82,15 +80,6 @@ def _note(path: Path, clock: Mapping[str, Any]) -> None:
 def quiet() -> None:
     """Let the trainings of this process say only what is amiss."""
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
-
-
-def forget_peak() -> None:
-    """Hand what is free back to the system and let the peak memory of this process count from now on, where it can."""
-    gc.collect()
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-    with suppress(OSError):
-        _REFERENCES.write_text("5", encoding="ascii")
 
 
 def peak_memory_mb() -> float | None:
