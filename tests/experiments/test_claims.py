@@ -84,13 +84,15 @@ def test_figures_are_those_of_protocols_and_parts_are_known(claims: Claims) -> N
     assert {part for pair in pairs for row in (pair.a, pair.b) for part in row.parts} <= known
 
 
-def test_every_run_is_needed_and_the_laptops_grid_has_sixteen(claims: Claims) -> None:
+def test_every_run_is_needed_and_the_laptops_grid_has_sixteen_and_controls(claims: Claims) -> None:
     needed = {run for claim in claims for run in claim.runs}
     assert needed == claims.runs.keys()
     if claims.paper == "cirrus":
         detectors = {"voxelnet", "second", "pointrcnn"}  # of the grid's own size only one is trained
-        laptop = {name for name, run in claims.runs.items() if run.least_budget == "laptop"}
-        assert len(laptop - detectors) + len({"device_a"}) == SIXTEEN  # the other device's detector is a run, no row
+        controls = {"range_twin", "range_density", "pattern_coin"}
+        assert all(run.least_budget == "laptop" for run in claims.runs.values())
+        rows = claims.runs.keys() - detectors - controls
+        assert len(rows) + len({"device_a"}) == SIXTEEN  # the other device's detector is a run, no row
 
 
 def test_a_rows_number_is_the_figure_of_its_part() -> None:

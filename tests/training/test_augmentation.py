@@ -47,6 +47,55 @@ def test_thinning_drops_points_and_the_boxes_they_leave(rng):
     assert min(left) < 3
 
 
+def scanned(range_m, rng):
+    """Boxes at ranges, along a spiral, with as many points in each as a scanner puts on it: 4e5 / r^2."""
+    angle = np.linspace(-1.0, 1.0, len(range_m))
+    centre = np.column_stack([range_m * np.cos(angle), range_m * np.sin(angle), np.zeros(len(range_m))])
+    size = np.full((len(range_m), 3), 0.5)
+    counts = np.round(4e5 / range_m**2).astype(int)
+    points = np.repeat(centre, counts, axis=0) + rng.uniform(-0.2, 0.2, (counts.sum(), 3))
+    boxes = Boxes(centre_m=centre, size_m=size, yaw_rad=np.zeros(len(centre)), label=["vehicle"] * len(centre))
+    return np.column_stack([points, np.zeros(len(points))]).astype(np.float32), boxes
+
+
+def test_near_points_get_as_sparse_as_those_of_far_objects(rng):
+    """Points of near boxes: as many as in far ones, by quartiles over many frames; far points stay."""
+    config = AugmentationConfig(
+        flip_probability=0,
+        rotation_rad=0,
+        scale=0,
+        sparse_near={"near_m": 100, "far_m": (100, 250), "probability": 1},
+    )
+    near, far, before = [], [], []
+    for _ in range(60):
+        range_m = np.concatenate([rng.uniform(15, 99, 12), rng.uniform(101, 249, 6)])
+        points, boxes = scanned(range_m, rng)
+        kept, _ = augment(points, boxes, config, rng)
+        counts = count_points_in_boxes(kept[:, :3], boxes, margin_m=0.01)
+        whole = count_points_in_boxes(points[:, :3], boxes, margin_m=0.01)
+        np.testing.assert_array_equal(counts[12:], whole[12:])
+        near.append(counts[:12])
+        before.append(whole[:12])
+        far.append(whole[12:])
+    quartiles = [np.percentile(np.concatenate(part), [25, 50, 75]) for part in (near, far, before)]
+    np.testing.assert_allclose(quartiles[0], quartiles[1], rtol=0.35)
+    assert (quartiles[2] > 3 * quartiles[1]).all()
+
+
+def test_a_frame_without_far_objects_stays_and_so_does_half_of_the_others(rng):
+    settings = {"near_m": 100, "far_m": (100, 250)}
+    config = AugmentationConfig(flip_probability=0, rotation_rad=0, scale=0, sparse_near=settings)
+    points, boxes = scanned(np.array([30.0, 60.0]), rng)
+    kept, seen = augment(points, boxes, config, rng)
+    np.testing.assert_array_equal(kept, points)
+    assert len(seen) == 2
+    points, boxes = scanned(np.array([30.0, 60.0, 200.0]), rng)
+    changed = sum(len(augment(points, boxes, config, rng)[0]) < len(points) for _ in range(400))
+    assert 140 < changed < 260  # half, six standard deviations
+    with pytest.raises(ValueError, match="near_m up to far_m"):
+        AugmentationConfig(sparse_near={"near_m": 120, "far_m": (100, 250)})
+
+
 def test_raising_the_scene_raises_points_and_boxes_alike(rng):
     points = rng.uniform(0, 40, (100, 5)).astype(np.float32)
     box = Boxes(centre_m=np.full((1, 3), 5.0), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1), label=["vehicle"])

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.training.bank import ObjectBank, Points
-from farfield.training.config import AugmentationConfig
+from farfield.training.config import AugmentationConfig, SparseNear
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,11 +84,42 @@ def augment(
         points, boxes = bank.paste(points, boxes, config.pasted, rng, bands_m=config.pasted_bands_m)
     change = draw_change(config, rng)
     points, boxes = change.points(points), change.boxes(boxes)
-    return _thinned(points, boxes, config.thinning, rng) if config.thinning else (points, boxes)
+    if config.thinning:
+        points, boxes = _kept(points, boxes, rng.random(len(points)) >= rng.uniform(0, config.thinning))
+    if config.sparse_near is not None:
+        points, boxes = _kept(points, boxes, sparse_near(points, boxes, config.sparse_near, rng))
+    return points, boxes
 
 
-def _thinned(points: Points, boxes: Boxes, most: float, rng: np.random.Generator) -> tuple[Points, Boxes]:
-    """Drop a random share of the points, and the boxes that had points and have none any more."""
-    kept = points[rng.random(len(points)) >= rng.uniform(0, most)]
+def sparse_near(points: Points, boxes: Boxes, config: SparseNear, rng: np.random.Generator) -> Bool[np.ndarray, " n"]:
+    """Which points stay where near ones are to be as sparse as a far object's.
+
+    A scanner's points on a surface fall with the square of the range, so a point at r stays with probability
+    c (r / R)^2, where R is the range of one of the frame's far objects, drawn at random. c is how much fewer points far
+    objects have than that law gives from near ones, for they are hidden more: over many frames near objects get the
+    numbers of points of far ones.
+
+    Args:
+        points: x, y, z first, shape (n, 3 + k).
+        boxes: The frame's; those in ``config.far_m`` are far.
+        config: Ranges and share of the frames.
+        rng: The only source of randomness.
+    """
+    box_m = np.hypot(*boxes.centre_m[:, :2].T)
+    far = (box_m >= config.far_m[0]) & (box_m < config.far_m[1])
+    if not far.any() or rng.random() >= config.probability:
+        return np.ones(len(points), dtype=bool)
+    range_m, drawn_m = np.hypot(points[:, 0], points[:, 1]), rng.choice(box_m[far])
+    counts = count_points_in_boxes(points[:, :3], boxes, margin_m=BOX_MARGIN_M)
+    near, far = (part & (counts > 0) for part in (box_m < config.near_m, far))
+    surface = np.log(np.maximum(counts, 1) * np.square(box_m))
+    fewer = np.exp(min(surface[far].mean() - surface[near].mean(), 0.0)) if near.any() and far.any() else 1.0
+    share = np.where(range_m < config.near_m, fewer * np.square(range_m / drawn_m), 1.0)
+    return np.asarray(rng.random(len(points)) < share)
+
+
+def _kept(points: Points, boxes: Boxes, stays: Bool[np.ndarray, " n"]) -> tuple[Points, Boxes]:
+    """The points that stay, without the boxes that had points and have none any more."""
+    kept = points[stays]
     before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=BOX_MARGIN_M) for part in (points, kept))
     return kept, boxes[(after > 0) | (before == 0)]

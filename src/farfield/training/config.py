@@ -3,11 +3,25 @@
 import itertools
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 
 class _Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SparseNear(_Settings):
+    """Near points thinned until near objects hold as many as far ones do: a control of range adaptation."""
+
+    near_m: float = Field(100.0, gt=0, description="points nearer than this are thinned")
+    far_m: tuple[float, float] = Field((100.0, 250.0), description="ranges whose objects say how sparse")
+    probability: float = Field(0.5, gt=0, le=1, description="share of the frames with far objects that are thinned")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "SparseNear":
+        if not self.near_m <= self.far_m[0] < self.far_m[1]:
+            raise ValueError(f"expected near_m up to far_m, and far_m to rise; got {self.near_m:g}, {list(self.far_m)}")
+        return self
 
 
 class AugmentationConfig(_Settings):
@@ -20,6 +34,7 @@ class AugmentationConfig(_Settings):
         0.0, ge=0, description="raise or lower the scene by up to this: sensors stand at other heights"
     )
     thinning: float = Field(0.0, ge=0, lt=1, description="drop up to this share of a frame's points: sparser sensors")
+    sparse_near: SparseNear | None = Field(None, description="thin near points to the density of far objects")
     pasted: dict[str, int] = Field(default_factory=dict, description="objects of each class pasted from other frames")
     pasted_min_points: int = Field(5, ge=1, description="pasted objects have at least this many points")
     pasted_bands_m: tuple[float, ...] = Field(

@@ -118,6 +118,9 @@ class BudgetSettings(_Declared):
     statistics_on: tuple[str, ...] = Field(("val",), description="sets whose statistics are taken")
     networks: dict[str, Tree]
     method: dict[str, Tree] = Field(default_factory=dict, description="settings of methods that depend on the window")
+    augmentation: dict[str, Tree] = Field(
+        default_factory=dict, description="the same of changes, for the runs that name them"
+    )
     training: Tree = Field(default_factory=dict)
     score: Score
     replicates: int = Field(1000, ge=2, description="draws of the sequences")

@@ -190,6 +190,7 @@ def _tree(grid: Grid, budget: str, name: str, seed: int, data: Plotted, steps_sh
         }
         for stream, source in run.streams.items()
     }
+    changes = {name: tree for name, tree in settings.augmentation.items() if name in run.augmentation}
     training = merged(grid.training, settings.training)
     training |= {
         "steps": settings.steps_for(run.network),
@@ -201,7 +202,7 @@ def _tree(grid: Grid, budget: str, name: str, seed: int, data: Plotted, steps_sh
         "data": next(iter(groups.values())) if len(groups) == 1 else groups,
         "method": merged(settings.method.get(str(run.method["name"]), {}), run.method),
         "detector": settings.networks[run.network],
-        "augmentation": merged(grid.augmentation, run.augmentation),
+        "augmentation": merged(grid.augmentation, changes, run.augmentation),
         "training": training,
     }
 
