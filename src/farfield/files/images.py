@@ -1,12 +1,13 @@
 """Camera images as arrays."""
 
 import io
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
+from PIL import Image, ImageOps
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
@@ -16,12 +17,15 @@ _MAX_IMAGE_BYTES = 1 << 28
 _FORMATS = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG"}
 
 
-def read_image(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> UInt8[np.ndarray, "height width 3"]:
+def read_image(
+    path: Path | str, *, max_pixels: int = MAX_PIXELS, upright: bool = False
+) -> UInt8[np.ndarray, "height width 3"]:
     """Read a JPEG or PNG image as RGB; grey values are repeated, transparency is dropped.
 
     Args:
         path: The file.
         max_pixels: Largest width x height that is decoded.
+        upright: Turn it as its EXIF says; a camera of a data set is calibrated for the pixels as they are stored.
 
     Returns:
         Shape (height, width, 3), uint8.
@@ -29,24 +33,28 @@ def read_image(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> UInt8[np.nd
     Raises:
         FileFormatError: If the file is no such image, is truncated, or has too many pixels.
     """
-    return decode_image(io.BytesIO(read_bytes(path, max_bytes=_MAX_IMAGE_BYTES)), path, max_pixels=max_pixels)
+    data = io.BytesIO(read_bytes(path, max_bytes=_MAX_IMAGE_BYTES))
+    return decode_image(data, path, max_pixels=max_pixels, upright=upright)
 
 
-def decode_image(data: io.BytesIO, path: Path | str, *, max_pixels: int) -> UInt8[np.ndarray, "height width 3"]:
+def decode_image(
+    data: io.BytesIO, path: Path | str, *, max_pixels: int, upright: bool = False
+) -> UInt8[np.ndarray, "height width 3"]:
     """Decode a JPEG or PNG that is in memory, as :func:`read_image` does.
 
     Args:
         data: The whole image.
         path: For error messages: where it came from.
         max_pixels: Largest width x height that is decoded.
+        upright: Turn it as its EXIF says.
     """
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(data, formats=("JPEG", "PNG")) as image:
             if image.width * image.height > max_pixels:  # Pillow has read the header only
                 expected, found = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
                 raise FileFormatError(path, where="the image header", expected=expected, found=found)
-            return np.array(_as_rgb(image))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            return np.array(_as_rgb(ImageOps.exif_transpose(image) if upright else image))
+    except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
         found = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
         raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", found=found) from error
 

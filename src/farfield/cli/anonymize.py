@@ -1,0 +1,66 @@
+"""``farfield anonymize``."""
+
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import hands
+
+
+def run(
+    path: Positional[Path],
+    out: Positional[Path],
+    *,
+    how: Literal["fill", "pixelate", "blur"] = "fill",
+    series: Literal["time", "single"] = "time",
+    stereo: tuple[str, ...] = (),
+    small_faces: bool = False,
+    workers: int = 0,
+    engine: str = "local",
+) -> None:
+    """Cover faces in all pictures below a folder; originals are only read.
+
+    examples:
+      farfield anonymize Cirrus_dataset1 covered
+      farfield anonymize data/kitti_raw covered --stereo image_02:image_03
+      farfield anonymize photos covered --series single --how pixelate
+      farfield anonymize street.jpg covered --small-faces
+
+    Writes the pictures under their names without any of their metadata, anonymized.jsonl, which says what was covered
+    where and why, and anonymized.html with the doubtful cases. Interrupted, the same command goes on.
+
+    Args:
+        path: A folder, such as a data set's, or one picture (.jpg, .png).
+        out: Folder to write into; not the first, nor below it.
+        how: Fill with the colour around, or keep a few cells, with or without edges; none can be undone.
+        series: Whether the pictures of a folder follow one another, so that a face that is missed once stays covered.
+        stereo: Folders of two eyes, LEFT:RIGHT; the names that KITTI, RADIATE and Argoverse give them are known.
+        small_faces: Look at twice the size too: finds faces below 15 pixels, in five times the time.
+        workers: Processes; 0 takes as many as there are cores, pictures and memory for.
+        engine: Where the work is done.
+    """
+    from farfield.errors import ConfigError
+    from farfield.imaging.privacy import Anonymising, anonymise
+    from farfield.imaging.privacy.sources import PAIRS, pairs_of, series_of
+    from farfield.reports.privacy_page import write_privacy_page
+
+    named = [tuple(pair.split(":")) for pair in stereo]
+    if any(len(pair) != 2 for pair in named):
+        raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
+    eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
+    folders = series_of(path)
+    chosen = Anonymising(how=how, small_faces=small_faces, together=series == "time")
+    done = anonymise(
+        folders,
+        out,
+        chosen,
+        pairs=pairs_of(folders, eyes),
+        find=hands(workers, engine, "finding"),
+        cover=hands(workers, engine, "covering"),
+    )
+    write_privacy_page(out / "anonymized.html", out, done, title=f"Covered: {path.name or path}")
+    boxes, doubtful = sum(len(each.rows) for each in done), sum(len(each.doubtful) for each in done)
+    if series == "time" and not all(each.stamped for each in folders):
+        print("Names are no stamps: pictures of a folder count as a tenth of a second apart (else: --series single).")
+    print(f"{len(done)} pictures, {boxes} faces covered, {doubtful} of them doubtful: {out / 'anonymized.html'}")

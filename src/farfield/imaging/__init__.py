@@ -1,0 +1,1 @@
+"""What cameras and LiDARs give together, and pictures that may be shown."""

@@ -1,0 +1,7 @@
+"""Faces and number plates covered, in pictures that may then be shown."""
+
+from farfield.imaging.privacy.anonymising import Anonymising, Covered, anonymise
+from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.private import Private
+
+__all__ = ["Anonymising", "Covered", "Hits", "Private", "anonymise"]

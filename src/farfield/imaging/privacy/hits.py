@@ -1,0 +1,85 @@
+"""Places in a picture that are to be covered: boxes with a kind and a score."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+FACE, PLATE = "face", "plate"
+KINDS = (FACE, PLATE)
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Upright boxes in a picture.
+
+    Args:
+        box_px: Left, top, right, bottom in pixels, shape (n, 4); right and bottom are not inside.
+        score: From 0 to 1, shape (n,).
+        kind: ``face`` or ``plate``, shape (n,), str.
+    """
+
+    box_px: Float[np.ndarray, "n 4"] = field(default_factory=lambda: np.zeros((0, 4)))
+    score: Float[np.ndarray, " n"] = field(default_factory=lambda: np.zeros(0))
+    kind: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype="<U8"))
+
+    @classmethod
+    def of(cls, kind: str, box_px: Float[np.ndarray, "n 4"], score: Float[np.ndarray, " n"]) -> "Hits":
+        """Boxes of one kind."""
+        return cls(np.asarray(box_px, float).reshape(-1, 4), np.asarray(score, float), np.full(len(score), kind, "<U8"))
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Hits]") -> "Hits":
+        """All boxes of some."""
+        parts = parts or [cls()]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("box_px", "score", "kind")))
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Hits":
+        return Hits(self.box_px[rows], self.score[rows], self.kind[rows])
+
+    def scaled(self, factor: float | Float[np.ndarray, "2"]) -> "Hits":
+        """The boxes in a picture that is so many times as large."""
+        return replace(self, box_px=self.box_px * np.tile(np.broadcast_to(factor, 2), 2))
+
+    def grown(self, factor: float, least_px: float = 0.0) -> "Hits":
+        """The boxes times a factor about their centres, by at least so many pixels at each side."""
+        half = (self.box_px[:, 2:] - self.box_px[:, :2]) / 2
+        centre = self.box_px[:, :2] + half
+        half = np.maximum(half * factor, half + least_px)
+        return replace(self, box_px=np.column_stack([centre - half, centre + half]))
+
+    def within(self, width: int, height: int) -> "Hits":
+        """The boxes cut at a picture's edges, without those that lie outside."""
+        seen = (self.box_px[:, 2:] > 0).all(axis=1) & (self.box_px[:, :2] < [width, height]).all(axis=1)
+        return replace(self, box_px=self.box_px.clip(0, [width, height, width, height]))[seen]
+
+
+def overlap(a_px: Float[np.ndarray, "n 4"], b_px: Float[np.ndarray, "m 4"]) -> Float[np.ndarray, "n m"]:
+    """Intersection over union of all pairs of boxes."""
+    low, high = np.maximum(a_px[:, None, :2], b_px[None, :, :2]), np.minimum(a_px[:, None, 2:], b_px[None, :, 2:])
+    both = (high - low).clip(min=0).prod(axis=-1)
+    of_a, of_b = ((box[:, 2:] - box[:, :2]).clip(min=0).prod(axis=-1) for box in (a_px, b_px))
+    return np.asarray(both / np.maximum(of_a[:, None] + of_b[None] - both, 1e-9))
+
+
+def suppressed(hits: Hits, iou: float) -> Hits:
+    """The boxes by falling score, without those that overlap a better one of their kind by more than ``iou``."""
+    hits = hits[np.argsort(-hits.score, kind="stable")]
+    alike = (overlap(hits.box_px, hits.box_px) > iou) & (hits.kind[:, None] == hits.kind[None])
+    stays = np.ones(len(hits), dtype=bool)
+    for place in range(len(hits)):
+        if stays[place]:
+            stays[place + 1 :] &= ~alike[place, place + 1 :]
+    return hits[stays]
+
+
+def covered_share(mask: Bool[np.ndarray, "height width"], box_px: Float[np.ndarray, " 4"]) -> float:
+    """Share of a box's pixels that a mask covers; 0 for a box outside of the picture."""
+    left, top = np.floor(box_px[:2]).clip(min=0).astype(int)
+    right, bottom = np.ceil(box_px[2:]).astype(int)
+    part = mask[top:bottom, left:right]
+    return float(part.mean()) if part.size else 0.0

@@ -1,0 +1,115 @@
+"""Which pictures of a folder are to be covered, and which of them follow one another."""
+
+import itertools
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.errors import ConfigError, DatasetError
+
+PICTURES = (".jpg", ".jpeg", ".png")
+_NUMBER = re.compile(r"\d+")
+_STAMP_DIGITS, _NS = range(16, 20), 1e-9
+NOMINAL_HZ = 10.0
+
+PAIRS = (
+    ("image_2", "image_3"),
+    ("image_02", "image_03"),
+    ("zed_left", "zed_right"),
+    ("stereo_front_left", "stereo_front_right"),
+)
+"""Names of folders that hold the two eyes of a pair, where the data sets name them so."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Pictures of one camera in order of time.
+
+    Args:
+        root: The folder that was named.
+        files: Files below it, relative, in order.
+        times_s: When each was taken; a tenth of a second apart where names are no stamps.
+        stamped: Whether the names said so.
+    """
+
+    root: Path
+    files: tuple[Path, ...]
+    times_s: Float[np.ndarray, " n"]
+    stamped: bool
+
+    @property
+    def name(self) -> str:
+        """The folder of the pictures below the root."""
+        return self.files[0].parent.as_posix()
+
+
+def series_of(path: Path) -> list[Series]:
+    """The series of pictures below a folder, or a single picture.
+
+    Links are not followed, and neither are folders whose names begin with a dot.
+
+    Raises:
+        DatasetError: If there is none.
+    """
+    if path.is_file():
+        return [_series(path.parent, [Path(path.name)])]
+    folders: list[Series] = []
+    for here, below, names in os.walk(path):
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        chosen = [name for name in names if Path(name).suffix.lower() in PICTURES and not name.startswith(".")]
+        files = [Path(here, name) for name in chosen]
+        kept = [file.relative_to(path) for file in files if not file.is_symlink()]
+        if kept:
+            folders.append(_series(path, kept))
+    if not folders:
+        raise DatasetError(f"{path}: expected pictures ({', '.join(PICTURES)}) below it, found none")
+    return folders
+
+
+def _series(root: Path, files: Sequence[Path]) -> Series:
+    ordered = sorted(files, key=_natural)
+    stamps = [_stamp_s(file) for file in ordered]
+    known = [stamp for stamp in stamps if stamp is not None]
+    if len(known) == len(stamps) and all(a < b for a, b in itertools.pairwise(known)):
+        return Series(root, tuple(ordered), np.array(known) - known[0], stamped=True)
+    return Series(root, tuple(ordered), np.arange(len(ordered)) / NOMINAL_HZ, stamped=False)
+
+
+def _natural(file: Path) -> tuple[list[int], str]:
+    """Order by the numbers of a name, then by the name: frame_9 before frame_10."""
+    return [int(number) for number in _NUMBER.findall(file.stem)], file.name
+
+
+def _stamp_s(file: Path) -> float | None:
+    """A name of 16 to 19 digits is a stamp in nanoseconds."""
+    return int(file.stem) * _NS if file.stem.isdigit() and len(file.stem) in _STAMP_DIGITS else None
+
+
+def pairs_of(folders: Sequence[Series], named: Sequence[tuple[str, str]] = PAIRS) -> list[tuple[int, int]]:
+    """Numbers of the series that are the two eyes of one pair: equal names in folders that are named so.
+
+    Args:
+        folders: All series.
+        named: Names of the two folders.
+
+    Raises:
+        ConfigError: If a name is that of both eyes.
+    """
+    if any(one == other for one, other in named):
+        raise ConfigError("stereo: expected the names of two different folders, LEFT:RIGHT")
+    place = {each.name: number for number, each in enumerate(folders)}
+    found = []
+    for one, other in named:
+        for name, number in place.items():
+            parts = name.split("/")
+            if one in parts:
+                at = len(parts) - 1 - parts[::-1].index(one)
+                partner = place.get("/".join([*parts[:at], other, *parts[at + 1 :]]))
+                if partner is not None:
+                    found.append((number, partner))
+    return found

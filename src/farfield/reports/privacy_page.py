@@ -1,0 +1,77 @@
+"""What was covered in pictures, as one self-contained page: counts, and the doubtful cases after covering."""
+
+import io
+from base64 import b64encode
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from farfield.files.atomic import write_text
+from farfield.files.images import read_image
+from farfield.imaging.privacy import Covered
+from farfield.reports.pictures import Picture
+from farfield.reports.template import render_template
+
+_SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
+HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "pixels covered")
+
+
+def write_privacy_page(path: Path, folder: Path, done: Sequence[Covered], *, title: str) -> None:
+    """Write the page, all or nothing.
+
+    Args:
+        path: The file.
+        folder: Where the covered pictures stand: only these are shown, never an original.
+        done: What became of each picture.
+        title: Title of the page.
+    """
+    doubtful = [(each, row) for each in done for row in each.doubtful]
+    doubtful.sort(key=_weakest_first)
+    shown = [_thumbnail(folder, each, row) for each, row in doubtful[:_SHOWN]]
+    page = render_template(
+        "privacy.html", title=title, heads=HEADS, rows=table(done), pictures=shown, left=len(doubtful) - len(shown)
+    )
+    write_text(path, page)
+
+
+def table(done: Sequence[Covered]) -> list[tuple[str, ...]]:
+    """A row a folder of pictures, under :data:`HEADS`, and one of all."""
+    folders: dict[str, list[Covered]] = {}
+    for each in done:
+        folders.setdefault(Path(each.file).parent.as_posix(), []).append(each)
+    rows = [_row(name, parts) for name, parts in folders.items()]
+    return [*rows, _row("all", done)] if len(rows) > 1 else rows
+
+
+def _row(name: str, done: Sequence[Covered]) -> tuple[str, ...]:
+    kinds = [row["kind"] for each in done for row in each.rows]
+    doubtful = sum(len(each.doubtful) for each in done)
+    share = float(np.mean([each.share for each in done]))
+    counts = (len(done), kinds.count("face"), kinds.count("plate"), doubtful)
+    return name, *(f"{count:,}" for count in counts), f"{share:.2%}"
+
+
+def _weakest_first(item: tuple[Covered, dict]) -> tuple[bool, float, str]:  # type: ignore[type-arg]
+    each, row = item
+    return row["how"] != "found", float(row["score"]), each.file
+
+
+def _thumbnail(folder: Path, each: Covered, row: dict) -> Picture:  # type: ignore[type-arg]
+    """The surroundings of a covered box, cut from the covered picture."""
+    from PIL import Image
+
+    image = read_image(folder / each.file)
+    low, high = np.array(row["box_px"][:2]), np.array(row["box_px"][2:])
+    half = max(float((high - low).max()), 16.0) / 2 * (1 + _MARGIN)
+    middle = (low + high) / 2
+    left, top = np.floor(middle - half).astype(int).clip(min=0)
+    right, bottom = np.ceil(middle + half).astype(int)
+    part = image[top:bottom, left:right]
+    small = Image.fromarray(np.ascontiguousarray(part))
+    small.thumbnail((_SIDE_PX, _SIDE_PX))
+    data = io.BytesIO()
+    small.save(data, format="JPEG", quality=85)
+    uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
+    words = f"{each.file}: {row['kind']}, score {row['score']:.2f}, {row['how']}"
+    return Picture(uri, f"Covered surroundings of a {row['kind']}", words)
