@@ -9,6 +9,7 @@ was loaded.
 """
 
 import argparse
+import io
 import json
 import multiprocessing
 import re
@@ -19,12 +20,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _fuzz_radar import radar_targets
 from _fuzz_time import time_targets
+from PIL import Image
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
@@ -174,6 +177,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "velodyne bin": Target(".bin", clouds.read_bin, (rows[:, :4].astype("<f4").tobytes(),), finite_rows),
         "ffcloud": Target(".ffcloud", clouds.read_cache, cache_seeds(folder, rows)),
         "images": Target(".jpg", images.read_image, image_seeds(folder, rng), rgb),
+        "upright images": Target(".jpg", partial(images.read_image, upright=True), exif_seeds(rng), rgb),
         "kitti calib": Target(".txt", kitti.read_calib, (calib.encode(),)),
         "kitti label": Target(".txt", kitti.read_labels, ((f"{label}\n" * 6).encode(),)),
         "kitti tracking": Target(".txt", kitti.read_tracking, ((f"3 {track}\n" * 6).encode(),)),
@@ -217,6 +221,20 @@ def image_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
     for name in ("a.png", "a.jpg"):
         images.write_image(folder / name, picture)
     return (folder / "a.png").read_bytes(), (folder / "a.jpg").read_bytes()
+
+
+def exif_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
+    """A JPEG that lies on its side, with position and a second picture, and a PNG with EXIF."""
+    picture = Image.fromarray(rng.integers(0, 255, (12, 16, 3), dtype=np.uint8))
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010F] = 6, "maker"
+    exif.get_ifd(0x8825).update({1: "N", 2: (48.0, 7.0, 12.0)})
+    made = []
+    for kind, more in (("JPEG", {}), ("PNG", {}), ("MPO", {"save_all": True, "append_images": [picture]})):
+        file = io.BytesIO()
+        picture.save(file, format=kind, exif=exif, **more)
+        made.append(file.getvalue())
+    return tuple(made)
 
 
 def cirrus_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:

@@ -2,8 +2,9 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,12 +53,12 @@ def _row(name: str, done: Sequence[Covered]) -> tuple[str, ...]:
     return name, *(f"{count:,}" for count in counts), f"{share:.2%}"
 
 
-def _weakest_first(item: tuple[Covered, dict]) -> tuple[bool, float, str]:  # type: ignore[type-arg]
+def _weakest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float, str]:
     each, row = item
     return row["how"] != "found", float(row["score"]), each.file
 
 
-def _thumbnail(folder: Path, each: Covered, row: dict) -> Picture:  # type: ignore[type-arg]
+def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
     """The surroundings of a covered box, cut from the covered picture."""
     from PIL import Image
 

@@ -61,7 +61,7 @@ def _whole(hits: Hits, image: np.ndarray) -> list[tuple[int, int, int, int]]:
     if len(inside) != len(hits):
         raise ConfigError("covering: expected boxes within the picture; cut them with within() first")
     low, high = np.floor(inside.box_px[:, :2]), np.ceil(inside.box_px[:, 2:])
-    return [tuple(map(int, box)) for box in np.column_stack([low, high])]
+    return [(int(left), int(top), int(right), int(bottom)) for left, top, right, bottom in np.column_stack([low, high])]
 
 
 def _around(image: _Picture, mask: Bool[np.ndarray, "height width"], box: tuple[int, int, int, int]) -> np.ndarray:

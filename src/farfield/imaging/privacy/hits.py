@@ -52,9 +52,13 @@ class Hits:
         half = np.maximum(half * factor, half + least_px)
         return replace(self, box_px=np.column_stack([centre - half, centre + half]))
 
+    def touch(self, width: int, height: int) -> Bool[np.ndarray, " n"]:
+        """Which boxes have a part in a picture."""
+        return np.asarray((self.box_px[:, 2:] > 0).all(axis=1) & (self.box_px[:, :2] < [width, height]).all(axis=1))
+
     def within(self, width: int, height: int) -> "Hits":
         """The boxes cut at a picture's edges, without those that lie outside."""
-        seen = (self.box_px[:, 2:] > 0).all(axis=1) & (self.box_px[:, :2] < [width, height]).all(axis=1)
+        seen = self.touch(width, height)
         return replace(self, box_px=self.box_px.clip(0, [width, height, width, height]))[seen]
 
 

@@ -86,7 +86,7 @@ class Cover:
 
     def within(self, width: int, height: int) -> "Cover":
         """The boxes cut at a picture's edges, without those that lie outside."""
-        seen = (self.hits.box_px[:, 2:] > 0).all(axis=1) & (self.hits.box_px[:, :2] < [width, height]).all(axis=1)
+        seen = self.hits.touch(width, height)
         return Cover(self.hits[seen].within(width, height), self.track[seen], self.how[seen])
 
 
