@@ -1,6 +1,7 @@
-"""Lists of stamps, logs of clocks and ROS 2 bags for fuzz_readers.py."""
+"""Lists of stamps, logs of clocks, films and ROS 2 bags for fuzz_readers.py."""
 
 from collections.abc import Callable
+from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from farfield.files.bags import Bag
 from farfield.files.clock_logs import read_clock_log
 from farfield.files.point_cloud2 import read_points
 from farfield.files.stamps import read_stamps, recognise_stamps
+from farfield.files.videos import film_frames, read_film, write_film
 
 Recipe = tuple[str, Callable[[Path], Any], tuple[bytes, ...], Callable[[Any], bool], tuple[bytes, ...]]
 LISTS = (
@@ -33,6 +35,8 @@ def time_targets(folder: Path) -> dict[str, Recipe]:
         "stamps": (".txt", stamps, LISTS, whole_numbers, ()),
         "clock logs": (".log", read_clock_log, LOGS, len, ()),
     }
+    if find_spec("av") is not None:
+        found["films"] = (".mp4", film_pictures, film_seeds(folder), finite_counts, ())
     if find_spec("rosbags") is not None:
         for suffix in (".mcap", ".db3"):
             found[f"bag{suffix}"] = (suffix, messages, bag_seeds(folder, suffix), finite_counts, ())
@@ -60,6 +64,21 @@ def messages(path: Path) -> list[int]:
     finally:
         bag.close()
     return found
+
+
+def film_pictures(path: Path) -> list[int]:
+    """Mean of each frame of a film, all of which are decoded."""
+    return [int(picture.mean()) for picture in film_frames(read_film(path))]
+
+
+def film_seeds(folder: Path) -> tuple[bytes, ...]:
+    """Two small films."""
+    rng, made = np.random.default_rng(2), []
+    for suffix in (".mp4", ".mkv"):
+        pictures = iter(rng.integers(0, 256, (6, 32, 48, 3), dtype=np.uint8))
+        write_film(folder / f"film{suffix}", pictures, range(0, 600, 100), Fraction(1, 1000))
+        made.append((folder / f"film{suffix}").read_bytes())
+    return tuple(made)
 
 
 def finite_counts(counts: list[int]) -> bool:

@@ -10,13 +10,16 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
+from farfield.files.videos import write_film
 from farfield.recording import record
 
 pytest.importorskip("torch")
@@ -34,7 +37,7 @@ def kradar(folder: Path) -> None:
 
 
 def faces(folder: Path) -> None:
-    """Pictures of a portrait that walks by; large enough that a moment passes over each."""
+    """Pictures of a portrait that walks by, large enough that a moment passes over each, and a film."""
     from matplotlib.cbook import get_sample_data
     from PIL import Image
 
@@ -45,6 +48,9 @@ def faces(folder: Path) -> None:
         picture = Image.new("RGB", (960, 640), (96, 104, 110))
         picture.paste(portrait, (10 * number, 20))
         picture.save(folder / f"{number:02}.png")
+    if find_spec("av"):
+        small = np.stack([np.array(portrait.resize((150, 176)))] * 40)
+        write_film(folder / "film.mp4", iter(small), range(0, 4000, 100), Fraction(1, 1000))
 
 
 MAKERS = {"faces": faces, "few": cirrus, "many": partial(cirrus, frames=120, sequences=6), "radar": kradar}

@@ -28,6 +28,7 @@ READERS = (
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
     *("radar cells sealed", "delft poses", "delft labels", "radiate times", "radiate tracks", "stamps", "clock logs"),
+    *(("films",) if importlib.util.find_spec("av") else ()),
     *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
 )
 

@@ -19,19 +19,20 @@ def run(
     workers: int = 0,
     engine: str = "local",
 ) -> None:
-    """Cover faces in all pictures below a folder; originals are only read.
+    """Cover faces in all pictures and films below a folder; originals are only read.
 
     examples:
       farfield anonymize Cirrus_dataset1 covered
       farfield anonymize data/kitti_raw covered --stereo image_02:image_03
       farfield anonymize photos covered --series single --how pixelate
       farfield anonymize street.jpg covered --small-faces
+      farfield anonymize dash.mp4 covered
 
-    Writes the pictures under their names without any of their metadata, anonymized.jsonl, which says what was covered
+    Writes them under their names without any of their metadata or sound, anonymized.jsonl, which says what was covered
     where and why, and anonymized.html with the doubtful cases. Interrupted, the same command goes on.
 
     Args:
-        path: A folder, such as a data set's, or one picture (.jpg, .png).
+        path: A folder, such as a data set's, or one picture (.jpg, .png) or film (.mp4, ...: extra video).
         out: Folder to write into; not the first, nor below it.
         how: Fill with the colour around, or keep a few cells, with or without edges; none can be undone.
         series: Whether the pictures of a folder follow one another, so that a face that is missed once stays covered.
@@ -42,25 +43,26 @@ def run(
     """
     from farfield.errors import ConfigError
     from farfield.imaging.privacy import Anonymising, anonymise
-    from farfield.imaging.privacy.sources import PAIRS, pairs_of, series_of
+    from farfield.imaging.privacy.sources import PAIRS, pairs_of, sources_of
     from farfield.reports.privacy_page import write_privacy_page
 
     named = [tuple(pair.split(":")) for pair in stereo]
     if any(len(pair) != 2 for pair in named):
         raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
     eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
-    folders = series_of(path)
+    sources = sources_of(path)
     chosen = Anonymising(how=how, small_faces=small_faces, together=series == "time")
     done = anonymise(
-        folders,
+        sources,
         out,
         chosen,
-        pairs=pairs_of(folders, eyes),
+        pairs=pairs_of(sources.folders, eyes),
         find=hands(workers, engine, "finding"),
         cover=hands(workers, engine, "covering"),
     )
     write_privacy_page(out / "anonymized.html", out, done, title=f"Covered: {path.name or path}")
     boxes, doubtful = sum(len(each.rows) for each in done), sum(len(each.doubtful) for each in done)
-    if series == "time" and not all(each.stamped for each in folders):
-        print("Names are no stamps: pictures of a folder count as a tenth of a second apart (else: --series single).")
-    print(f"{len(done)} pictures, {boxes} faces covered, {doubtful} of them doubtful: {out / 'anonymized.html'}")
+    if series == "time" and not all(each.stamped for each in sources.folders):
+        print("Names are no stamps: pictures of a folder count as 0.1 s apart, or give --series single.")
+    counts = f"{len(done)} pictures and frames, {boxes} faces covered, {doubtful} of them doubtful"
+    print(f"{counts}: {out / 'anonymized.html'}")

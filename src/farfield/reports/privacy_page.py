@@ -10,6 +10,7 @@ import numpy as np
 
 from farfield.files.atomic import write_text
 from farfield.files.images import read_image
+from farfield.files.videos import film_frames, read_film
 from farfield.imaging.privacy import Covered
 from farfield.reports.pictures import Picture
 from farfield.reports.template import render_template
@@ -53,6 +54,11 @@ def _row(name: str, done: Sequence[Covered]) -> tuple[str, ...]:
     return name, *(f"{count:,}" for count in counts), f"{share:.2%}"
 
 
+def frame_of(path: Path, number: int) -> np.ndarray:
+    """A frame of a covered film, shape (height, width, 3)."""
+    return next(film_frames(read_film(path), number, number + 1))
+
+
 def _weakest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float, str]:
     each, row = item
     return row["how"] != "found", float(row["score"]), each.file
@@ -62,7 +68,8 @@ def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
     """The surroundings of a covered box, cut from the covered picture."""
     from PIL import Image
 
-    image = read_image(folder / each.file)
+    path = folder / each.file
+    image = read_image(path) if each.frame is None else frame_of(path, each.frame)
     low, high = np.array(row["box_px"][:2]), np.array(row["box_px"][2:])
     half = max(float((high - low).max()), 16.0) / 2 * (1 + _MARGIN)
     middle = (low + high) / 2
@@ -74,5 +81,6 @@ def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
     data = io.BytesIO()
     small.save(data, format="JPEG", quality=85)
     uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
-    words = f"{each.file}: {row['kind']}, score {row['score']:.2f}, {row['how']}"
+    at = "" if each.frame is None else f", frame {each.frame}"
+    words = f"{each.file}{at}: {row['kind']}, score {row['score']:.2f}, {row['how']}"
     return Picture(uri, f"Covered surroundings of a {row['kind']}", words)

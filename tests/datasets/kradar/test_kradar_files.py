@@ -176,6 +176,29 @@ def test_film_gps_and_other_folder_names_belong_to_a_frame(tmp_path: Path) -> No
     assert "imu" not in back.metadata
 
 
+def test_the_dashboard_cameras_frame_is_that_of_the_frames_time(tmp_path: Path) -> None:
+    """A film whose grey rises by ten a frame of a tenth of a second, which begins with the sequence's first file."""
+    av = pytest.importorskip("av")
+    for number in range(3):
+        KRadarWriter(tmp_path, columns=512).write(frame(number))
+    KRadarWriter(tmp_path).finish()
+    (tmp_path / "1" / "cam-dash").mkdir()
+    with av.open(str(tmp_path / "1" / "cam-dash" / "1.mp4"), "w") as film:
+        stream = film.add_stream("libx264", rate=10, options={"crf": "4"})
+        stream.width = stream.height = 32
+        for number in range(40):
+            grey = np.full((32, 32, 3), 10 + 5 * number, dtype=np.uint8)
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
+        film.mux(stream.encode())
+    back = KRadar(tmp_path)
+    first_ns = min(back.of_sequence("1").times_ns.values())
+    for index in range(3):
+        shown = back[index].images["cam-dash"]
+        place = min(39, round((back[index].time_ns - first_ns) / 1e8))
+        assert abs(float(shown.mean()) - (10 + 5 * place)) < 2.5
+    assert next(iter(back[0].images)) != "cam-dash"
+
+
 def test_the_real_axes_are_those_of_the_radar_room(shared_real: Path) -> None:
     """``info_arr.mat`` counts both angles as the tensor stores them: to the right and downwards."""
     info, doppler = (shared_real / "kradar" / name for name in ("info_arr.mat", "arr_doppler.mat"))

@@ -24,7 +24,7 @@ from farfield.imaging.privacy import Anonymising, Private, anonymise
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
 from farfield.imaging.privacy.hits import Hits, covered_share
-from farfield.imaging.privacy.sources import pairs_of, series_of
+from farfield.imaging.privacy.sources import pairs_of, sources_of
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -56,24 +56,24 @@ def test_a_face_that_is_hidden_in_one_picture_stays_covered(tmp_path: Path) -> N
     """In picture HIDDEN the detector sees nothing; alone it would stay uncovered."""
     boxes = walk(tmp_path / "in")
     before = digests(tmp_path / "in")
-    done = anonymise(series_of(tmp_path / "in"), tmp_path / "out")
+    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out")
     assert min(shares(done, boxes)) >= EVERY_BOX
     assert {row["how"] for row in done[HIDDEN].rows} == {"bridged"}
-    alone = anonymise(series_of(tmp_path / "in"), tmp_path / "alone", Anonymising(together=False))
+    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(together=False))
     assert shares(alone, boxes)[HIDDEN] == 0
     assert digests(tmp_path / "in") == before  # originals are as they were
 
 
 def test_two_workers_and_a_second_call_leave_the_same_bytes(tmp_path: Path) -> None:
     walk(tmp_path / "in")
-    folders = series_of(tmp_path / "in")
-    anonymise(folders, tmp_path / "one")
-    anonymise(folders, tmp_path / "two", find=Bulk(workers=2), cover=Bulk(workers=2))
+    sources = sources_of(tmp_path / "in")
+    anonymise(sources, tmp_path / "one")
+    anonymise(sources, tmp_path / "two", find=Bulk(workers=2), cover=Bulk(workers=2))
     whole = digests(tmp_path / "one")
     assert digests(tmp_path / "two") == whole
     assert set(whole) == {"anonymized.jsonl", ".found.jsonl", ".journal.jsonl", *(f"{n:02}.png" for n in range(8))}
     (tmp_path / "one" / "03.png").write_bytes(b"")
-    anonymise(folders, tmp_path / "one")
+    anonymise(sources, tmp_path / "one")
     assert digests(tmp_path / "one") == whole
 
 
@@ -92,7 +92,7 @@ def test_nothing_of_the_original_is_left_beside_the_picture(tmp_path: Path) -> N
     stored.save(
         tmp_path / "in" / "b.jpg", format="MPO", save_all=True, append_images=[thumbnail], exif=exif, quality=95
     )
-    anonymise(series_of(tmp_path / "in"), tmp_path / "out", Anonymising(together=False))
+    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(together=False))
     for name in ("a.jpg", "b.jpg"):
         data = (tmp_path / "out" / name).read_bytes()
         with Image.open(tmp_path / "out" / name) as covered:
@@ -119,9 +119,9 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     pale = (np.roll(image, -9, axis=1) * 0.015 + 120).astype(np.uint8)
     assert not len(FaceDetector(least_score=0.3)(pale))
     written(tmp_path / "in" / "image_03" / "0.png", pale)
-    folders = series_of(tmp_path / "in")
+    sources = sources_of(tmp_path / "in")
     strict = Anonymising(together=False)
-    done = anonymise(folders, tmp_path / "out", strict, pairs=pairs_of(folders))
+    done = anonymise(sources, tmp_path / "out", strict, pairs=pairs_of(sources.folders))
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
     assert [row["how"] for each in done for row in each.rows] == ["found", "partner"]
@@ -129,13 +129,13 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
 
 def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: Path) -> None:
     walk(tmp_path / "in")
-    folders = series_of(tmp_path / "in")
+    sources = sources_of(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "in" / "out"):
         with pytest.raises(ConfigError, match="nor below it"):
-            anonymise(folders, out)
+            anonymise(sources, out)
     (tmp_path / "in" / "04.png").write_bytes((tmp_path / "in" / "04.png").read_bytes()[:200])
     with pytest.raises(FileFormatError, match=r"04\.png"):
-        anonymise(folders, tmp_path / "out")
+        anonymise(sources, tmp_path / "out")
     assert not list((tmp_path / "out").glob("*.png"))
 
 
@@ -152,7 +152,7 @@ def test_the_command_writes_pictures_log_and_page(tmp_path: Path, capsys: pytest
     walk(tmp_path / "in")
     assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1"]) == 0
     said = capsys.readouterr().out
-    assert "8 pictures, 8 faces covered, 1 of them doubtful" in said
+    assert "8 pictures and frames, 8 faces covered, 1 of them doubtful" in said
     assert "Names are no stamps" in said
     page = (tmp_path / "out" / "anonymized.html").read_text()
     assert "03.png: face" in page

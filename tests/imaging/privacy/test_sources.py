@@ -8,7 +8,7 @@ import pytest
 from farfield.errors import ConfigError, DatasetError
 from farfield.imaging.privacy.hits import Hits
 from farfield.imaging.privacy.partners import partners
-from farfield.imaging.privacy.sources import pairs_of, series_of
+from farfield.imaging.privacy.sources import pairs_of, sources_of
 
 
 def touched(folder: Path, *names: str) -> Path:
@@ -21,7 +21,7 @@ def touched(folder: Path, *names: str) -> Path:
 
 def test_pictures_come_by_folder_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     touched(tmp_path, "b/frame_10.png", "b/frame_9.png", "a/x.JPG", "a/notes.txt", ".hidden/y.png", "a/.z.png")
-    one, other = series_of(tmp_path)
+    one, other = sources_of(tmp_path).folders
     assert [file.as_posix() for file in one.files] == ["a/x.JPG"]
     assert [file.name for file in other.files] == ["frame_9.png", "frame_10.png"]
     np.testing.assert_allclose(other.times_s, [0, 0.1])
@@ -30,9 +30,18 @@ def test_pictures_come_by_folder_in_the_order_of_their_numbers(tmp_path: Path) -
 
 def test_names_of_nanoseconds_are_stamps(tmp_path: Path) -> None:
     touched(tmp_path, "1567000000000000000.jpg", "1567000000250000000.jpg")
-    (series,) = series_of(tmp_path)
+    (series,) = sources_of(tmp_path).folders
     assert series.stamped
     np.testing.assert_allclose(series.times_s, [0, 0.25])
+
+
+def test_films_stand_beside_pictures(tmp_path: Path) -> None:
+    touched(tmp_path, "b/a.mp4", "b/0.png", "c.MKV", ".x.mp4")
+    sources = sources_of(tmp_path)
+    assert [file.as_posix() for file in sources.films] == ["c.MKV", "b/a.mp4"]
+    assert [series.name for series in sources.folders] == ["b"]
+    alone = sources_of(tmp_path / "b" / "a.mp4")
+    assert (alone.root, alone.films, alone.folders) == (tmp_path / "b", (Path("a.mp4"),), ())
 
 
 def test_links_are_not_followed(tmp_path: Path) -> None:
@@ -40,11 +49,11 @@ def test_links_are_not_followed(tmp_path: Path) -> None:
     inside = touched(tmp_path / "inside", "own.png")
     (inside / "link.png").symlink_to(outside / "secret.png")
     (inside / "folder").symlink_to(outside)
-    assert [file.name for series in series_of(inside) for file in series.files] == ["own.png"]
-    (picture,) = series_of(inside / "own.png")
+    assert [file.name for series in sources_of(inside).folders for file in series.files] == ["own.png"]
+    (picture,) = sources_of(inside / "own.png").folders
     assert picture.files == (Path("own.png"),)
     with pytest.raises(DatasetError, match="expected pictures"):
-        series_of(touched(tmp_path / "empty", "notes.txt"))
+        sources_of(touched(tmp_path / "empty", "notes.txt"))
 
 
 def test_eyes_are_paired_by_their_folders(tmp_path: Path) -> None:
@@ -54,7 +63,7 @@ def test_eyes_are_paired_by_their_folders(tmp_path: Path) -> None:
         "left/0.png",
         "right/0.png",
     )
-    folders = series_of(tmp_path)
+    folders = sources_of(tmp_path).folders
     names = [series.name for series in folders]
     assert [(names[a], names[b]) for a, b in pairs_of(folders)] == [("drive/image_02/data", "drive/image_03/data")]
     assert [(names[a], names[b]) for a, b in pairs_of(folders, [("left", "right")])] == [("left", "right")]

@@ -38,6 +38,7 @@ from farfield.datasets.kradar.sequence import RELEASES, SequenceFacts, annotated
 from farfield.datasets.kradar.sequence_files import quarters
 from farfield.datasets.kradar.splits import read_split_list, split_of_sequences
 from farfield.datasets.kradar.tesseract import read_moments
+from farfield.datasets.kradar.video import dash_image
 from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Camera, Frame, Given, Key, Lazy, Sensor, camera_sensor
@@ -65,8 +66,8 @@ class KRadar(Dataset):
     - an annotation of full boxes with Cirrus' class names, ``visibility`` (``R``, ``L`` or ``L1``), ``original_label``,
       ``version`` and, in ``unboxed["from_above"]``, the objects without a height.
     - ``indices`` of the sensors' files, by the names in :data:`~farfield.datasets.kradar.layout.INDEX_NAMES`.
-    - ``metadata["video"]``, the path of the dashboard camera's film, and ``gps``, ``gps_local``, ``imu``, ``imu_2``,
-      the measurement nearest in time.
+    - image ``cam-dash``, the dashboard camera's (extra ``video``); ``metadata["video"]``, the path of its film.
+    - ``metadata["gps"]``, ``gps_local``, ``imu``, ``imu_2``, the measurement nearest in time.
     - conditions from ``description.txt``; without it those that are published of a real sequence, as
       ``metadata["conditions_from"]`` says.
 
@@ -183,7 +184,7 @@ class KRadar(Dataset):
             frame_id=entry.stem,
             time_ns=time_ns,
             clouds=Lazy(_clouds(paths, record)),
-            images=Lazy(_eyes(paths)),
+            images=Lazy(_eyes(paths) | dash_image(shared.video, shared.times_ns, time_ns)),
             cameras=shared.cameras,
             load_annotation=None if raw is None else partial(annotation_of, raw, entry.version or ""),
             world_T_frame=self._pose(index, record),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,6 +35,18 @@ class Hits:
         """All boxes of some."""
         parts = parts or [cls()]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("box_px", "score", "kind")))
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[Sequence[Any]]) -> "Hits":
+        """Boxes from what :meth:`to_rows` gave."""
+        boxes = np.array([row[:4] for row in rows], dtype=float).reshape(-1, 4)
+        scores, kinds = ([row[place] for row in rows] for place in (4, 5))
+        return cls(boxes, np.array(scores, dtype=float), np.array(kinds, dtype="<U8"))
+
+    def to_rows(self) -> list[list[Any]]:
+        """Left, top, right, bottom, score and kind of each, as JSON takes them."""
+        parts = zip(np.round(self.box_px, 2).tolist(), np.round(self.score, 4).tolist(), self.kind, strict=True)
+        return [[*box, score, str(kind)] for box, score, kind in parts]
 
     def __len__(self) -> int:
         return len(self.score)

@@ -9,9 +9,9 @@ from jaxtyping import UInt8
 
 from farfield.frame import Frame
 from farfield.frame.lazy import Lazy
-from farfield.imaging.privacy.anonymising import Anonymising
 from farfield.imaging.privacy.covering import covered
 from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.looking import Anonymising
 
 _Picture = UInt8[np.ndarray, "height width 3"]
 

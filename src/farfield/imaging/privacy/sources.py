@@ -3,7 +3,7 @@
 import itertools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.videos import VIDEOS
 
 PICTURES = (".jpg", ".jpeg", ".png")
 _NUMBER = re.compile(r"\d+")
@@ -48,8 +49,23 @@ class Series:
         return self.files[0].parent.as_posix()
 
 
-def series_of(path: Path) -> list[Series]:
-    """The series of pictures below a folder, or a single picture.
+@dataclass(frozen=True)
+class Sources:
+    """What is to be covered.
+
+    Args:
+        root: The folder that was named, or that of the file.
+        folders: Series of pictures.
+        films: Films below the root.
+    """
+
+    root: Path
+    folders: tuple[Series, ...]
+    films: tuple[Path, ...]
+
+
+def sources_of(path: Path) -> Sources:
+    """The pictures and films below a folder, or a single one.
 
     Links are not followed, and neither are folders whose names begin with a dot.
 
@@ -57,18 +73,24 @@ def series_of(path: Path) -> list[Series]:
         DatasetError: If there is none.
     """
     if path.is_file():
-        return [_series(path.parent, [Path(path.name)])]
-    folders: list[Series] = []
+        found = {path.parent: [Path(path.name)]}
+        root = path.parent
+    else:
+        found, root = dict(_below(path)), path
+    known = {folder: [file for file in files if file.suffix.lower() in PICTURES] for folder, files in found.items()}
+    films = tuple(file for files in found.values() for file in sorted(files) if file.suffix.lower() in VIDEOS)
+    folders = tuple(_series(root, files) for files in known.values() if files)
+    if not folders and not films:
+        raise DatasetError(f"{path}: expected pictures ({', '.join(PICTURES)}) or films there, found none")
+    return Sources(root, folders, films)
+
+
+def _below(path: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """Files of each folder, relative to the first, that are no links and not hidden."""
     for here, below, names in os.walk(path):
         below[:] = sorted(name for name in below if not name.startswith("."))
-        chosen = [name for name in names if Path(name).suffix.lower() in PICTURES and not name.startswith(".")]
-        files = [Path(here, name) for name in chosen]
-        kept = [file.relative_to(path) for file in files if not file.is_symlink()]
-        if kept:
-            folders.append(_series(path, kept))
-    if not folders:
-        raise DatasetError(f"{path}: expected pictures ({', '.join(PICTURES)}) below it, found none")
-    return folders
+        files = [Path(here, name) for name in names if not name.startswith(".")]
+        yield Path(here), [file.relative_to(path) for file in files if not file.is_symlink()]
 
 
 def _series(root: Path, files: Sequence[Path]) -> Series:
