@@ -2,7 +2,8 @@
 
 Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
 it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
-it in); SQLite has none, and an altered message without a checksum reads as another message.
+it in); SQLite has none, and an altered message without a checksum reads as another message. What would unpack to
+absurdly much is refused before it is (:mod:`farfield.files.mcap_guard`).
 """
 
 from collections.abc import Collection, Iterator
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
+from farfield.files.mcap_guard import bounded, check_records
 
 SUFFIXES = (".mcap", ".db3")
 HEADER = "std_msgs/msg/Header"
@@ -63,6 +65,8 @@ class Bag:
         for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
             if part.suffix == ".db3":
                 _check_size(part)
+            elif part.suffix == ".mcap":
+                check_records(part)
         with guarded(self.path, "the bag"):
             reader = self._reader()
             self.topics = tuple(
@@ -82,6 +86,7 @@ class Bag:
                 from rosbags.rosbag2 import Reader
             except ImportError as error:
                 raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
+            bounded()
             reader = Reader(self.path)
             reader.open()
             self._open = reader
