@@ -124,7 +124,7 @@ def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     if max(low, -high, 0.0) < 2 * (high - low):  # zero is near: show it
         low, high = min(low, 0.0), max(high, 0.0)
         axes.axvline(0, color=RULE, lw=0.8)
-    axes.hist(values, bins=np.linspace(low, high, 61).tolist(), color=ANNOTATED)
+    axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
     axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
     axes.set_ylabel("pairs")
 

@@ -1,4 +1,4 @@
-"""MCAP files that would fill the memory: sizes that records claim are checked before anything is read or unpacked.
+"""Bags that would fill the memory or the disk: sizes that records claim are checked before anything is unpacked.
 
 A record is an opcode, its length (8 bytes) and its content; a chunk (opcode 6) holds two times, the size that it
 unpacks to, a checksum, the name of the compression, and the packed bytes behind their length (https://mcap.dev/spec).
@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, MissingExtraError
 
 MOST_BYTES = 1 << 30
 """No chunk unpacks to more."""
@@ -92,3 +92,42 @@ def unpacked(name: str, data: bytes, size: int) -> bytes:
     if len(found) > size:
         raise ValueError(f"a chunk that unpacks to more than the {size} bytes that it claims")
     return found
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """Unpack a message that was packed by itself (``compression_mode: message``).
+
+    Raises:
+        ValueError: If it unpacks to absurdly much.
+    """
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    most = allowed_bytes(len(data))
+    found: bytes = zstd.ZstdDecompressor().decompress(data, max_length=most + 1)
+    if len(found) > most:
+        raise ValueError(f"a message of {len(data)} bytes that unpacks to more than {most}")
+    return found
+
+
+def check_packed_file(path: Path) -> None:
+    """Unpack a file that was packed as a whole (``compression_mode: file``), without keeping anything, up to a bound.
+
+    Raises:
+        FileFormatError: If it unpacks to more than 256 times its size and 64 MiB.
+    """
+    try:
+        from rosbags.rosbag2.storage_mcap import zstd
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
+    size, found = path.stat().st_size, 0
+    most = FREE_BYTES + MOST_TIMES * size
+    try:
+        with zstd.open(path, "rb") as handle:
+            while block := handle.read(1 << 20):
+                found += len(block)
+                if found > most:
+                    raise FileFormatError(
+                        path, where="the file", expected=f"at most {most} bytes when unpacked", found="more"
+                    )
+    except (OSError, EOFError, zstd.ZstdError) as error:
+        raise FileFormatError(path, where="the file", expected="a file packed with zstd", found=str(error)) from error

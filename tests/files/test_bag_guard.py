@@ -1,4 +1,4 @@
-"""MCAP files that would fill the memory are refused before anything is unpacked."""
+"""Bags that would fill the memory are refused before anything is unpacked."""
 
 import struct
 import tracemalloc
@@ -13,10 +13,10 @@ from bag_messages import START, imu
 from rosbags.rosbag2.storage_mcap import zstd
 
 from farfield.errors import FileFormatError
+from farfield.files.bag_guard import FREE_BYTES, MOST_BYTES, MOST_TIMES, allowed_bytes, unpacked
 from farfield.files.bag_writing import write_bag_part
 from farfield.files.bags import Bag
-from farfield.files.mcap_guard import FREE_BYTES, MOST_BYTES, MOST_TIMES, allowed_bytes, unpacked
-from farfield.files.ros_messages import IMU, serialised
+from farfield.files.ros_messages import IMU, serialised, store
 
 CHUNK = 6
 
@@ -107,3 +107,32 @@ def test_what_compresses_well_is_allowed() -> None:
     assert allowed_bytes(1 << 40) == MOST_BYTES
     zeros = np.zeros(1 << 20, dtype=np.uint8).tobytes()
     assert unpacked("zstd", zstd.compress(zeros), len(zeros)) == zeros
+
+
+@pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])
+def test_bags_packed_by_message_or_as_a_file_read_and_are_bounded(tmp_path: Path, mode: str) -> None:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    path, raw = tmp_path / "packed", serialised(imu(START, 0.1))
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/imu", IMU, typestore=store())
+        for step in range(3):
+            writer.write(connection, START + step, raw)
+        if mode == "MESSAGE":
+            bomb_of_zeros = writer.add_connection("/zeros", IMU, typestore=store())
+            writer.write(bomb_of_zeros, START + 9, bytes(FREE_BYTES + (32 << 20)))
+    bag = Bag(path)
+    assert [message for _, _, message in bag.messages(["/imu"])] == [raw] * 3
+    if mode == "MESSAGE":
+        with pytest.raises(FileFormatError, match="unpacks to more than"):
+            list(bag.messages())
+    else:
+        (packed,) = path.glob("*.zstd")
+        packed.write_bytes(zstd.compress(bytes(FREE_BYTES + (32 << 20))))
+        with pytest.raises(FileFormatError, match="when unpacked"):
+            Bag(path)
+        packed.write_bytes(b"nothing of the kind")
+        with pytest.raises(FileFormatError, match="packed with zstd"):
+            Bag(path)
