@@ -101,10 +101,10 @@ class Late:
     before: Sequence[Frame]
     later_s: float
 
-    def __call__(self) -> Annotation | None:
+    def __call__(self) -> Annotation:
         """The annotation, boxes and whole bodies moved."""
-        annotation = self.frame.annotation
-        if annotation is None or not len(annotation.boxes):
+        annotation = self.frame.annotation or Annotation(boxes=Boxes.empty())
+        if not len(annotation.boxes):
             return annotation
         velocity = velocities(annotation.boxes, self.frame, self.before)
         step = np.nan_to_num(velocity) * self.later_s

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int64
 
+from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.findings import Finding, counted
 from farfield.inspection.doctor.survey import Survey
-from farfield.timing.stamps import BREAK_PERIODS, Health, health
+from farfield.timing.stamps import Health, health
 
 FEWEST = 5
 """A sensor's step is judged where so many of its stamps follow each other."""

@@ -129,7 +129,8 @@ class _Makers:
         elif name == "camera":
             made = ros.jpeg_message(measure.RawMoment(drive, number, time_s).picture(), stamp_ns, name)
         elif name == "gps":
-            made = ros.fix_message(*self._table(stream)[row].tolist(), stamp_ns, name)
+            latitude, longitude, height = self._table(stream)[row].tolist()
+            made = ros.fix_message(latitude, longitude, height, stamp_ns, name)
         elif name == "tf":
             made = ros.transforms_message(stamp_ns, WORLD, {BASE: measure.ego_poses(drive, stream.time_s[[row]])[0]})
         else:
