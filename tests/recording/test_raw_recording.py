@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,13 @@ def test_what_does_not_go_together_is_said(
 def test_a_strange_sensor_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="radar"):
         record_streams("cirrus-sim-mini", tmp_path, sensors="radar")
+
+
+def test_a_full_disk_is_said_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1_000_000))
+    with pytest.raises(DatasetError, match=r"12 sweeps need about 0.0 GB, 0.0 GB are free"):
+        record_streams("cirrus-sim-mini", tmp_path / "out", **FEW)
+    assert not list((tmp_path / "out").rglob("*.mcap"))
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The files of a raw recording as units of work: all messages that were recorded within some seconds."""
 
+import errno
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 
 from farfield.bulk import Done, Unit
 from farfield.bulk.folders import STAGING
+from farfield.errors import DatasetError
 from farfield.recording.settings import Recording
 
 if TYPE_CHECKING:
@@ -71,7 +73,11 @@ class RecordStreams:
     memory_bytes: int = field(default=700_000_000, init=False)
 
     def __call__(self, unit: Unit) -> Done:
-        """Write one file."""
+        """Write one file.
+
+        Raises:
+            DatasetError: If the disk is full; what was written stays.
+        """
         from farfield.files.bag_writing import write_bag_part
         from farfield.simulation.raw.clocks import schedule
         from farfield.simulation.rigs.drive import drive_of
@@ -82,9 +88,16 @@ class RecordStreams:
         folder = bag_folder(wanted, sequence)
         path = folder / f"{folder.name}_{part}.mcap"
         staging = wanted.out / f"{STAGING}{os.getpid()}"
-        value = write_bag_part(
-            path, kinds_of(wanted), _messages(drive, plan, part, parts_of(wanted.plan[sequence])), staging
-        )
+        messages = _messages(drive, plan, part, parts_of(wanted.plan[sequence]))
+        try:
+            value = write_bag_part(path, kinds_of(wanted), messages, staging)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            raise DatasetError(
+                f"{wanted.out}: the disk is full. The files written so far are whole and stay; make room and run the "
+                "same command again to go on."
+            ) from error
         return Done(files=(path,), value=value)
 
 

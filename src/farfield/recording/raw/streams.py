@@ -1,6 +1,7 @@
 """Record the raw streams of simulated drives: resumable, with several processes, a ROS 2 bag a drive."""
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.bulk import Bulk, Journal, run
 from farfield.bulk.runs import Progress
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, DatasetError
 from farfield.recording.frames import JOURNAL_NAME
 from farfield.recording.planning import frames_of_sequences
 from farfield.recording.raw.parts import RecordStreams, bag_folder, kinds_of, parts_of, streams_of, units_of
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from farfield.simulation import Preset
 
 PERIOD_S = 0.1
+_POINT_BYTES, _REST_BYTES = 21, 60_000  # a point of a cloud; pictures, IMUs and poses of a tenth of a second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ def record_streams(
 
     Raises:
         ConfigError: If the preset is not of the Cirrus car or is frozen, or the settings do not go together.
-        DatasetError: If the folder holds something else.
+        DatasetError: If the folder holds something else, or the disk has no room.
         MissingExtraError: If rosbags is not installed.
         BulkError: If the memory does not suffice for so many workers, or files killed their workers twice.
     """
@@ -127,6 +129,7 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     )
     report(f"  {', '.join(streams_of(recording))}; into {recording.out}")
     if left:
+        _check_room(recording, left / len(units))
         _clear(recording)
     outcome = run(work, units, bulk, journal=journal)
     bags, truths = [], []
@@ -137,6 +140,27 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     journal.finish()
     report(f"wrote {outcome.written} files, {len(bags)} bags and what is known of them into {recording.out}")
     return RawRecorded(recording=recording, written=outcome.written, bags=tuple(bags), truths=tuple(truths))
+
+
+def _check_room(recording: Recording, share: float) -> None:
+    """Refuse to begin what cannot be finished.
+
+    Args:
+        recording: What is written where.
+        share: Part of the files that is left.
+
+    Raises:
+        DatasetError: If the folder's disk has less room than the files need.
+    """
+    preset = recording.preset
+    sweep = sum(name != "camera" for name in recording.sensors) * preset.lines * preset.columns * _POINT_BYTES
+    needed = share * sum(recording.plan) * (sweep + _REST_BYTES)
+    free = shutil.disk_usage(recording.out).free
+    if needed > free:
+        raise DatasetError(
+            f"{recording.out}: {sum(recording.plan)} sweeps need about {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are "
+            "free. Record less (--frames), fewer sensors (--sensors), or to another disk."
+        )
 
 
 def _clear(recording: Recording) -> None:
