@@ -86,16 +86,22 @@ def finite_counts(counts: list[int]) -> bool:
 
 
 def bag_seeds(folder: Path, suffix: str) -> tuple[bytes, ...]:
-    """A small bag with three clouds and their stamps, as rosbags writes it."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    """Small bags with three clouds and their stamps, as rosbags writes them; MCAP also with packed chunks."""
+    return tuple(_bag_seed(folder, suffix, packed) for packed in ((False, True) if suffix == ".mcap" else (False,)))
+
+
+def _bag_seed(folder: Path, suffix: str, packed: bool) -> bytes:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     types, kind = store.types, "sensor_msgs/msg/PointCloud2"
     plugin = StoragePlugin.MCAP if suffix == ".mcap" else StoragePlugin.SQLITE3
-    place = folder / f"bag{suffix[1:]}"
+    place = folder / f"bag{suffix[1:]}{'-packed' if packed else ''}"
     if not place.exists():
-        with Writer(place, version=9, storage_plugin=plugin) as writer:
+        bag = Writer(place, version=9, storage_plugin=plugin)
+        bag.set_compression(CompressionMode.STORAGE if packed else CompressionMode.NONE, CompressionFormat.ZSTD)
+        with bag as writer:
             connection = writer.add_connection("/points", kind, typestore=store)
             for number in range(3):
                 stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000 + number, nanosec=5)
@@ -112,4 +118,4 @@ def bag_seeds(folder: Path, suffix: str) -> tuple[bytes, ...]:
                     is_dense=True,
                 )
                 writer.write(connection, 1_700_000_000_000_000_000 + number, store.serialize_cdr(cloud, kind))
-    return ((place / f"{place.name}{suffix}").read_bytes(),)
+    return (place / f"{place.name}{suffix}").read_bytes()

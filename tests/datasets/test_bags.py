@@ -234,7 +234,9 @@ def test_times_of_recording_show_the_computers_clock(tmp_path: Path, rng: np.ran
     assert clock["drift_ppm"] == pytest.approx(50, abs=1)
     assert clock["offset_ns"] / MS == pytest.approx(3 + 50e-6 * 30_000, abs=0.1)
     assert found["pairs"]["/other"]["residual"]["mean_ms"] == pytest.approx(5)
-    assert "ppm against the stream" in (tmp_path / "header" / "sync.html").read_text()
+    page = (tmp_path / "header" / "sync.html").read_text()
+    assert "clock against it, ppm" in page
+    assert f"{clock['drift_ppm']:+.3f} ±" in page
     (found,) = json.loads((tmp_path / "log" / "sync.json").read_text())["recordings"]
     assert found["arrivals"] == {}
     assert found["pairs"]["/other"]["residual"]["mean_ms"] < -3

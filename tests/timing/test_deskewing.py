@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from farfield.errors import ConfigError
+from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import pose_from_yaw, transform_points
-from farfield.timing import PoseTrack, deskew
+from farfield.timing import PoseTrack, deskew, deskew_boxes
 from farfield.timing.deskewing import exponential, logarithm
 
 twists = arrays(np.float64, (3, 6), elements=st.floats(-1.5, 1.5))
@@ -85,3 +86,28 @@ def test_tracks_that_are_none_are_refused() -> None:
         PoseTrack(np.array([5, 5]), poses)
     with pytest.raises(ConfigError, match="rigid"):
         PoseTrack(np.array([0, 5]), poses * 2)
+
+
+def test_points_of_moving_boxes_return_to_their_bodies(rng: np.random.Generator) -> None:
+    """Two cars that pass each other, one that stands, one of unknown velocity, and the road between."""
+    centre = np.array([[30.0, 3.0, 0.0], [40.0, -3.0, 0.0], [50.0, 8.0, 0.0], [60.0, 20.0, 0.0]])
+    velocity = np.array([[30.0, 0.0], [-25.0, 5.0], [0.0, 0.0], [np.nan, np.nan]])
+    boxes = Boxes(centre_m=centre, size_m=np.tile([4.5, 1.9, 1.5], (4, 1)), yaw_rad=np.zeros(4), velocity_m_s=velocity)
+    owner = np.repeat(np.arange(4), 200)
+    true = centre[owner] + rng.uniform(-0.5, 0.5, (800, 3)) * boxes.size_m[owner]
+    times_ns = rng.integers(-50_000_000, 50_000_000, 800)
+    flat = np.concatenate([np.nan_to_num(velocity), np.zeros((4, 1))], axis=1)[owner]
+    seen = true + flat * times_ns[:, None] / 1e9
+    road = np.column_stack([rng.uniform(0, 80, 300), rng.uniform(-10, 10, 300), np.full(300, -1.5)])
+    points, times = np.concatenate([seen, road]), np.concatenate([times_ns, np.full(300, 10_000_000)])
+    moved = deskew_boxes(points, 7 + times, boxes, reference_ns=7)
+    np.testing.assert_allclose(moved[:800], true, atol=1e-9)
+    np.testing.assert_array_equal(moved[800:], road)
+    assert np.abs(points[:800] - true).max() > 1
+    assert len(deskew_boxes(points[:0], times[:0], boxes, reference_ns=7)) == 0
+
+
+def test_boxes_without_velocities_cannot_tell() -> None:
+    boxes = Boxes(centre_m=np.zeros((1, 3)), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1))
+    with pytest.raises(ConfigError, match="velocities"):
+        deskew_boxes(np.zeros((1, 3)), np.zeros(1, dtype=np.int64), boxes, reference_ns=0)

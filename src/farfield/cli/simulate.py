@@ -6,6 +6,7 @@ from pathlib import Path
 import tyro
 
 from farfield.cli._progress import bar
+from farfield.errors import ConfigError
 from farfield.vocabulary.conditions import Time, Weather
 
 
@@ -25,6 +26,7 @@ def run(
     workers: int = 0,
     engine: str = "local",
     cache: bool = False,
+    recording: bool = False,
 ) -> int:
     """Write a simulated data set in the layout of Cirrus, of K-Radar or of KITTI.
 
@@ -35,6 +37,7 @@ def run(
       farfield simulate kradar-sim data/kradar --frames 116 --sensors os2-64,sparse,cam-front
       farfield simulate kradar-sim-mini data/mini
       farfield simulate cirrus-sim-val-v2 data/val
+      farfield simulate cirrus-sim data/raw --recording --frames 600 --sequences 1
 
     Run again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on the
     number of workers. A frozen preset (cirrus-sim-val-v2) is compared with its recorded checksums; exit status 1 if a
@@ -60,7 +63,33 @@ def run(
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are simulated.
         cache: Also write the binary cache that makes reading fast (Cirrus).
+        recording: Write the raw streams of each drive of the Cirrus car instead of frames: a ROS 2 bag (MCAP) with the
+            LiDARs at 10 Hz, the camera at 30 Hz (320 pixels wide), two IMUs at 100 Hz, GPS at 1 Hz and the car's pose,
+            each with a clock of its own, and SEQUENCE_truth.json beside. --frames counts sweeps, 10 a second.
     """
+    if recording:
+        if stride_s is not None or cache:
+            raise ConfigError(
+                "--recording: expected neither --stride-s nor --cache; the sensors run at their own rates"
+            )
+        from farfield.recording.raw import record_streams
+
+        record_streams(
+            preset,
+            out,
+            sweeps=frames,
+            sequences=sequences,
+            sensors=sensors,
+            weather=weather,
+            time=time,
+            seed=seed,
+            uniform_offset_ms=uniform_offset_ms,
+            workers=workers,
+            engine=engine,
+            progress=partial(bar, what="recording", transient=True),
+            report=print,
+        )
+        return 0
     from farfield.recording import record
 
     recorded = record(

@@ -16,7 +16,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     """Open a data set; its format is recognised from what the folder holds.
 
     Options that decide how frames are seen become maps, see :attr:`Dataset.maps`: ``rotate_deg`` for every format, and
-    ``reference``, ``radar_rate``, ``radar_region``, ``radar_over`` for those that offer them.
+    ``reference``, ``radar_rate``, ``radar_region``, ``radar_over``, ``labels_at`` for those that offer them.
 
     Args:
         path: Its root folder.

@@ -2,7 +2,8 @@
 
 Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
 it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
-it in); SQLite has none, and an altered message without a checksum reads as another message.
+it in); SQLite has none, and an altered message without a checksum reads as another message. What would unpack to
+absurdly much is refused before it is (:mod:`farfield.files.bag_guard`).
 """
 
 from collections.abc import Collection, Iterator
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
+from farfield.files.bag_guard import bounded, check_packed_file, check_records, unpacked_message
 
 SUFFIXES = (".mcap", ".db3")
 HEADER = "std_msgs/msg/Header"
@@ -60,9 +62,14 @@ class Bag:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self._open: Any = None
+        self._packed = False
         for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
             if part.suffix == ".db3":
                 _check_size(part)
+            elif part.suffix == ".mcap":
+                check_records(part)
+            elif part.suffix == ".zstd":
+                check_packed_file(part)
         with guarded(self.path, "the bag"):
             reader = self._reader()
             self.topics = tuple(
@@ -82,8 +89,13 @@ class Bag:
                 from rosbags.rosbag2 import Reader
             except ImportError as error:
                 raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
+            bounded()
             reader = Reader(self.path)
             reader.open()
+            inner = reader.storage
+            self._packed = inner.metadata.compression_mode == "message"
+            if self._packed:  # unpacked here, with a bound
+                inner.metadata = inner.metadata._replace(compression_mode=None)
             self._open = reader
             finalize(self, _closed, reader)
         return self._open
@@ -122,6 +134,9 @@ class Bag:
             connection, log_ns, raw = found
             if len(raw) > _MAX_MESSAGE_BYTES:
                 raise _wrong(self.path, sum(counts.values()), f"at most {_MAX_MESSAGE_BYTES} bytes", f"{len(raw)}")
+            if self._packed:
+                with guarded(self.path, f"message {sum(counts.values())}"):
+                    raw = unpacked_message(raw)
             counts[connection.topic] += 1
             yield known[connection.topic], int(log_ns), bytes(raw)
         for name, topic in known.items():

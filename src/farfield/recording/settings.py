@@ -24,6 +24,7 @@ class Recording:
         out: The folder.
         cache: Whether the binary cache of the clouds is written too.
         frozen: Whether frames are compared with the recorded checksums of the preset.
+        raw: Whether the raw streams are written, in bags, instead of frames; the plan counts sweeps then.
     """
 
     preset: "Preset"
@@ -33,6 +34,7 @@ class Recording:
     out: Path
     cache: bool = False
     frozen: bool = False
+    raw: bool = False
 
 
 def claim(wanted: Recording) -> None:
@@ -47,6 +49,7 @@ def claim(wanted: Recording) -> None:
 
     out, sensors = wanted.out, set(wanted.sensors)
     settings = json.loads(json.dumps({"seed": wanted.seed, "preset": asdict(wanted.preset)}))
+    settings |= {"raw": True} if wanted.raw else {}
     record = out / SIMULATION_FILE
     before: set[str] = set()
     if record.is_file():
@@ -70,7 +73,7 @@ def _claimed(record: Path, settings: dict[str, Any], wanted: Recording) -> tuple
     except (ValueError, AttributeError, TypeError) as error:
         raise DatasetError(f"{record}: expected the settings of a simulation, found: {error}") from error
     if found != settings:
-        differ = sorted(key for key in settings if found.get(key) != settings[key])
+        differ = sorted(key for key in settings | found if found.get(key) != settings.get(key))
         raise DatasetError(
             f"{wanted.out}: expected a data set of preset {wanted.preset.name}, seed {wanted.seed}, with the same "
             f"settings; {record.name} there differs in: {', '.join(differ) or 'its keys'}. Name another folder, or "

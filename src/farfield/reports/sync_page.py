@@ -28,6 +28,7 @@ HEADS = (
     "offset, ms",
     "drift, ppm",
 )
+ARRIVAL_HEADS = ("stream", "recorded after its stamp, ms", "this includes", "the computer's clock against it, ppm")
 
 
 def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: str) -> None:
@@ -52,7 +53,14 @@ def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: s
             )
             pictures.append(Picture(figure_uri(residuals(each)), alt, caption, f"{head}: residual offsets"))
     page = render_template(
-        "sync.html", title=title, found=found, heads=HEADS, tables=[table(each) for each in found], pictures=pictures
+        "sync.html",
+        title=title,
+        found=found,
+        heads=HEADS,
+        tables=[table(each) for each in found],
+        arrival_heads=ARRIVAL_HEADS,
+        arrivals=[arrivals(each) for each in found],
+        pictures=pictures,
     )
     write_text(path, page)
 
@@ -77,14 +85,28 @@ def _matched(pair: Pair) -> list[str]:
     if clock is None:
         return [f"{pair.matched:,}", quantile, worst, "", ""]
     drift = f"{clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f}"
-    return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}", drift]
+    turns = "" if clock.modulo_ns is None else f" + k {clock.modulo_ns / 1e6:.1f}"
+    return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}{turns}", drift]
+
+
+def arrivals(found: Synchronised) -> list[tuple[str, ...]]:
+    """A row a stream whose messages were recorded by a computer, under :data:`ARRIVAL_HEADS`, as words."""
+    return [
+        (
+            name,
+            f"{clock.offset_ns / 1e6:.3f}",
+            clock.offset_includes,
+            f"{clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f}",
+        )
+        for name, clock in found.arrivals.items()
+    ]
 
 
 def residuals(found: Synchronised) -> "Figure":
     """A row a stream: the histogram of its residuals, and their course over time."""
     shown = {name: pair for name, pair in found.pairs.items() if len(pair.times_ns)}
     with house_style():
-        figure = new_figure(10.2, 0.4 + 1.9 * len(shown))
+        figure = new_figure(10.2, 0.4 + 2.1 * len(shown))
         grid = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1, 1.8))
         for (left, right), (name, pair) in zip(grid, shown.items(), strict=True):
             _histogram(left, name, pair)
@@ -96,10 +118,14 @@ def residuals(found: Synchronised) -> "Figure":
 
 def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     values = pair.residual_ns / 1e6
-    limit = max(float(np.abs(values).max()), 1e-3)
-    axes.hist(values, bins=np.linspace(-limit, limit, 61).tolist(), color=ANNOTATED)
-    axes.axvline(0, color=RULE, lw=0.8)
-    axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:g} ms")
+    low, high = float(values.min()), float(values.max())
+    spare = max(0.1 * (high - low), 1e-3)
+    low, high = low - spare, high + spare
+    if max(low, -high, 0.0) < 2 * (high - low):  # zero is near: show it
+        low, high = min(low, 0.0), max(high, 0.0)
+        axes.axvline(0, color=RULE, lw=0.8)
+    axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
+    axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
     axes.set_ylabel("pairs")
 
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from farfield.bulk.folders import sweep_out_file
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import write_text
 from farfield.files.clock_logs import read_clock_log
@@ -34,10 +35,10 @@ def write_synchronised(
     if len(set(names)) < len(names):
         raise ConfigError(f"expected recordings of different names, got {', '.join(names)}")
     folder.mkdir(parents=True, exist_ok=True)
-    done = [
-        _one(folder / ("matches.csv" if len(found) == 1 else f"matches-{name}.csv"), recording, to, tolerance_ns)
-        for name, recording in zip(names, found, strict=True)
-    ]
+    tables = [folder / ("matches.csv" if len(found) == 1 else f"matches-{name}.csv") for name in names]
+    for path in (*tables, folder / "sync.json", folder / "sync.html"):
+        sweep_out_file(path)  # what a killed command left
+    done = [_one(path, recording, to, tolerance_ns) for path, recording in zip(tables, found, strict=True)]
     content = {"recordings": [each.to_json() for each in done]}
     write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
     write_sync_page(folder / "sync.html", done, title=title)

@@ -3,7 +3,8 @@
 A point that was measured at ``t`` in the sensor's coordinates of that moment stands, in those of the reference moment,
 at ``T(t_ref)^-1 T(t) p``, where ``T`` is ``world_T_sensor``. Between two poses the motion is a screw of constant speed,
 ``T0 exp(s log(T0^-1 T1))`` on SE(3): a chord instead of the arc would be off by 2 cm in a bend at 30 m/s and 30 degrees
-a second. Only the sensor's own motion is taken out: what moves by itself stays smeared by its speed times the time.
+a second. :func:`deskew` takes out the sensor's own motion alone: what moves by itself stays smeared by its speed times
+the time, which :func:`deskew_boxes` takes out where boxes tell the velocities.
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.points import inside_box
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +119,48 @@ def deskew(
         matrix = ref_T_column[which[part]]
         moved[part] = np.einsum("nij,nj->ni", matrix[:, :3, :3], points_m[part]) + matrix[:, :3, 3]
     return Deskewed(moved.astype(points_m.dtype), int((~known)[which].sum()))
+
+
+def deskew_boxes(
+    points_m: Float[np.ndarray, "n 3"],
+    point_times_ns: Int64[np.ndarray, " n"],
+    boxes: Boxes,
+    *,
+    reference_ns: int,
+    margin_m: float = 0.1,
+) -> Float[np.ndarray, "n 3"]:
+    """Move the points on road users to where these were at the reference moment, each by its box's velocity.
+
+    For sweeps that are corrected for the sensor's own motion: what moves by itself is smeared still. A point belongs to
+    a box if it lies in it once it is moved; of several the nearest centre takes it.
+
+    Args:
+        points_m: In the sensor's coordinates of the reference moment, as :func:`deskew` gives them, shape (n, 3).
+        point_times_ns: When each was measured, shape (n,).
+        boxes: Boxes at the reference moment, with velocities over ground; those of unknown velocity are left out.
+        reference_ns: The moment.
+        margin_m: By how much boxes grow.
+
+    Returns:
+        The points, in the order given, shape (n, 3).
+
+    Raises:
+        ConfigError: If the boxes have no velocities.
+    """
+    if boxes.velocity_m_s is None:
+        raise ConfigError("deskew_boxes: expected boxes with velocities, got none. Track them first (farfield track).")
+    later_s = (point_times_ns - reference_ns) / 1e9
+    moved, nearest = points_m.astype(np.float64), np.full(len(points_m), np.inf)
+    longest_s = float(np.abs(later_s).max(initial=0.0))
+    for row in np.flatnonzero(np.isfinite(boxes.velocity_m_s).all(axis=1)):
+        velocity = np.append(boxes.velocity_m_s[row], 0.0)[:3]
+        reach = np.linalg.norm(boxes.size_m[row]) / 2 + 2 * margin_m + np.linalg.norm(velocity) * longest_s
+        near = np.flatnonzero((np.abs(points_m - boxes.centre_m[row]) <= reach).all(axis=1))
+        back = points_m[near] - later_s[near, None] * velocity
+        away = np.linalg.norm(back - boxes.centre_m[row], axis=1)
+        taken = inside_box(back, boxes, int(row), margin_m=margin_m) & (away < nearest[near])
+        moved[near[taken]], nearest[near[taken]] = back[taken], away[taken]
+    return moved.astype(points_m.dtype)
 
 
 def exponential(twist: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 4 4"]:

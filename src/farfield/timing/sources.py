@@ -143,8 +143,13 @@ def _logs(folder: Path) -> tuple[Path, ...]:
 
 
 def _of_bag(path: Path, stamp: Stamp) -> Recording:
-    """Topics whose messages have a stamp of their own; the others by the time of recording, which is said."""
-    stamps = Bag(path).stamps()
+    """Topics whose messages have a stamp of their own; the others by the time of recording, which is said.
+
+    Fixed transforms are no stream: they are said once, for all times.
+    """
+    bag = Bag(path)
+    names = [topic.name for topic in bag.topics if topic.name.strip("/") != "tf_static"]
+    stamps = bag.stamps(names) if names else {}
     streams = {}
     for topic, found in stamps.items():
         if len(found.log_ns):

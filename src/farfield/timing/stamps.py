@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int64
 
+from farfield.frame.drive import BREAK_PERIODS
+
 GAP_PERIODS = 1.5
 """An interval longer than so many median periods has lost messages in it."""
-BREAK_PERIODS = 5.0
-"""An interval longer than so many median periods begins a new drive."""
-
 MOST_GAPS = 1000
 
 Stamps = Int64[np.ndarray, " _"]

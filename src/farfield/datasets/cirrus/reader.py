@@ -44,6 +44,7 @@ class Cirrus(Dataset):
     """
 
     name = "cirrus"
+    view_options = ("labels_at",)
 
     def __init__(
         self,

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_before
 from farfield.datasets.maps.coordinates import Coordinates
+from farfield.datasets.maps.labels_at import LabelsAt
 from farfield.datasets.maps.move import Move
 from farfield.datasets.maps.placed import Placed
 from farfield.datasets.maps.sweeps import Sweeps
@@ -18,6 +19,7 @@ __all__ = [
     "Coordinates",
     "Earlier",
     "FrameMap",
+    "LabelsAt",
     "Move",
     "Placed",
     "Sweeps",
@@ -31,6 +33,7 @@ MAPS: Registry[Any] = Registry(
     "map of frames",
     {
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
+        "labels_at": "farfield.datasets.maps.labels_at:LabelsAt",
         "move": "farfield.datasets.maps.move:Move",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",

@@ -7,6 +7,7 @@ from farfield.datasets.base import Dataset
 from farfield.inspection.doctor import content, conventions, inventory
 from farfield.inspection.doctor.findings import Finding, Report
 from farfield.inspection.doctor.kradar import kradar
+from farfield.inspection.doctor.stamps import stamps
 from farfield.inspection.doctor.survey import survey
 
 __all__ = ["Finding", "Report", "examine"]
@@ -14,6 +15,7 @@ __all__ = ["Finding", "Report", "examine"]
 _CHECKS = (
     inventory.inventory,
     inventory.timing,
+    stamps,
     kradar,
     content.clouds,
     conventions.quaternions,

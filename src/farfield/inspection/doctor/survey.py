@@ -38,6 +38,7 @@ class Reading:
         images: Number of frames with each image.
         cameras: Names of calibrated cameras.
         times_ns: Time of each frame, None where unknown.
+        sensor_times_ns: Times of each frame's sensors, by name, where they are known.
         pair_dt_ms: Uniform minus Gaussian times of the paired frames.
         boxes: Boxes of every annotated frame.
         raw_labels: How often each class name stands in the files, where a reader tells.
@@ -50,6 +51,7 @@ class Reading:
     images: dict[str, int] = field(default_factory=dict)
     cameras: set[str] = field(default_factory=set)
     times_ns: list[int | None] = field(default_factory=list)
+    sensor_times_ns: list[dict[str, int]] = field(default_factory=list)
     pair_dt_ms: list[float] = field(default_factory=list)
     boxes: list[Boxes] = field(default_factory=list)
     raw_labels: dict[str, int] = field(default_factory=dict)
@@ -66,6 +68,7 @@ class Reading:
             self.raw_labels[name] = self.raw_labels.get(name, 0) + count
         self.cameras |= others.cameras
         self.times_ns += others.times_ns
+        self.sensor_times_ns += others.sensor_times_ns
         self.pair_dt_ms += others.pair_dt_ms
         self.boxes += others.boxes
         self.unlabelled += others.unlabelled
@@ -114,6 +117,7 @@ class _Surveying:
             except (FarfieldError, OSError, ValueError) as error:
                 found.damaged.append(str(error))
                 found.times_ns.append(None)
+                found.sensor_times_ns.append({})
                 continue
             _note(found, frame)
             boxes = _boxes(found, frame)
@@ -145,6 +149,8 @@ def _note(found: Reading, frame: Frame) -> None:
         found.images[name] = found.images.get(name, 0) + 1
     found.cameras |= set(frame.cameras)
     found.times_ns.append(frame.time_ns)
+    known = {name: sensor.time_ns for name, sensor in frame.sensors.items() if sensor.time_ns is not None}
+    found.sensor_times_ns.append(known)
     times = [frame.sensors[name].time_ns for name in ("gaussian", "uniform") if name in frame.sensors]
     if len(times) == 2 and times[0] is not None and times[1] is not None:
         found.pair_dt_ms.append((times[1] - times[0]) / 1e6)
