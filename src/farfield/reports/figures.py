@@ -109,9 +109,7 @@ def _draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float]) -> Non
             )
 
 
-def draw_boxes(
-    axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int, dashes: Any = "-"
-) -> None:
+def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int, dashes: Any = "-") -> None:
     """Draw box outlines from above, with a tick from the centre to the front that shows the heading."""
     from matplotlib.collections import LineCollection, PolyCollection
 

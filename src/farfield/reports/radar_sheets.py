@@ -1,4 +1,4 @@
-"""Sheets of K-Radar: camera, radar map and LiDAR of one moment, with what the LiDAR has no return of (Figures 8, 21, 22)."""
+"""Sheets of K-Radar: camera, radar map and LiDAR of one moment, and what the LiDAR has no return of."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -70,24 +70,24 @@ class Sheet:
 
         Returns:
             ``annotated``, ``without_return``, and for each detector that there is ``found``, ``found_without_return``
-            and ``wrong``: boxes of score 0.3 or more within 2 m of an object, and those of none.
+            and ``wrong``: objects with a box of score 0.3 or more within 2 m, and boxes without an object of any class.
         """
         inside = in_window(self.boxes.centre_m, window_m) & of_classes(self.boxes, labels)
         wanted, lost = self.boxes[inside], self.returns[inside] == 0
         counts: dict[str, Any] = {"annotated": len(wanted), "without_return": int(lost.sum())}
         for name, boxes in (("on_radar", self.on_radar), ("on_lidar", self.on_lidar)):
             if boxes is not None:
-                counts[name] = _found(sure(boxes, SCORE_MIN), wanted, lost, window_m)
+                seen = sure(boxes, SCORE_MIN)
+                counts[name] = _found(seen[in_window(seen.centre_m, window_m)], wanted, lost, self.boxes)
         return counts
 
 
-def _found(boxes: Boxes, wanted: Boxes, lost: Bool[np.ndarray, " n"], window_m: Window) -> dict[str, int]:
-    seen = boxes[in_window(boxes.centre_m, window_m)]
+def _found(seen: Boxes, wanted: Boxes, lost: Bool[np.ndarray, " n"], every: Boxes) -> dict[str, int]:
     found = found_by(seen, wanted) >= 0
     return {
         "found": int(found.sum()),
         "found_without_return": int((found & lost).sum()),
-        "wrong": len(seen) - int(found.sum()),
+        "wrong": len(seen) - int((found_by(seen, every) >= 0).sum()),
     }
 
 
@@ -139,7 +139,9 @@ class SheetGroup:
     def _caption(self, sheet: Sheet, facts: Mapping[str, Any]) -> str:
         where = "in the corridor" if self.region_m else "in view"
         lost = facts["without_return"]
-        text = f"{_objects(facts['annotated'])} {where}, {lost or 'none'} without any LiDAR return."
+        (only,) = self.labels if self.labels and len(self.labels) == 1 else ("object",)
+        what = only.replace("_", " ") + ("" if facts["annotated"] == 1 else "s")
+        text = f"{facts['annotated'] or 'No'} annotated {what} {where}, {lost or 'none'} without any LiDAR return."
         for name in ("on_radar", "on_lidar"):
             if name in facts:
                 text += f" {_words(self.detectors.get(name, name), facts[name], lost)}"
@@ -149,12 +151,12 @@ class SheetGroup:
 
 def _words(name: str, found: Mapping[str, int], lost: int) -> str:
     of_lost = f", {found['found_without_return'] or 'none'} of those without return" if lost else ""
-    wrong = f"; {found['wrong']} of its boxes {'has' if found['wrong'] == 1 else 'have'} no object" if found["wrong"] else ""
+    wrong = (
+        f"; {found['wrong']} of its boxes {'has' if found['wrong'] == 1 else 'have'} no object"
+        if found["wrong"]
+        else ""
+    )
     return f"{name} finds {found['found'] or 'none'}{of_lost}{wrong}."
-
-
-def _objects(count: int) -> str:
-    return f"{count} annotated object{'' if count == 1 else 's'}"
 
 
 def _weather(sheet: Sheet) -> str:

@@ -1,4 +1,4 @@
-"""Peak memory of the processes that trained and scored the runs of a reproduction: K-Radar's Table 9, and which runs lack it."""
+"""Peak memory of the processes that trained and scored the runs of a reproduction, as K-Radar's Table 9 has it."""
 
 import statistics
 from collections.abc import Mapping

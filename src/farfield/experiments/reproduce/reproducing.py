@@ -146,7 +146,7 @@ class Reproduction:
 
     @property
     def sheet_places(self) -> dict[str, Place]:
-        """Where the frames of the sheets are simulated: by weather; none where the page shows the user's or no sheets."""
+        """Where the frames of the sheets are simulated, by weather; none where the page shows the user's or none."""
         if self.paper != "kradar" or not self.simulated:
             return {}
         return sheet_places(self.settings, self.out / "data")
@@ -170,7 +170,11 @@ class Reproduction:
             self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
         )
         shutil.rmtree(scratch, ignore_errors=True)
-        found = {"paces": {kind: asdict(pace) for kind, pace in paces.items()}, "simulating_s": simulating, "sheet_s": sheet_s}
+        found = {
+            "paces": {kind: asdict(pace) for kind, pace in paces.items()},
+            "simulating_s": simulating,
+            "sheet_s": sheet_s,
+        }
         write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
         return paces, simulating, sheet_s
 

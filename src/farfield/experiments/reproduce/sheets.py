@@ -114,7 +114,11 @@ def simulated_moments(places: Mapping[str, Place]) -> list[ByWeather]:
     opened = {weather: place.opened() for weather, place in places.items()}
     roads = sorted({sequence for data in opened.values() for sequence in data.sequences})
     return [
-        {weather: Moment(data, data.sequences.index(road)) for weather, data in opened.items() if road in data.sequences}
+        {
+            weather: Moment(data, data.sequences.index(road))
+            for weather, data in opened.items()
+            if road in data.sequences
+        }
         for road in roads
     ]
 
@@ -210,25 +214,27 @@ def sheets_of(
 
 
 _DETECTED = (
-    "Boxes of the detectors of the first seed with a score of 0.3 or more: RTNH above, on the radar, PointPillars below, "
-    "on the os2-64. They look inside the dotted corridor alone and learnt vehicles; objects there are counted, found if a "
-    "box lies within 2 m."
+    "Boxes of the detectors of the first seed with a score of 0.3 or more: RTNH above, on the radar, PointPillars "
+    "below, on the os2-64. They look inside the dotted corridor alone and learnt vehicles; vehicles there are counted, "
+    "found if a box lies within 2 m."
+)
+_SAME_ROAD = (
+    "Simulated, by day: one road of the sets above with the same traffic at the same moment; only the weather differs. "
+    "The ice and snow on the LiDAR's window are inputs of the simulation. What neither sensor sees is not annotated."
+)
+_OWN_ROADS = (
+    "Of each weather the frame with most annotated objects among some of every drive, of one kind of road where there "
+    "is one."
 )
 
 
 def _road_by_weather(chosen: ByWeather, *, simulated: bool) -> SheetGroup:
-    if simulated:
-        title, words = "Figure 8: the same road by weather", (
-            "Simulated, by day: one road of the sets above with the same traffic at the same moment; only the weather "
-            "differs. The ice and snow on the LiDAR's window are inputs of the simulation."
-        )
-    else:
-        title, words = "Figure 8: roads by weather", (
-            "Of each weather the frame with most annotated objects among some of every drive, of one kind of road where "
-            "there is one."
-        )
     order = [weather for weather in WEATHERS if weather in chosen]
-    return SheetGroup(title=title, words=words, sheets=[sheet_of(chosen[weather], {}) for weather in order])
+    return SheetGroup(
+        title="Figure 8: the same road by weather" if simulated else "Figure 8: roads by weather",
+        words=_SAME_ROAD if simulated else _OWN_ROADS,
+        sheets=[sheet_of(chosen[weather], {}) for weather in order],
+    )
 
 
 def _two_roads(roads: Sequence[ByWeather], corridor: Window) -> tuple[ByWeather, ByWeather]:
