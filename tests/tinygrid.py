@@ -59,7 +59,7 @@ KRADAR_MINI = {
     "sets": {
         "train": {**ROADS, "seed": 1, "sensors": "os2-64,cells"},
         "val": {**ROADS, "seed": 2, "sensors": "os2-64,cells"},
-        "normal": {**ROADS, "seed": 3, "sensors": "os2-64", "weather": "normal"},
+        "normal": {**ROADS, "sequences": 1, "seed": 3, "sensors": "os2-64", "weather": "normal"},
     },
     "score": {"protocol": "kradar", "settings": {"region": "narrow", "classes": ["vehicle"], "ious": [0.3]}},
     "networks": {
