@@ -298,6 +298,8 @@ def test_the_page_says_what_boxes_show() -> None:
     unlike = extents({"source": visible, "target": full})
     assert "the whole body of an object, those that this detector learnt from the part" in unlike
     assert "compare like with like" in extents({"source": full, "target": full})
+    assert "its labels were not used" in unlike
+    assert "its labels taught nothing" in extents({"source": visible, "target": full}, scored=True)
     assert extents({"source": full, "target": none}) == ""
 
 
