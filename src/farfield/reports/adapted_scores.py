@@ -64,7 +64,9 @@ class HeldScores:
         held = "drive" if self.drives == 1 else "drives"
         text = f"{self.frames} labelled frames of {self.drives} {held} that were not learnt from"
         if self.shared_drives:
-            text += f"; {self.shared_drives} of these drives had other frames that were, so scores may come out too good"
+            text += (
+                f"; {self.shared_drives} of these drives had other frames that were, so scores may come out too good"
+            )
         drawn = "drives" if self.grouped_by == "sequences" else "frames of the one drive"
         return (
             f"{text}. The labels were read at the end and decided nothing. Intervals, 95 %, are over draws of the "

@@ -29,7 +29,7 @@ SMALL_BATCH = 2
 _SEQUENCES = 3  # of a set that is only measured on
 _FRAMES = 6
 _GLANCE = 2  # steps that show whether there is time for more
-_PATIENCE_S = 60.0  # for the trial of a kind
+_PATIENCE_S, _PATIENCE_OF_ALL_S = 60.0, 240.0  # for the steps of the trial of a kind, and of all kinds
 _SETTLED = 8  # steps until the allocator and the caches have settled
 
 
@@ -85,6 +85,7 @@ class _Trial:
     folder: Path
     steps: int
     batch_share: float
+    patience_s: float = _PATIENCE_S
 
     memory_bytes = 2_000_000_000
 
@@ -92,7 +93,7 @@ class _Trial:
         job: Job = unit.parameters
         quiet()
         pace = self._pace(job, self.folder / unit.name, min(_GLANCE, self.steps))
-        if self.steps > _GLANCE and pace.step_s * self.steps <= _PATIENCE_S:
+        if self.steps > _GLANCE and pace.step_s * self.steps <= self.patience_s:
             pace = self._pace(job, self.folder / unit.name, self.steps)
         return Done(value=replace(pace, step_s=pace.step_s / self.batch_share))
 
@@ -140,6 +141,11 @@ def _frame_s(detector: Detector, experiment: Experiment, job: Job, which: int) -
     return (_now()[which] - began) / len(first)
 
 
+def patience_s(kinds: int) -> float:
+    """Seconds that the steps of a trial may take where so many kinds are tried: all of them at most four minutes."""
+    return min(_PATIENCE_S, _PATIENCE_OF_ALL_S / max(kinds, 1))
+
+
 def _first(data: Dataset, count: int) -> Dataset:
     return data.select(range(min(count, len(data))))
 
@@ -155,7 +161,7 @@ def measure(
 ) -> dict[str, Pace]:
     """The pace of every kind of job.
 
-    Where a step takes seconds fewer are taken. Large batches are measured by a part of them: the time of a step is
+    Where steps take long only two are taken. Large batches are measured by a part of them: the time of a step is
     taken to grow with its frames, which is so on a CPU and too much on a GPU.
 
     Args:
@@ -170,7 +176,7 @@ def measure(
     if said is not None and kinds:
         said(f"measuring {steps} steps of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
-    found = values(_Trial(folder, steps, batch_share), units, bulk)
+    found = values(_Trial(folder, steps, batch_share, patience_s(len(units))), units, bulk)
     return {unit.name: done.value for unit, done in zip(units, found, strict=True)}
 
 
