@@ -180,9 +180,9 @@ def sheet_picture(
     """
     with house_style():
         figure = new_figure(12.4, 5.0)
-        left, right = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.12])
-        panels = right.subgridspec(2, 1)
-        _draw_camera(figure.add_subplot(left), sheet, window_m)
+        columns = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.12])
+        panels = columns[1].subgridspec(2, 1)
+        _draw_camera(figure.add_subplot(columns[0]), sheet, window_m)
         radar, lidar = figure.add_subplot(panels[0]), figure.add_subplot(panels[1])
         _draw_power(radar, sheet, window_m)
         draw_birdseye(lidar, sheet.cloud, window_m=window_m, point_size=1.6, rings_m=())

@@ -88,8 +88,8 @@ def held_scores(
 
 def _annotated(found: Detections, label: str, settings: Mapping[str, Any]) -> int:
     """Number of annotated objects of a class that count."""
-    named = [each.relabel(settings["relabel"]).label for each in found.annotated.values()]
-    if not any((labels == label).any() for labels in named):
+    named = {str(name) for each in found.annotated.values() for name in each.relabel(settings["relabel"]).label}
+    if label not in named:
         return 0
     return int(found.score("dds", **settings, bootstrap=Bootstrap(replicates=0)).counts["annotated"])
 

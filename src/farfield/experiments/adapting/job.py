@@ -199,19 +199,18 @@ class Job:
         """Scores of the first and of the last weights on the labelled frames, kept in the folder; nothing is chosen."""
         if self.held is None:
             return None
-        cloud, found = self.clouds["target"], []
-        for name, detector in (("before", self.detector), ("after", Detector.load(weights))):
-            found.append(
-                detect(
-                    detector,
-                    self.held.frames,
-                    cloud=cloud,
-                    annotated_only=True,
-                    bulk=self.doing(f"scoring {name}"),
-                    journal=self.folder / f".found-held-{name}.jsonl",
-                )
+        before, after = (
+            detect(
+                detector,
+                self.held.frames,
+                cloud=self.clouds["target"],
+                annotated_only=True,
+                bulk=self.doing(f"scoring {name}"),
+                journal=self.folder / f".found-held-{name}.jsonl",
             )
-        scores = held_scores(self.held, *found, self.detector.class_names, self.learnt.aliases)
+            for name, detector in (("before", self.detector), ("after", Detector.load(weights)))
+        )
+        scores = held_scores(self.held, before, after, self.detector.class_names, self.learnt.aliases)
         write_text(self.folder / SCORES, json.dumps(scores.to_json(), indent=1) + "\n")
         return scores
 

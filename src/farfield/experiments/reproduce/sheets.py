@@ -65,7 +65,7 @@ def sheet_places(settings: BudgetSettings, folder: Path) -> dict[str, Place]:
         folder: Where simulated sets stand.
     """
     base = settings.sets[settings.statistics_on[0]]
-    places = {}
+    places: dict[str, Place] = {}
     for weather in WEATHERS:
         changes = {"sequences": min(ROADS, base.sequences), "frames": 1, "sensors": _SENSORS, "weather": weather}
         wanted = base.model_copy(update=changes)
