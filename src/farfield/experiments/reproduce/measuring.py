@@ -27,7 +27,7 @@ STEPS = 20
 SMALL_BATCH = 2
 """Frames a step of one pattern with which trials are made."""
 _SEQUENCES = 3  # of a set that is only measured on
-_FRAMES = 6
+_FRAMES, _FEW_FRAMES, _SLOW_FRAME_S = 6, 2, 0.5  # detected in; fewer where one takes so long
 _GLANCE = 2  # steps that show whether there is time for more
 _PATIENCE_S, _PATIENCE_OF_ALL_S = 60.0, 240.0  # for the steps of the trial of a kind, and of all kinds
 _SETTLED = 8  # steps until the allocator and the caches have settled
@@ -135,10 +135,13 @@ def _frame_s(detector: Detector, experiment: Experiment, job: Job, which: int) -
     config: DataConfig = groups.get("target", next(iter(groups.values())))
     data = Place(path=config.path, split=config.split or "", options=config.options).opened()
     cloud = next(cloud for cloud in (*job.clouds, *config.clouds) if cloud in data[0].clouds)
-    first = _first(data, _FRAMES)
-    began = _now()[which]
-    detect(detector, first, cloud=cloud, annotated_only=True)
-    return (_now()[which] - began) / len(first)
+    for count in (_FEW_FRAMES, _FRAMES):
+        first, began = _first(data, count), _now()[which]
+        detect(detector, first, cloud=cloud, annotated_only=True)
+        frame_s = (_now()[which] - began) / len(first)
+        if frame_s > _SLOW_FRAME_S:
+            break
+    return frame_s
 
 
 def patience_s(kinds: int) -> float:
