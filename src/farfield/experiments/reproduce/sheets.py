@@ -8,12 +8,13 @@ import hashlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.drives import Indices
 from farfield.detection import detect
 from farfield.detectors.runtime import Detector
 from farfield.experiments.reproduce.grid import BudgetSettings, Simulated
@@ -149,7 +150,7 @@ def recorded_moments(place: Place, windows_m: Sequence[Window]) -> list[ByWeathe
     ]
 
 
-def _candidates(data: Dataset, indices: Iterable[int]) -> list[int]:
+def _candidates(data: Dataset, indices: Indices) -> list[int]:
     """Some frames of a drive, spread evenly, that have all that a sheet shows but perhaps the camera."""
     annotated = [int(index) for index in indices if data.has_annotation(int(index))]
     spread = sorted({number * len(annotated) // _TRIED for number in range(_TRIED)}) if annotated else []
