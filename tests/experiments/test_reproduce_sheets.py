@@ -15,9 +15,12 @@ from tinygrid import tiny_kradar
 from farfield.datasets import open_dataset
 from farfield.experiments.reproduce import Reproduction, load_grid
 from farfield.experiments.reproduce.places import Place
-from farfield.experiments.reproduce.sheets import measure_sheet, sheet_places, sheets_of
+from farfield.experiments.reproduce.sheets import Moment, measure_sheet, sheet_places, sheets_of, two_roads
+from farfield.reports.figures import Window
 from farfield.reports.radar_sheets import WINDOW_M
 from farfield.vocabulary.conditions import WEATHERS
+
+CORRIDOR = (0.0, 72.0, -6.4, 6.4)
 
 
 @pytest.mark.parametrize("budget", list(load_grid("kradar").budgets))
@@ -28,7 +31,7 @@ def test_roads_of_the_statistics_are_simulated_anew_with_a_camera(budget: str, t
     base = settings.sets[settings.statistics_on[0]]
     made = [place.simulated for place in places.values() if place.simulated is not None]
     assert {(each.seed, each.preset, each.frames) for each in made} == {(base.seed, base.preset, 1)}
-    assert all(each.sequences <= 3 and "cam-front" in str(each.sensors) for each in made)
+    assert all(each.sequences <= 5 and "cam-front" in str(each.sensors) for each in made)
     assert [each.weather for each in made] == list(WEATHERS)
     assert len({place.path for place in places.values()}) == len(WEATHERS)
 
@@ -37,6 +40,33 @@ def test_the_page_alone_shows_them_where_all_is_simulated(tmp_path: Path) -> Non
     assert Reproduction.of("cirrus", out=tmp_path).sheet_places == {}
     assert Reproduction.of("kradar", out=tmp_path, data=tmp_path).sheet_places == {}
     assert measure_sheet({}, tmp_path) == 0.0
+
+
+class Counted(Moment):
+    """A moment with so many objects in view and in the corridor."""
+
+    def __init__(self, in_view: int, inside: int) -> None:
+        object.__setattr__(self, "counts", {WINDOW_M: in_view, CORRIDOR: inside})
+
+    def objects(self, window_m: Window) -> int:
+        return int(self.counts[window_m])
+
+
+@pytest.mark.parametrize(
+    ("counts", "chosen"),
+    [
+        ([(9, 4), (30, 20), (5, 12), (8, 10)], (1, 2)),  # another road, however few it has in view
+        ([(9, 4), (30, 20), (5, 9)], (1, 1)),  # less than half as many inside
+        ([(3, 0), (2, 0)], (0, 0)),
+        ([(7, 3)], (0, 0)),
+    ],
+)
+def test_the_fullest_road_is_shown_and_another_if_it_is_full_enough(
+    counts: list[tuple[int, int]], chosen: tuple[int, int]
+) -> None:
+    roads = [{"normal": Counted(*each)} for each in counts]
+    found = two_roads(roads, CORRIDOR)
+    assert tuple(next(n for n, road in enumerate(roads) if road is each) for each in found) == chosen
 
 
 def summary(out: Path) -> dict[str, Any]:

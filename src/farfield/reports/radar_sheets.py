@@ -190,6 +190,8 @@ def sheet_picture(
         for axes, found in ((radar, sheet.on_radar), (lidar, sheet.on_lidar)):
             _draw_objects(axes, sheet, found, region_m)
             axes.set(xlim=window_m[:2], ylim=window_m[2:], aspect="equal", ylabel="y left (m)")
+            axes.set_yticks(np.arange(np.ceil(window_m[2] / 10), np.floor(window_m[3] / 10) + 1) * 10.0)
+            axes.set_xticks(np.arange(np.ceil(window_m[0] / 10), np.floor(window_m[1] / 10) + 1) * 10.0)
         radar.set_xlabel("")
         figure.legend(
             handles=_legend(sheet, detectors or {}, region=region_m is not None), loc="outside lower center", ncols=6

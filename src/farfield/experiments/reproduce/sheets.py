@@ -31,8 +31,8 @@ from farfield.vocabulary.kradar import REGIONS_M
 if TYPE_CHECKING:
     from farfield.bulk.runs import Progress
 
-ROADS = 3
-"""Roads that are simulated in every weather; the fullest are shown."""
+ROADS = 5
+"""Roads that are simulated in every weather; the fullest are shown. The fifth is the preset's second in a town."""
 DRY, WET = ("normal", "overcast", "fog"), ("rain", "sleet", "light_snow", "heavy_snow")
 """Weathers of Figures 21 and 22."""
 DETECTORS = {"on_radar": ("rtnh", "radar", "RTNH"), "on_lidar": ("pointpillars", "os2-64", "PointPillars")}
@@ -186,7 +186,7 @@ def sheets_of(
     x_from, x_to, y_from, y_to, *_ = REGIONS_M[settings.score.settings.get("region", "narrow")]
     corridor: Window = (x_from, x_to, y_from, y_to)
     if data is None:
-        whole, narrow = _two_roads(simulated_moments(places), corridor)
+        whole, narrow = two_roads(simulated_moments(places), corridor)
     else:
         whole, narrow = recorded_moments(data, (WINDOW_M, corridor))
     if not whole:
@@ -238,14 +238,22 @@ def _road_by_weather(chosen: ByWeather, *, simulated: bool) -> SheetGroup:
     )
 
 
-def _two_roads(roads: Sequence[ByWeather], corridor: Window) -> tuple[ByWeather, ByWeather]:
-    """The road with most objects in view, and of the others that with most inside the corridor."""
+def two_roads(roads: Sequence[ByWeather], corridor: Window) -> tuple[ByWeather, ByWeather]:
+    """The road with most objects in view, and of the others that with most inside the corridor.
+
+    The first stands for the second too where no other has half as many objects there.
+
+    Args:
+        roads: Roads by weather.
+        corridor: Where the detectors look.
+    """
     counts = [next(iter(road.values())).objects(WINDOW_M) for road in roads]
     first = counts.index(max(counts))
     rest = [road for place, road in enumerate(roads) if place != first] or list(roads)
     inside = [next(iter(road.values())).objects(corridor) for road in rest]
     second = rest[inside.index(max(inside))]
-    return roads[first], second if max(inside) > 0 else roads[first]
+    enough = next(iter(roads[first].values())).objects(corridor) / 2
+    return roads[first], second if max(inside) >= max(enough, 1) else roads[first]
 
 
 def sheet_of(moment: Moment, detectors: Mapping[str, Detector]) -> Sheet:
