@@ -6,7 +6,7 @@ from typing import Any
 
 MEMORY = "memory_mb"
 """The figure as published tables call it."""
-MEMORY_WORDS = "memory: ours the peak of the process, the paper's of the GPU"
+MEMORY_WORDS = "peak memory of the process (paper: of the GPU)"
 
 
 def peaks_mb(timing: Mapping[str, Any]) -> dict[str, list[float]]:
