@@ -1,8 +1,9 @@
-"""The Cirrus grid with a budget of minutes: five of its runs, tiny networks and frames. Too small to say anything."""
+"""The grids with budgets of minutes: some of their runs, tiny networks and frames. Too small to say anything."""
 
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from farfield.experiments.reproduce import Grid, Reproduction, load_grid
 from farfield.experiments.reproduce.grid import BudgetSettings
@@ -44,6 +45,48 @@ MINI = {
 }
 
 
+CORRIDOR = {"range_m": 72.0, "half_width_m": 6.4, "z_min_m": -2.0, "z_max_m": 6.0}
+ROADS = {"preset": "kradar-sim-mini", "sequences": 2, "frames": 1}
+KRADAR_MINI = {
+    "words": "a test",
+    "seeds": 1,
+    "steps": 2,
+    "least_steps": 2,
+    "batch": 1,
+    "without": ["rtn_resnet50", "rtn_resnext101", "rtn_mean"],
+    "training": {"precision": "fp32"},
+    "statistics_on": ["normal"],
+    "sets": {
+        "train": {**ROADS, "seed": 1, "sensors": "os2-64,cells"},
+        "val": {**ROADS, "seed": 2, "sensors": "os2-64,cells"},
+        "normal": {**ROADS, "sequences": 1, "seed": 3, "sensors": "os2-64", "weather": "normal"},
+    },
+    "score": {"protocol": "kradar", "settings": {"region": "narrow", "classes": ["vehicle"], "ious": [0.3]}},
+    "networks": {
+        "rtnh": {
+            "name": "rtnh",
+            "cell_channels": 4,
+            "widths": [4, 4, 4],
+            "neck_width": 8,
+            "grid": {**CORRIDOR, "voxel_m": [0.8, 0.8, 0.8]},
+            "proposals": "anchors",
+            "score_threshold": 0.05,
+        },
+        "pointpillars": {
+            "name": "pointpillars",
+            "grid": {**CORRIDOR, "cell_m": 0.8},
+            "pillar_channels": 8,
+            "widths": [8, 8, 8],
+            "depths": [0, 0, 0],
+            "neck_width": 8,
+            "anchors": {"vehicle": {"size_m": [4.2, 2.1, 2.0], "z_m": 0.0}},
+            "score_threshold": 0.05,
+        },
+    },
+    "replicates": 20,
+}
+
+
 def tiny_grid() -> Grid:
     """The shipped grid whose laptop budget is tiny and leaves out all but some runs."""
     whole = load_grid("cirrus")
@@ -55,6 +98,14 @@ def tiny(out: Path, workers: int = 1) -> Reproduction:
     """A reproduction of it in a folder."""
     shipped = Reproduction.of("cirrus", out=out)
     return Reproduction(grid=tiny_grid(), claims=shipped.claims, out=out, workers=workers, measured_steps=2)
+
+
+def tiny_kradar(out: Path, **options: Any) -> Reproduction:
+    """A reproduction of K-Radar's grid: RTNH and PointPillars alone, on two roads."""
+    shipped = Reproduction.of("kradar", out=out)
+    mini = BudgetSettings.model_validate(KRADAR_MINI)
+    grid = load_grid("kradar").model_copy(update={"budgets": {"laptop": mini}})
+    return Reproduction(grid=grid, claims=shipped.claims, out=out, workers=1, measured_steps=2, **options)
 
 
 if __name__ == "__main__":

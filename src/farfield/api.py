@@ -116,6 +116,7 @@ def adapt(
     *,
     out: Path | str,
     source: Path | str | None = None,
+    labels: "Path | str | Dataset | None" = None,
     bulk: "Bulk | None" = None,
     report: "Report | None" = None,
     overwrite: bool = False,
@@ -130,6 +131,8 @@ def adapt(
             it when it is done.
         source: Labelled frames like those that the detector learnt from; by default they are simulated, from the preset
             that the weights' provenance names, without camera.
+        labels: Labelled frames on which to score before and after, at the end: they decide nothing, and those that are
+            learnt from do not count.
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
@@ -138,7 +141,7 @@ def adapt(
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
-            cloud suits the detector, or the folder holds another adaptation.
+            cloud suits the detector, the folder holds another adaptation, or no labelled frame is left to score on.
         DatasetError: If there are no frames.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
@@ -147,7 +150,17 @@ def adapt(
     _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
     from farfield.experiments.adapting import adapt as adapt_all
 
-    return adapt_all(detector, data, out=out, source=source, bulk=bulk, report=report, overwrite=overwrite, **choices)
+    return adapt_all(
+        detector,
+        data,
+        out=out,
+        source=source,
+        labels=labels,
+        bulk=bulk,
+        report=report,
+        overwrite=overwrite,
+        **choices,
+    )
 
 
 def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:

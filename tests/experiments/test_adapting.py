@@ -93,6 +93,29 @@ def test_weights_a_page_and_what_they_come_from(
     assert "camera" not in json.loads((out / "source" / "simulation.json").read_text())["sensors"]
 
 
+def test_scores_on_labels_are_told_and_decide_nothing(
+    start: Path, simulated_cirrus: Path, tmp_path: Path, eager: None
+) -> None:
+    choices = {**TINY, "frames": 1, "rounds": 1, "steps": 1}
+    plain = ff.adapt(start, simulated_cirrus, out=tmp_path / "plain", **choices)
+    assert plain.scores is None
+    assert "before and after</h2>" not in plain.page.read_text()
+    done = ff.adapt(start, simulated_cirrus, out=tmp_path / "told", labels=simulated_cirrus, **choices)
+    learnt, other = tensors_of(plain.weights), tensors_of(done.weights)
+    assert all(torch.equal(learnt[name], other[name]) for name in learnt)
+    assert done.scores is not None
+    assert (done.scores.frames, done.scores.shared_drives) == (len(open_dataset(simulated_cirrus)) - 1, 1)
+    kept = json.loads((tmp_path / "told" / "scores.json").read_text())
+    assert [row["figure"] for row in kept["rows"] if row["label"] == "vehicle"] == ["DDS", "mAP"]
+    for row in kept["rows"]:
+        assert row["annotated"] > 0
+        assert row["gain"] == pytest.approx(row["after"] - row["before"])
+    assert "Scores on labels, before and after" in done.page.read_text()
+    with pytest.raises(ConfigError, match="not learnt from; all 3 are learnt from"):
+        ff.adapt(start, simulated_cirrus, out=tmp_path / "none", labels=simulated_cirrus, **{**choices, "frames": 0})
+    assert not (tmp_path / "none").exists()
+
+
 def test_done_work_is_kept_and_another_adaptation_refused(
     start: Path, simulated_cirrus: Path, tmp_path: Path, eager: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -275,6 +298,8 @@ def test_the_page_says_what_boxes_show() -> None:
     unlike = extents({"source": visible, "target": full})
     assert "the whole body of an object, those that this detector learnt from the part" in unlike
     assert "compare like with like" in extents({"source": full, "target": full})
+    assert "its labels were not used" in unlike
+    assert "its labels taught nothing" in extents({"source": visible, "target": full}, scored=True)
     assert extents({"source": full, "target": none}) == ""
 
 

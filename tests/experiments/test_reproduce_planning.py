@@ -12,7 +12,7 @@ from farfield.errors import ConfigError
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.reproduce.grid import load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import Pace, StepClock, little, short
+from farfield.experiments.reproduce.measuring import Pace, StepClock, little, patience_s, short
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.reproduce.planning import (
     PAGE_S,
@@ -49,6 +49,9 @@ def test_cost_is_the_sum_of_its_parts() -> None:
     assert cost.scoring == pytest.approx((clouds * (96 * 0.1 + SCORING_S) + PAGE_S) / 60)
     assert cost.simulating == pytest.approx((160 * 0.2 + 160 * 1.0) / 60)
     assert cost.core_minutes == pytest.approx(cost.training + cost.scoring + cost.simulating)
+    pictured = cost_of(listed, 1.0, LAPTOP, alike(listed, 0.5), {"train": 0.2, "device": 1.0}, 96, beside_s=90.0)
+    assert pictured.simulating == pytest.approx(cost.simulating + 1.5)  # frames that only the page shows
+    assert pictured.core_minutes == pytest.approx(cost.core_minutes + 1.5)
 
 
 def test_steps_are_lowered_until_it_fits_and_no_further_than_the_floor() -> None:
@@ -63,8 +66,15 @@ def test_steps_are_lowered_until_it_fits_and_no_further_than_the_floor() -> None
     assert cost_of(listed, share + 0.05, LAPTOP, paces, {}, 96).core_minutes > whole - 10
     with pytest.raises(ConfigError, match="fewest steps") as caught:
         fitted(listed, LAPTOP, paces, {}, 96, whole / 3)
+    assert fitted(listed, LAPTOP, paces, {}, 96, whole + 1, beside_s=120.0)[0] < 1.0
     least = cost_of(listed, 0.01, LAPTOP, paces, {}, 96).core_minutes
     assert f"at least {least:.0f} core minutes" in str(caught.value)
+
+
+def test_many_kinds_are_tried_no_longer_than_some() -> None:
+    assert patience_s(1) == patience_s(4) == 60.0
+    assert 22 * patience_s(22) == pytest.approx(240.0)
+    assert patience_s(0) == 60.0
 
 
 def test_kinds_are_what_a_step_does_not_what_it_learns_from() -> None:

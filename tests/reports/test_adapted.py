@@ -9,6 +9,7 @@ import pytest
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Given
 from farfield.reports.adapted import AdaptedPage, Change, rates, render
 from farfield.reports.adapted_plots import courses
+from farfield.reports.adapted_scores import HeldScores, ScoreRow
 
 
 def boxes_at(*x: float, score: tuple[float, ...], label: str = "vehicle") -> Boxes:
@@ -50,6 +51,37 @@ def page(frame: Frame) -> AdaptedPage:
         simulated={"source": True, "target": False},
         settings={"rounds": 2},
     )
+
+
+def test_scores_stand_on_the_page_with_their_intervals(page: AdaptedPage) -> None:
+    row = ScoreRow(
+        label="large_vehicle",
+        annotated=1234,
+        figure="DDS",
+        before=0.25,
+        after=0.375,
+        before_interval=(0.2, 0.3),
+        after_interval=None,
+        gain=0.125,
+        gain_interval=(-0.01, 0.26),
+    )
+    held = HeldScores(rows=(row,), frames=40, drives=4, shared_drives=1, grouped_by="sequences", groups=4)
+    text = render(replace(page, scores=held))
+    for words in (
+        "40 labelled frames of 4 drives",
+        "1 of these drives had other frames that were",
+        "decided nothing",
+        "1,234",
+        "0.250",
+        "0.200 to 0.300",
+        "+0.125",
+        "-0.010 to +0.260",
+    ):
+        assert words in text, words
+    assert "score the weights on labels" not in text
+    nothing = render(replace(page, scores=replace(held, rows=(), shared_drives=0)))
+    assert "None of the detector's classes is annotated there." in nothing
+    assert "other frames that were" not in nothing
 
 
 def test_rates_count_by_class_range_and_threshold(page: AdaptedPage) -> None:

@@ -18,6 +18,7 @@ def run(
     override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     *,
     source: Path | None = None,
+    labels: Path | None = None,
     clouds: str = "",
     rotate_deg: float = 0.0,
     frames: int = 400,
@@ -37,6 +38,7 @@ def run(
       farfield adapt pointpillars-cirrus-sim my-sweeps
       farfield adapt pointpillars-cirrus-sim my-sweeps --minutes 60 --out runs/mine
       farfield adapt runs/pointpillars-kitti my-sweeps --source /data/kitti
+      farfield adapt pointpillars-cirrus-sim my-sweeps --labels my-labelled-sweeps
       farfield adapt pointpillars-cirrus-sim my-sweeps --rounds 3 -o method.strong.thinning=0.5
 
     What the detector is sure of in your sweeps teaches it as objects, what it is unsure of is ignored, and labelled
@@ -51,6 +53,8 @@ def run(
         override: Change a setting of method, training or augmentation, as key.key=value; may be given several times.
         source: Labelled frames of the kind that the detector learnt from; by default they are simulated, without
             camera, from the preset that its weights name.
+        labels: Labelled frames on which to score before and after, at the end: they decide nothing. Frames that are
+            learnt from do not count, so that DATA itself may be named.
         clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
         rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
         frames: Sweeps to learn from at most, spread evenly; 0 takes all.
@@ -77,6 +81,7 @@ def run(
         opened,
         out=folder,
         source=source,
+        labels=None if labels is None else open_dataset(labels, rotate_deg=rotate_deg),
         clouds=tuple(names(clouds)),
         frames=frames,
         source_frames=source_frames,
@@ -90,6 +95,9 @@ def run(
         overwrite=overwrite,
     )
     print(f"weights: {adapted.weights}\nreport: {adapted.page.resolve()}")
+    for row in () if adapted.scores is None else adapted.scores.lines:
+        label, annotated, figure, before, after, gain = (" ".join(filter(None, cell)) for cell in row)
+        print(f"{label}, {annotated} annotated, {figure}: {before} before, {after} after; difference {gain}")
     return 0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame, Key
 from farfield.reports.adapted_plots import changed, courses, scores
+from farfield.reports.adapted_scores import HeldScores
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
@@ -53,6 +54,7 @@ class AdaptedPage:
         labels: What the target's labels show, if it has any: a sentence.
         simulated: Whether ``source`` and ``target`` are simulated.
         settings: What was set, by name.
+        scores: Scores on labelled frames that were not learnt from, if the user gave any.
     """
 
     title: str
@@ -70,6 +72,7 @@ class AdaptedPage:
     labels: str
     simulated: Mapping[str, bool]
     settings: Mapping[str, Any]
+    scores: HeldScores | None = None
 
 
 def write_adapted(path: Path, page: AdaptedPage) -> Path:
@@ -93,8 +96,8 @@ def render(page: AdaptedPage) -> str:
         page=page,
         headline=(
             f"{sure[0]:.1f} sure boxes a sweep before, {sure[1]:.1f} after; the source, on which the detector learnt, "
-            f"has {page.source_rate:.1f}. More boxes are not better ones: look at the pictures, and score the weights "
-            "on labels where you have some."
+            f"has {page.source_rate:.1f}. More boxes are not better ones: look at the pictures"
+            + (", and at the scores." if page.scores else ", and score the weights on labels where you have some.")
         ),
         origin=_origin(page.simulated),
         table=_table(page, before, after),

@@ -109,14 +109,16 @@ def _draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float]) -> Non
             )
 
 
-def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int) -> None:
+def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int, dashes: Any = "-") -> None:
     """Draw box outlines from above, with a tick from the centre to the front that shows the heading."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     if not len(boxes):
         return
     corners = boxes.bev_corners_m()
-    edge = PolyCollection(list(corners), facecolor="none", edgecolor=colour, linewidth=line_width, zorder=order)
+    edge = PolyCollection(
+        list(corners), facecolor="none", edgecolor=colour, linewidth=line_width, linestyle=dashes, zorder=order
+    )
     front = (corners[:, 0] + corners[:, 3]) / 2
     heading = LineCollection(
         list(np.stack([boxes.centre_m[:, :2], front], axis=1)), colors=colour, linewidths=line_width, zorder=order

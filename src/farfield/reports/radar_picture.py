@@ -59,21 +59,22 @@ def _velocity_words(look: RadarLook) -> str:
     return "radial velocity " + ("as measured, wrapped" if look.velocity_m_s is None else "over ground") + ", m/s"
 
 
-def _levels(values: Float[np.ndarray, "_ _"]) -> tuple[float, float]:
+def power_levels(values: Float[np.ndarray, "_ _"]) -> tuple[float, float]:
     """Where a map's colours begin and end: near its floor and near its strongest echoes."""
     inside = values[np.isfinite(values)]
     least, most = np.percentile(inside, [20.0, 99.8]) if inside.size else (0.0, 1.0)
     return float(least), float(max(most, least + 6.0))
 
 
-def _extent(across: np.ndarray, along: np.ndarray) -> tuple[float, float, float, float]:
+def cube_extent(across: np.ndarray, along: np.ndarray) -> tuple[float, float, float, float]:
+    """Edges of a map of the cube's cells, whose middles lie at these places of the horizontal and the vertical axis."""
     return across[0] - _HALF_STEP_M, across[-1] + _HALF_STEP_M, along[0] - _HALF_STEP_M, along[-1] + _HALF_STEP_M
 
 
 def _show(axes: "Axes", values: np.ndarray, across: np.ndarray, along: np.ndarray) -> Any:
     axes.set_facecolor(RULE)
-    low, high = _levels(values)
-    extent = _extent(across, along)
+    low, high = power_levels(values)
+    extent = cube_extent(across, along)
     return axes.imshow(values, origin="lower", extent=extent, cmap=_POWER, aspect="auto", vmin=low, vmax=high)
 
 

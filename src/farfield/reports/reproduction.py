@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from farfield.files.atomic import write_text
 from farfield.reports.pictures import Picture
 from farfield.reports.plots import precision_recall
+from farfield.reports.radar_sheets import SheetGroup
+from farfield.reports.reproduction_memory import MEMORY, memory_rows, unmeasured, with_memory
 from farfield.reports.reproduction_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.reports.reproduction_scenarios import scenarios
 from farfield.reports.style import figure_uri
@@ -63,7 +64,7 @@ class Table:
         title: Its title.
         columns: Heads of its columns: ranges or weathers.
         lines: Its rows, controls last.
-        lacking: Rows without a finished run.
+        lacking: Rows that the page has no figure of ours for, and why.
     """
 
     title: str
@@ -111,6 +112,7 @@ def write_page(
     *,
     curves: Mapping[str, Mapping[str, Any]] | None = None,
     objects: Mapping[str, Any] | None = None,
+    sheets: Sequence[SheetGroup] = (),
 ) -> Path:
     """Write the page, all or nothing.
 
@@ -120,6 +122,7 @@ def write_page(
         timing: What ``timing.json`` holds.
         curves: Results with their curves, by pattern.
         objects: Range, class, weather and points of every annotated object, for pictures of the data.
+        sheets: Figures of single moments.
     """
     claims = [_claim(each) for each in summary["claims"]]
     page = render_template(
@@ -129,11 +132,13 @@ def write_page(
         summary=summary,
         headline=_headline(claims, summary),
         claims=claims,
-        tables=[_table(each) for each in summary["tables"]],
+        tables=[_table(each, summary, timing) for each in summary["tables"]],
         classes=summary["classes"],
         scenarios=scenarios(summary.get("scenarios") or {}),
         pictures=[*_pictures(summary["paper"], curves or {}, objects or {}), *_features(summary.get("features", ()))],
-        memory=_memory(timing),
+        sheets=[(group, group.pictures()) for group in sheets],
+        memory=memory_rows(timing),
+        unmeasured=unmeasured(summary, timing),
         minutes=_minutes(timing),
         facts=_facts(summary, timing),
     )
@@ -211,19 +216,24 @@ def _signed(value: float | None) -> str:
     return NOTHING if value is None else f"{value:+.3f}"
 
 
-def _table(table: Mapping[str, Any]) -> Table:
-    metrics, rows = table["metrics"], table["rows"]
+def _table(bare: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> Table:
+    table = with_memory(bare, timing)
+    metrics, rows, left_out = table["metrics"], table["rows"], summary.get("left_out", {})
     parts = [part for part in table["parts"] if any(_known(row, part, metric) for row in rows for metric in metrics)]
-    done = [row for row in rows if row["n"]]
+    shown = [row for row in rows if row["n"] or row["published"]]
     return Table(
         title=f"Table {table['number']}: {table['title']}",
         columns=tuple(_part(part, table["bins"]) for part in parts),
         lines=tuple(
             _line(row, parts, metric, words, first=place == 0)
-            for row in done
+            for row in shown
             for place, (metric, words) in enumerate(_shown(row, parts, metrics))
         ),
-        lacking=tuple(_called(row) for row in rows if not row["n"]),
+        lacking=tuple(
+            f"{_called(row)} ({'not run at this budget' if row['run'] in left_out else 'no finished run yet'})"
+            for row in rows
+            if not row["n"]
+        ),
     )
 
 
@@ -255,32 +265,25 @@ def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str,
         metric=words,
         printed=bool(row["published"]),
         seeds=row["n"] if first else None,
-        cells=tuple(_cell(row["cells"].get(part, {}).get(metric)) for part in parts),
+        cells=tuple(_cell(row["cells"].get(part, {}).get(metric), metric) for part in parts),
     )
 
 
-def _cell(cell: Mapping[str, Any] | None) -> Cell:
+def _cell(cell: Mapping[str, Any] | None, metric: str) -> Cell:
     if cell is None:
         return Cell(published=NOTHING, ours=NOTHING, spread="")
+    in_mb = metric == MEMORY
     return Cell(
-        published=_figure(cell["published"]),
-        ours="nothing found" if cell["mean"] == 0 else _figure(cell["mean"]),
-        spread=f"s {cell['s']:.3f}" if cell["s"] else "",
+        published=_figure(cell["published"], in_mb=in_mb),
+        ours="nothing found" if cell["mean"] == 0 else _figure(cell["mean"], in_mb=in_mb),
+        spread=f"s {_figure(cell['s'], in_mb=in_mb)}" if cell["s"] else "",
     )
 
 
-def _figure(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.3f}"
-
-
-def _memory(timing: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Peak memory of the process that trained and scored each run, median over seeds."""
-    peaks: dict[str, list[float]] = {}
-    for run in timing["runs"].values():
-        known = [clock["peak_memory_mb"] for clock in run["clock"] if clock.get("peak_memory_mb")]
-        for name in run["runs"] if known else []:
-            peaks.setdefault(name, []).append(max(known))
-    return [(name.replace("_", " "), f"{median(values):,.0f} MB") for name, values in peaks.items()]
+def _figure(value: float | None, *, in_mb: bool) -> str:
+    if value is None:
+        return NOTHING
+    return f"{value:,.0f} MB" if in_mb else f"{value:.3f}"
 
 
 def _minutes(timing: Mapping[str, Any]) -> float:

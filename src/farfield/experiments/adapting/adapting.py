@@ -15,12 +15,12 @@ from typing import Any
 from farfield.bulk import Bulk
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
-from farfield.experiments.adapting.job import PAGE, WEIGHTS, Adapted, Job
+from farfield.experiments.adapting.job import PAGE, SCORES, WEIGHTS, Adapted, Job
 from farfield.experiments.adapting.settings import SETTLED, choices_of
 from farfield.experiments.adapting.source import FOLDER
 from farfield.training.report import Report
 
-_OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
+_OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
 
 
 def adapt(
@@ -29,6 +29,7 @@ def adapt(
     *,
     out: Path | str,
     source: Path | str | None = None,
+    labels: Path | str | Dataset | None = None,
     bulk: Bulk | None = None,
     report: Report | None = None,
     overwrite: bool = False,
@@ -42,6 +43,8 @@ def adapt(
         out: Folder of the adaptation; called again with the same arguments, it goes on there.
         source: Labelled frames like those that the detector learnt from; by default they are simulated, from the preset
             that the weights' provenance names, without camera.
+        labels: Labelled frames on which the detector is scored before and after, at the end: they decide nothing. Those
+            that are learnt from do not count, so that the sweeps' own data set may be named.
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
@@ -50,7 +53,7 @@ def adapt(
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
-            cloud suits the detector, or the folder holds something else.
+            cloud suits the detector, the folder holds something else, or no labelled frame is left to score on.
         DatasetError: If there are no frames.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
@@ -65,6 +68,7 @@ def adapt(
         bulk=bulk or Bulk(),
         report=report or Report(),
         began=began,
+        labels=labels if labels is None or isinstance(labels, Dataset) else open_dataset(labels),
     )
     check_folder(folder)
     job.check()

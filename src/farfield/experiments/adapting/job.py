@@ -1,5 +1,6 @@
 """One adaptation, step by step; what is done is kept in its folder."""
 
+import json
 import time
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -15,6 +16,7 @@ from farfield.detection import as_trained, detect, suitable_clouds
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
+from farfield.experiments.adapting.held import Held, held_frames, held_scores
 from farfield.experiments.adapting.page import page_of
 from farfield.experiments.adapting.rounds import (
     check_round,
@@ -29,10 +31,12 @@ from farfield.experiments.adapting.settings import Choices, Settled, load_settle
 from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of, source_frames
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
+from farfield.files.atomic import write_text
 from farfield.metrics.detections import Detections
+from farfield.reports.adapted_scores import HeldScores
 from farfield.training.report import Report
 
-WEIGHTS, PAGE = "weights.safetensors", "report.html"
+WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +51,7 @@ class Adapted:
         after: What it finds now.
         settled: Thresholds and steps.
         signs: Failure modes that the logs show, one sentence each.
+        scores: Scores on labelled frames that were not learnt from; None where none were given.
     """
 
     folder: Path
@@ -56,6 +61,7 @@ class Adapted:
     after: Detections
     settled: Settled
     signs: tuple[str, ...] = ()
+    scores: HeldScores | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +77,7 @@ class Job:
         bulk: Who detects.
         report: Is informed.
         began: ``time.monotonic()`` at the beginning.
+        labels: Labelled frames on which to score before and after in the end; None for none.
     """
 
     start: str
@@ -81,6 +88,7 @@ class Job:
     bulk: Bulk
     report: Report
     began: float
+    labels: Dataset | None = None
 
     @cached_property
     def detector(self) -> Detector:
@@ -120,6 +128,11 @@ class Job:
             say=self.report.say,
         )
 
+    @cached_property
+    def held(self) -> Held | None:
+        """The labelled frames that are not learnt from."""
+        return None if self.labels is None else held_frames(self.labels, self.target[1])
+
     @property
     def streams(self) -> dict[str, Dataset]:
         """The frames of both streams."""
@@ -143,6 +156,8 @@ class Job:
         config, frames = self.target
         for each in config.clouds:
             self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
+        if self.held is not None:
+            as_trained(self.held.frames, self.detector)[0].cloud(next(iter(config.clouds)))
 
     def run(self) -> Adapted:
         """Do all that is not done yet."""
@@ -155,6 +170,7 @@ class Job:
         self.say_round(0, found[-1], settled)
         weights, rows = self.export(settled), self.rows()
         signs = tuple(signs_of(rows))
+        scores = self.scores(weights)
         page = page_of(
             self.folder / PAGE,
             start=self.start,
@@ -165,6 +181,8 @@ class Job:
             found=found,
             rows=rows,
             signs=signs,
+            held=None if self.held is None else self.held.frames,
+            scores=scores,
         )
         return Adapted(
             folder=self.folder,
@@ -174,7 +192,27 @@ class Job:
             after=found[-1],
             settled=settled,
             signs=signs,
+            scores=scores,
         )
+
+    def scores(self, weights: Path) -> HeldScores | None:
+        """Scores of the first and of the last weights on the labelled frames, kept in the folder; nothing is chosen."""
+        if self.held is None:
+            return None
+        before, after = (
+            detect(
+                detector,
+                self.held.frames,
+                cloud=self.clouds["target"],
+                annotated_only=True,
+                bulk=self.doing(f"scoring {name}"),
+                journal=self.folder / f".found-held-{name}.jsonl",
+            )
+            for name, detector in (("before", self.detector), ("after", Detector.load(weights)))
+        )
+        scores = held_scores(self.held, before, after, self.detector.class_names, self.learnt.aliases)
+        write_text(self.folder / SCORES, json.dumps(scores.to_json(), indent=1) + "\n")
+        return scores
 
     @property
     def clouds(self) -> dict[str, str]:

@@ -14,6 +14,7 @@ from farfield.frame.provenance import environment, is_simulated
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.detections import Detections
 from farfield.reports.adapted import AdaptedPage, Change, write_adapted
+from farfield.reports.adapted_scores import HeldScores
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -54,8 +55,14 @@ def edges_to(reach_m: float) -> list[float]:
     return [*(edge for edge in _EDGES_M if edge < reach_m), reach_m]
 
 
-def extents(data: Mapping[str, Dataset]) -> str:
-    """What the boxes of source and target show, where both are annotated; a sentence, or nothing."""
+def extents(data: Mapping[str, Dataset], *, scored: bool = False) -> str:
+    """What the boxes of source and target show, where both are annotated; a sentence, or nothing.
+
+    Args:
+        data: Frames of ``source`` and ``target``.
+        scored: Whether the target's are labels that were read for scores at the end.
+    """
+    used = "labels taught nothing" if scored else "labels were not used"
     found: dict[str, str] = {}
     for name in ("source", "target"):
         index = next((n for n in range(len(data[name])) if data[name].has_annotation(n)), None)
@@ -65,11 +72,11 @@ def extents(data: Mapping[str, Dataset]) -> str:
         found[name] = annotation.extent
     if found["source"] == found["target"]:
         return (
-            f"The target is annotated; its labels were not used. Boxes show the {_extent(found['target'])} in both "
+            f"The target is annotated; its {used}. Boxes show the {_extent(found['target'])} in both "
             "source and target, so that scores on these labels compare like with like."
         )
     return (
-        f"The target is annotated; its labels were not used. Its boxes show the {_extent(found['target'])}, those that "
+        f"The target is annotated; its {used}. Its boxes show the {_extent(found['target'])}, those that "
         f"this detector learnt from the {_extent(found['source'])}: pseudo labels cannot teach the difference, so "
         "scores that look at sizes and overlaps stay below those of a detector trained on the target's labels."
     )
@@ -90,6 +97,8 @@ def page_of(
     found: Sequence[Detections],
     rows: Sequence[Mapping[str, float | int]],
     signs: Sequence[str],
+    held: Dataset | None = None,
+    scores: HeldScores | None = None,
 ) -> Path:
     """Write the page.
 
@@ -103,6 +112,8 @@ def page_of(
         found: What was found in the target before, and after each round.
         rows: The rounds' logs.
         signs: Failure modes.
+        held: Labelled frames that were not learnt from, if any.
+        scores: Scores on them.
     """
     target = data["target"]
     before, after = (sure_boxes(each.boxes, settled.positive) for each in (found[0], found[-1]))
@@ -124,7 +135,8 @@ def page_of(
         changes=shown,
         rows=rows,
         signs=signs,
-        labels=extents(data),
+        labels=extents(data if held is None else {**data, "target": held}, scored=held is not None),
+        scores=scores,
         simulated={name: is_simulated(each.root) for name, each in data.items()},
         settings={
             "detector": start,

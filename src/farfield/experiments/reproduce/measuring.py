@@ -27,9 +27,9 @@ STEPS = 20
 SMALL_BATCH = 2
 """Frames a step of one pattern with which trials are made."""
 _SEQUENCES = 3  # of a set that is only measured on
-_FRAMES = 6
+_FRAMES, _FEW_FRAMES, _SLOW_FRAME_S = 6, 2, 0.5  # detected in; fewer where one takes so long
 _GLANCE = 2  # steps that show whether there is time for more
-_PATIENCE_S = 60.0  # for the trial of a kind
+_PATIENCE_S, _PATIENCE_OF_ALL_S = 60.0, 240.0  # for the steps of the trial of a kind, and of all kinds
 _SETTLED = 8  # steps until the allocator and the caches have settled
 
 
@@ -85,14 +85,15 @@ class _Trial:
     folder: Path
     steps: int
     batch_share: float
+    patience_s: float = _PATIENCE_S
 
-    memory_bytes = 2_000_000_000
+    memory_bytes, own_process = 4_000_000_000, True
 
     def __call__(self, unit: Unit) -> Done:
         job: Job = unit.parameters
         quiet()
         pace = self._pace(job, self.folder / unit.name, min(_GLANCE, self.steps))
-        if self.steps > _GLANCE and pace.step_s * self.steps <= _PATIENCE_S:
+        if self.steps > _GLANCE and pace.step_s * self.steps <= self.patience_s:
             pace = self._pace(job, self.folder / unit.name, self.steps)
         return Done(value=replace(pace, step_s=pace.step_s / self.batch_share))
 
@@ -134,10 +135,18 @@ def _frame_s(detector: Detector, experiment: Experiment, job: Job, which: int) -
     config: DataConfig = groups.get("target", next(iter(groups.values())))
     data = Place(path=config.path, split=config.split or "", options=config.options).opened()
     cloud = next(cloud for cloud in (*job.clouds, *config.clouds) if cloud in data[0].clouds)
-    first = _first(data, _FRAMES)
-    began = _now()[which]
-    detect(detector, first, cloud=cloud, annotated_only=True)
-    return (_now()[which] - began) / len(first)
+    for count in (_FEW_FRAMES, _FRAMES):
+        first, began = _first(data, count), _now()[which]
+        detect(detector, first, cloud=cloud, annotated_only=True)
+        frame_s = (_now()[which] - began) / len(first)
+        if frame_s > _SLOW_FRAME_S:
+            break
+    return frame_s
+
+
+def patience_s(kinds: int) -> float:
+    """Seconds that the steps of a trial may take where so many kinds are tried: all of them at most four minutes."""
+    return min(_PATIENCE_S, _PATIENCE_OF_ALL_S / max(kinds, 1))
 
 
 def _first(data: Dataset, count: int) -> Dataset:
@@ -155,7 +164,7 @@ def measure(
 ) -> dict[str, Pace]:
     """The pace of every kind of job.
 
-    Where a step takes seconds fewer are taken. Large batches are measured by a part of them: the time of a step is
+    Where steps take long only two are taken. Large batches are measured by a part of them: the time of a step is
     taken to grow with its frames, which is so on a CPU and too much on a GPU.
 
     Args:
@@ -170,7 +179,7 @@ def measure(
     if said is not None and kinds:
         said(f"measuring {steps} steps of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
-    found = values(_Trial(folder, steps, batch_share), units, bulk)
+    found = values(_Trial(folder, steps, batch_share, patience_s(len(units))), units, bulk)
     return {unit.name: done.value for unit, done in zip(units, found, strict=True)}
 
 

@@ -27,7 +27,7 @@ class Cost:
     """Core minutes of a grid, by what they go into.
 
     Args:
-        simulating: Frames that are not there yet.
+        simulating: Frames that are not there yet, those that only the page shows among them.
         training: Steps, and what comes before the first.
         scoring: Detecting in the frames that are scored, figures with their draws, the page.
     """
@@ -118,6 +118,8 @@ def cost_of(
     paces: Mapping[str, Pace],
     simulating_s: Mapping[str, float],
     frames_scored: int,
+    *,
+    beside_s: float = 0.0,
 ) -> Cost:
     """Core minutes of jobs with a share of the budget's steps.
 
@@ -128,12 +130,15 @@ def cost_of(
         paces: The pace of each kind of job.
         simulating_s: Core seconds a frame of each set that is to be simulated.
         frames_scored: Number of frames on which each job is scored.
+        beside_s: Core seconds that simulating takes besides: frames that the page alone shows.
     """
     lowered = settings.lowered(steps_share)
     training = sum(paces[job.kind].begin_s + lowered.steps_for(job.network) * paces[job.kind].step_s for job in jobs)
     scoring = sum(len(job.clouds) * (frames_scored * paces[job.kind].frame_s + SCORING_S) for job in jobs)
     sets = settings.sets
-    simulating = sum(seconds * sets[name].sequences * sets[name].frames for name, seconds in simulating_s.items())
+    simulating = beside_s + sum(
+        seconds * sets[name].sequences * sets[name].frames for name, seconds in simulating_s.items()
+    )
     return Cost(simulating=simulating / 60, training=training / 60, scoring=(scoring + PAGE_S) / 60)
 
 
@@ -144,6 +149,8 @@ def fitted(
     simulating_s: Mapping[str, float],
     frames_scored: int,
     core_minutes: float | None,
+    *,
+    beside_s: float = 0.0,
 ) -> tuple[float, Cost]:
     """The largest share of the declared steps whose cost fits, and that cost. Seeds and rows are never fewer.
 
@@ -154,13 +161,14 @@ def fitted(
         simulating_s: Core seconds a frame.
         frames_scored: Number of frames.
         core_minutes: What it is to take at most; None for no limit.
+        beside_s: As of :func:`cost_of`.
 
     Raises:
         ConfigError: If it does not fit with the fewest steps either.
     """
     cost = Cost(simulating=0.0, training=0.0, scoring=0.0)
     for share in _SHARES:
-        cost = cost_of(jobs, share, settings, paces, simulating_s, frames_scored)
+        cost = cost_of(jobs, share, settings, paces, simulating_s, frames_scored, beside_s=beside_s)
         if core_minutes is None or cost.core_minutes <= core_minutes:
             return share, cost
         if settings.lowered(share) == settings.lowered(_SHARES[-1]):
@@ -224,7 +232,7 @@ def described(outline: Outline) -> list[str]:
         f"steps: {steps}{lowered}",
         f"cost on this machine: {cost.core_minutes:.0f} core minutes (simulating {cost.simulating:.0f}, training "
         f"{cost.training:.0f}, scoring {cost.scoring:.0f}) = {outline.minutes:.0f} minutes with {outline.workers} "
-        "workers",
+        f"worker{'' if outline.workers == 1 else 's'}",
     ]
     by_claim: dict[str, list[str]] = {}
     for each in outline.outlooks:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from farfield.bulk import Bulk
 from farfield.bulk.folders import locked
@@ -27,10 +27,14 @@ from farfield.experiments.reproduce.places import Place, fingerprints_of, places
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
 from farfield.experiments.reproduce.scenarios import scenarios_of, seeds_of
 from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.sheets import measure_sheet, provide_sheets, sheet_places, sheets_of
 from farfield.experiments.reproduce.statistics import objects_in
 from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
 from farfield.files.atomic import read_bytes, write_text
 from farfield.vocabulary.patterns import PATTERNS
+
+if TYPE_CHECKING:
+    from farfield.reports.radar_sheets import SheetGroup
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
@@ -140,11 +144,18 @@ class Reproduction:
             "source": None if self.source is None else str(self.source.resolve()),
         }
 
-    def _measured(self, places: Mapping[str, Place]) -> tuple[dict[str, Pace], dict[str, float]]:
-        """The pace of each kind of run, and core seconds a simulated frame by set: measured once."""
+    @property
+    def sheet_places(self) -> dict[str, Place]:
+        """Where the frames of the sheets are simulated, by weather; none where the page shows the user's or none."""
+        if self.paper != "kradar" or not self.simulated:
+            return {}
+        return sheet_places(self.settings, self.out / "data")
+
+    def _measured(self, places: Mapping[str, Place]) -> tuple[dict[str, Pace], dict[str, float], float]:
+        """The pace of each kind of run, and core seconds a simulated frame by set and of a sheet: measured once."""
         kept = _read(self.out / MEASURED)
         if kept.get("for") == self._measured_for:
-            return planning.paces_of(kept), dict(kept["simulating_s"])
+            return planning.paces_of(kept), dict(kept["simulating_s"]), float(kept.get("sheet_s", 0.0))
         scratch = self.out / ".measure"
         self.out.mkdir(parents=True, exist_ok=True)
         needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
@@ -152,25 +163,32 @@ class Reproduction:
         simulating, small = measure_simulating(
             places, needed, scratch / "data", progress=self.progress("simulating a few frames")
         )
+        sheet_s = measure_sheet(self.sheet_places, scratch / "data")
         bulk = Bulk(workers=self.hands, progress=self.progress("measuring"))
         part = min(1.0, SMALL_BATCH / self.settings.batch)
         paces = measure(
             self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
         )
         shutil.rmtree(scratch, ignore_errors=True)
-        found = {"paces": {kind: asdict(pace) for kind, pace in paces.items()}, "simulating_s": simulating}
+        found = {
+            "paces": {kind: asdict(pace) for kind, pace in paces.items()},
+            "simulating_s": simulating,
+            "sheet_s": sheet_s,
+        }
         write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
-        return paces, simulating
+        return paces, simulating, sheet_s
 
     def _planned(self) -> planning.Outline:
         places = self.places
         jobs = self.jobs(places)
-        paces, simulating = self._measured(places)
+        paces, simulating, sheet_s = self._measured(places)
         left = {name: seconds for name, seconds in simulating.items() if not places[name].path.exists()}
         frames = self._frames_scored(places)
         limits = [self.settings.core_minutes, None if self.minutes is None else self.minutes * self.hands]
         limit = min((each for each in limits if each is not None), default=None)
-        share, cost = planning.fitted(jobs, self.settings, paces, left, frames, limit)
+        sheets = [each.simulated for each in self.sheet_places.values() if not each.path.exists()]
+        beside_s = sheet_s * sum(each.sequences * each.frames for each in sheets if each is not None)
+        share, cost = planning.fitted(jobs, self.settings, paces, left, frames, limit, beside_s=beside_s)
         lowered = self.settings.lowered(share)
         networks = sorted({job.network for job in jobs})
         runs = tuple(self.grid.runs_of(self.budget))
@@ -299,6 +317,8 @@ class Reproduction:
             sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
         )
         summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
+        sheets = self._sheets(done, places)
+        summary["sheets"] = [{"title": group.title, "frames": group.facts()} for group in sheets]
         summary["features"] = self._features(done, places)
         summary["scenarios"] = self._scenarios(done, self._scoring(places, fingerprints))
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
@@ -306,13 +326,26 @@ class Reproduction:
         timing = {"planned": outline.to_json(), "runs": runs}
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
-        return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns)
+        return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
+
+    def _weights(self, done: Sequence[Job]) -> dict[str, Path]:
+        """Weights of the first seed by run."""
+        files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
+        return {run: path for run, path in files.items() if path.is_file()}
 
     def _features(self, done: Sequence[Job], places: Mapping[str, Place]) -> list[Tree]:
-        files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
-        weights = {run: path for run, path in files.items() if path.is_file()}
         (first, *_) = self._chosen(self.settings.scored_on, places)
-        return feature_maps(weights, places[first], self.settings.score)
+        return feature_maps(self._weights(done), places[first], self.settings.score)
+
+    def _sheets(self, done: Sequence[Job], places: Mapping[str, Place]) -> "list[SheetGroup]":
+        """K-Radar's sheets; their frames are simulated now if they are not there yet."""
+        if self.paper != "kradar":
+            return []
+        own = self.sheet_places
+        provide_sheets(own, workers=self.hands, progress=self.progress("simulating the sheets"), report=self.said)
+        (first, *_) = self._chosen(self.settings.scored_on, places)
+        data = None if self.simulated else places[first]
+        return sheets_of(own, data, self._weights(done), self.settings)
 
     def _scenarios(self, done: Sequence[Job], scoring: Scoring) -> Tree:
         seeds = seeds_of(job for job in done if (self._runs / job.folder / WEIGHTS).is_file())

@@ -62,6 +62,7 @@ def summary_of(
         "steps": dict(made.steps),
         "batch": settings.batch,
         "runs": {"planned": made.planned, "done": made.done},
+        "left_out": {name: run.words for name, run in grid.runs.items() if name not in grid.runs_of(made.budget)},
         "failed": [{"run": run, "seed": seed, "why": why} for run, seed, why in made.failed],
         "claims_sha256": claims.sha256,
         "score": settings.score.model_dump(mode="json"),
