@@ -214,8 +214,15 @@ def _key(experiment: Experiment, fingerprints: Mapping[str, str], start: str) ->
         del group["path"]
     for setting in _INERT:
         tree["training"].pop(setting, None)
-    said = [tree, dict(sorted(fingerprints.items())), start, code_digest(_TRAINING_ROOMS)]
+    rooms = (*_TRAINING_ROOMS, "simulation") if _lays_weather(tree) else _TRAINING_ROOMS
+    said = [tree, dict(sorted(fingerprints.items())), start, code_digest(rooms)]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
+
+
+def _lays_weather(tree: Mapping[str, Any]) -> bool:
+    """Whether an experiment lays the simulator's weather over its frames."""
+    strong = tree["method"].get("strong") or {}
+    return bool(tree["augmentation"].get("weather") or strong.get("weather"))
 
 
 @cache
