@@ -46,6 +46,9 @@ class WeatherConfig(_Settings):
         None, description="which LiDAR the clouds are from; a radar needs none"
     )
     origin_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="where it stands in the frame")
+    reflectance: float = Field(
+        0.2, gt=0, le=1, description="taken of all points where intensity is not read: in a teacher's strong view"
+    )
     fog_m: Span = Field((120.0, 350.0), description="visibility: meteorological optical range")
     rain_mm_h: Span = Field((12.0, 30.0))
     snow_mm_h: Span = Field((4.0, 6.0), description="as liquid water")

@@ -26,7 +26,7 @@ from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Stream
-from farfield.training.weather import Laying, check_weather, draw_laid
+from farfield.training.weather import Laying, check_weather, draw_laid, read_with
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # words of the generators; 4 and 5 are the loop's and the methods'
 _FIRST = ("x_m", "y_m", "z_m", "lag_s")
@@ -128,7 +128,8 @@ class TrainingSamples(TorchDataset[Sample]):
                 f"{name}: expected at least two clouds a frame, such as clouds: [gaussian, uniform], for samples that "
                 f"come {self.stream.members}; got {', '.join(self.bindings[0].values())}."
             )
-        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.inputs.values() for c in each.columns)]))
+        self.read = {name: read_with(each, self.augmentation.weather) for name, each in self.inputs.items()}
+        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.read.values() for c in each)]))
         check_weather(self.augmentation.weather, self.inputs)
         self._weights: np.ndarray | None = None
         self._set_up()
@@ -189,7 +190,7 @@ class TrainingSamples(TorchDataset[Sample]):
 
     def _rows(self, frame: Frame, part: int, name: str, cloud: str) -> Points:
         """The points of an input in the columns of all of them, zero where the input does not read one."""
-        columns = tuple(dict.fromkeys([*_FIRST, *self.inputs[name].columns]))
+        columns = tuple(dict.fromkeys([*_FIRST, *self.read[name]]))
         rows = cloud_tensor(frame.cloud(cloud), columns).numpy()
         table = np.zeros((len(rows), len(self.columns) + 1), dtype=np.float32)
         table[:, [self.columns.index(column) for column in columns]] = rows
@@ -283,8 +284,7 @@ class TrainingSamples(TorchDataset[Sample]):
             return None
         rng = self._generator(_WEATHER, unit)
         laid = draw_laid(config, rng)
-        read = tuple(each.columns for each in self.inputs.values())
-        return None if laid is None else Laying(config, self.columns, read, laid, rng)
+        return None if laid is None else Laying(config, self.columns, tuple(self.read.values()), laid, rng)
 
     def _split(self, points: Points) -> dict[str, Points]:
         """The table of :meth:`load` as the network's inputs, each with just its own columns."""

@@ -28,6 +28,7 @@ from farfield.training.config import WeatherConfig
 Kind = Literal["fog", "rain", "snow", "ice"]
 _CONDITIONS = {"fog": "fog", "rain": "rain", "snow": "heavy_snow", "ice": "overcast"}
 _FREEZING_C, _MILD_C = -3.0, 10.0
+POWER, INTENSITY = "power", "intensity"
 _STEPS = 8  # rates are drawn from so many, so that the tables of drops and flakes are made once
 _RATES = ("rain_mm_h", "snow_mm_h", "fog_m", "coverage", "film_mm")
 
@@ -93,20 +94,22 @@ def check_weather(config: WeatherConfig | None, inputs: Mapping[str, CloudInput]
     """See that weather can be laid over what a network reads.
 
     Raises:
-        ConfigError: If an input reads neither intensity (LiDAR) nor power (radar), or the LiDAR is not named.
+        ConfigError: If an input is a LiDAR's, without power, and the LiDAR is not named.
     """
-    if config is None or not config.probability:
+    if config is None or not config.probability or config.sensor is not None:
         return
-    for name, each in inputs.items():
-        if "power" in each.columns:
-            continue
-        if "intensity" not in each.columns:
-            raise ConfigError(
-                f"weather: expected the input {name} to read intensity (a LiDAR) or power (a radar); it reads "
-                f"{', '.join(each.columns)}."
-            )
-        if config.sensor is None:
-            raise ConfigError(f"weather: expected sensor, the LiDAR of the clouds: one of {', '.join(LIDARS)}.")
+    lidars = [name for name, each in inputs.items() if POWER not in each.columns]
+    if lidars:
+        raise ConfigError(
+            f"weather: expected sensor, the LiDAR of {', '.join(lidars)}, to be one of {', '.join(LIDARS)}; got none."
+        )
+
+
+def read_with(cloud: CloudInput, config: WeatherConfig | None) -> tuple[str, ...]:
+    """The columns to read of a cloud: those of the network, and a LiDAR's intensity where weather needs it."""
+    if config is None or not config.probability or {POWER, INTENSITY} & set(cloud.columns):
+        return cloud.columns
+    return (*cloud.columns, INTENSITY)
 
 
 def lay_over(
@@ -116,8 +119,9 @@ def lay_over(
 
     Args:
         points: Its points, shape (n, k), x, y and z first.
-        columns: Names of the columns, k or fewer.
-        config: The sensor, and where it stands.
+        columns: Names of the columns, k or fewer: with power it is a radar's; a LiDAR's without intensity counts as
+            of one reflectance.
+        config: The LiDAR, and where it stands.
         laid: What is laid.
         rng: Source of randomness.
 
@@ -125,19 +129,21 @@ def lay_over(
         The points that are left and those of drops, flakes and fog, whose further columns are 0, shape (m, k); and
         which of the points are left, shape (n,).
     """
-    if "power" in columns:
-        place = list(columns).index("power")
+    if POWER in columns:
+        place = list(columns).index(POWER)
         weaker = points.copy()
         options = {"floor_rise_db": laid.floor_rise_db}
         weaker[:, place] = overlay_cells(points[:, :3], points[:, place], RadarModel(), laid.weather, rng, **options)
         return weaker, np.ones(len(points), dtype=np.bool_)
-    place = list(columns).index("intensity")
-    model = LIDARS[config.sensor or ""]
-    over = overlay(points[:, :3], points[:, place], model, laid, rng, origin_m=config.origin_m)
+    place = list(columns).index(INTENSITY) if INTENSITY in columns else None
+    shown = np.full(len(points), config.reflectance, points.dtype) if place is None else points[:, place]
+    over = overlay(points[:, :3], shown, LIDARS[config.sensor or ""], laid, rng, origin_m=config.origin_m)
     left = points[over.kept]
-    left[:, place] *= over.gain[over.kept]
     added = np.zeros((len(over.points_m), points.shape[1]), dtype=points.dtype)
-    added[:, :3], added[:, place] = over.points_m, over.intensity
+    added[:, :3] = over.points_m
+    if place is not None:
+        left[:, place] *= over.gain[over.kept]
+        added[:, place] = over.intensity
     return np.concatenate([left, added]), over.kept
 
 
