@@ -174,16 +174,14 @@ def spread_at(table: Mapping[str, Mapping[str, Row]], rows: Sequence[str], share
     )
 
 
-def share_closed(table: Mapping[str, Mapping[str, Row]], part: str, row: str) -> tuple[float, float, float]:
+def share_closed(rows: Mapping[str, Row], row: str, spreads: Mapping[float, Any]) -> tuple[float, float, float]:
     """The share of the gap that a row closes, and the ends of its interval; infinite beyond -3 and 4."""
-    rows = table[part]
     gain, gap = (minus(rows[name], rows["source"]).estimate or 0.0 for name in (row, "oracle"))
     inside = []
-    for share in SHARES:
-        found = minus(rows[row], towards(rows["source"], rows["oracle"], float(share)))
-        ends = found.with_pooled(spread_at(table, ADAPTED, float(share))).interval()
+    for share, spread in spreads.items():
+        ends = minus(rows[row], towards(rows["source"], rows["oracle"], share)).with_pooled(spread).interval()
         if ends is not None and ends[0] <= 0 <= ends[1]:
-            inside.append(float(share))
+            inside.append(share)
     if not inside:
         return gain / gap, np.nan, np.nan
     low = -np.inf if inside[0] == SHARES[0] else inside[0]
@@ -229,13 +227,14 @@ def _gap_lines(sensor: str, grid: Grid, table: Mapping[str, Mapping[str, Row]], 
     decided = decide(gap)
     lines = [f"{part}, gap (oracle - source): {decided}; {gap.groups} {gap.grouped_by}"]
     open_gap = decided.verdict == "holds"
+    spreads = {float(share): spread_at(table, ADAPTED, float(share)) for share in SHARES if open_gap}
     if not open_gap and decided.verdict != "no decision":
         lines[-1] += ": no gap to close"
     for row in (each for each in ADAPTED if each in rows):
         gain = minus(rows[row], rows["source"]).with_pooled(spread)
         text = f"  {grid.runs[f'{sensor}_{row}'].words:<36}gain {spoken(gain)}"
         if open_gap:
-            share, low, high = share_closed(table, part, row)
+            share, low, high = share_closed(rows, row, spreads)
             verdict = "half and more" if low >= AIM else "less than half" if high < AIM else "undecided"
             text += f", share closed {share:+.2f} [{low:+.2f}, {high:+.2f}]: {verdict}"
         lines.append(text)
