@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.simulation.lidar.air import beam_of
+from farfield.simulation.lidar.air import SURFACE, beam_of
 from farfield.simulation.lidar.laid import LIDARS, LaidWindow, empty_shots, overlay
 from farfield.simulation.lidar.model import HDL_64E, OS2_64, LidarModel, detection_probability
 from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.sweep import sweep
+from farfield.simulation.stage import HERE, fleet
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.laid import Laid
 from farfield.simulation.weather.precipitation import rain_drops, snow_flakes, strongest_particle
@@ -149,3 +151,32 @@ def test_a_sensor_that_draws_lines_lacks_as_many_shots_as_are_missing(rng):
 def test_sensors_have_their_names():
     assert {name: model.name for name, model in LIDARS.items()} == {name: name for name in LIDARS}
     assert set(LIDARS) == {"luminar-h2", "os2-64", "os1-128", "hdl-64e"}
+
+
+@pytest.mark.parametrize(
+    "weather",
+    [
+        Weather("fog", mor_m=400.0),
+        Weather("rain", rain_mm_h=20.0),
+        Weather("heavy_snow", snow_mm_h=3.0, icing=0.4, icing_age_s=1e6),
+        Weather("sleet", rain_mm_h=1.0, snow_mm_h=2.5, wet_snow=True, icing=0.7, icing_age_s=1e6),
+    ],
+    ids=lambda weather: weather.condition,
+)
+def test_a_clear_sweep_in_laid_weather_is_like_one_that_was_simulated_in_it(rng, weather):
+    """The same cars, the same window: hits on them and returns of the air agree."""
+    window, seed = fleet(rng), np.random.SeedSequence(9)
+    scan = Scan.draw(OS2_64, rng)
+    clear, there = (
+        sweep(scan, OS2_64, window, HERE, np.random.default_rng(3), weather=each, window_seed=seed)
+        for each in (Weather(), weather)
+    )
+    laid = Laid(weather, seed, "ice" if weather.snow_mm_h else "drop", (8.0, 4.0), 0.05)
+    over = overlay(clear.cloud.points_m, clear.cloud.intensity, OS2_64, laid, rng)
+    assert (clear.actor[over.kept] >= 0).sum() == pytest.approx((there.actor >= 0).sum(), rel=0.03)
+    assert len(over.points_m) == pytest.approx((there.kind != SURFACE).sum(), rel=0.03)
+    assert over.kept.sum() == pytest.approx((there.kind == SURFACE).sum(), rel=0.03)
+    own = there.cloud.intensity[there.kind == SURFACE].mean()
+    assert (clear.cloud.intensity * over.gain)[over.kept].mean() == pytest.approx(own, rel=0.05)
+    air = np.linalg.norm(there.cloud.points_m[there.kind != SURFACE], axis=1)
+    assert np.median(np.linalg.norm(over.points_m, axis=1)) == pytest.approx(np.median(air), rel=0.05)
