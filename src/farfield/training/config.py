@@ -20,7 +20,8 @@ def _in_order(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
-_Positive, _Share = Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0, le=1)]
+_Positive = Annotated[float, Field(gt=0)]
+_Share = Annotated[float, Field(gt=0, le=1)]
 Span = Annotated[tuple[_Positive, _Positive], AfterValidator(_in_order)]
 """From and to, both greater than 0."""
 Shares = Annotated[tuple[_Share, _Share], AfterValidator(_in_order)]

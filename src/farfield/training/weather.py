@@ -7,7 +7,6 @@ weathers hold, so that a detector that is scored on these has not seen them.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool
@@ -25,7 +24,6 @@ from farfield.simulation.weather.laid import Laid, preset_bounds
 from farfield.training.bank import Points
 from farfield.training.config import WeatherConfig
 
-Kind = Literal["fog", "rain", "snow", "ice"]
 _CONDITIONS = {"fog": "fog", "rain": "rain", "snow": "heavy_snow", "ice": "overcast"}
 _FREEZING_C, _MILD_C = -3.0, 10.0
 POWER, INTENSITY = "power", "intensity"
@@ -130,10 +128,10 @@ def lay_over(
         which of the points are left, shape (n,).
     """
     if POWER in columns:
-        place = list(columns).index(POWER)
+        power = list(columns).index(POWER)
         weaker = points.copy()
         options = {"floor_rise_db": laid.floor_rise_db}
-        weaker[:, place] = overlay_cells(points[:, :3], points[:, place], RadarModel(), laid.weather, rng, **options)
+        weaker[:, power] = overlay_cells(points[:, :3], points[:, power], RadarModel(), laid.weather, rng, **options)
         return weaker, np.ones(len(points), dtype=np.bool_)
     place = list(columns).index(INTENSITY) if INTENSITY in columns else None
     shown = np.full(len(points), config.reflectance, points.dtype) if place is None else points[:, place]

@@ -277,9 +277,10 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     if unknown:
         known_ones = [*Preset.__dataclass_fields__, *_SEGMENT_FIELDS, *Mounting.__dataclass_fields__]
         raise ConfigError(f"preset: expected settings among {', '.join(known_ones)}; got {', '.join(sorted(unknown))}")
-    turns = [{"condition": weathers[i % len(weathers)]} if weathers else {} for i in range(len(preset.segments))]
-    segments = tuple(replace(each, **wanted, **turn) for each, turn in zip(preset.segments, turns, strict=True))
-    changes.setdefault("segments", segments)
+    segments = [replace(segment, **wanted) for segment in preset.segments]
+    if weathers:
+        segments = [replace(each, condition=weathers[i % len(weathers)]) for i, each in enumerate(segments)]
+    changes.setdefault("segments", tuple(segments))
     changes.setdefault("mountings", tuple(replace(each, **mounting) for each in preset.mountings))
     return replace(preset, **changes)
 
