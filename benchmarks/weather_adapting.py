@@ -1,6 +1,6 @@
 """Adapted to sleet and heavy snow without their labels: how much of the gap each means closes, for radar and LiDAR.
 
-    python benchmarks/weather_adapting.py [--seeds 3] [--steps 300] [--frames 116] [--workers 2] [--out FOLDER]
+    python benchmarks/weather_adapting.py [--seeds 3] [--steps 240] [--frames 100] [--workers 2] [--out FOLDER]
 
 Detectors learn from simulated normal and overcast drives (RTNH in half its width on the radar, PointPillars on the
 os2-64) and are scored on other drives in sleet and heavy snow. The grid stands in weather_adapting.yaml. Rows: the
@@ -275,13 +275,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "weather-adapting")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=300, help="of the rows that start from nothing")
-    parser.add_argument("--adapt-steps", type=int, default=90, help="of those that start from their weights")
+    parser.add_argument("--steps", type=int, default=240, help="of the rows that start from nothing")
+    parser.add_argument("--adapt-steps", type=int, default=70, help="of those that start from their weights")
     parser.add_argument(
-        "--frames", type=int, default=116, help="of the source's and of the target's drives, two a drive"
+        "--frames", type=int, default=100, help="of the source's and of the target's drives, two a drive"
     )
-    parser.add_argument("--val", type=int, default=58, help="source frames that are scored")
-    parser.add_argument("--scored", type=int, default=116, help="target frames that are scored, one a drive")
+    parser.add_argument("--val", type=int, default=24, help="source frames that are scored")
+    parser.add_argument("--scored", type=int, default=80, help="target frames that are scored, one a drive")
     parser.add_argument("--sensors", nargs="+", choices=CLOUDS, default=list(CLOUDS))
     parser.add_argument("--workers", type=int, default=0, help="processes; 0 for as many as there are cores")
     options = parser.parse_args()

@@ -180,3 +180,11 @@ def test_a_clear_sweep_in_laid_weather_is_like_one_that_was_simulated_in_it(rng,
     assert (clear.cloud.intensity * over.gain)[over.kept].mean() == pytest.approx(own, rel=0.05)
     air = np.linalg.norm(there.cloud.points_m[there.kind != SURFACE], axis=1)
     assert np.median(np.linalg.norm(over.points_m, axis=1)) == pytest.approx(np.median(air), rel=0.05)
+
+
+def test_leaving_out_weak_particles_changes_no_strong_one(rng):
+    law = strongest_particle(snow_flakes(2.0, 865.0), beam_of(OS2_64), 0.005)
+    uniform = np.append(rng.random(100_000), [0.0, 1 - 1e-16])
+    everything, strong = law.strength(uniform), law.strength(uniform, least=0.1)
+    np.testing.assert_array_equal(np.where(everything > 0.1, everything, 0), np.where(strong > 0.1, strong, 0))
+    assert 0 < np.count_nonzero(strong) < np.count_nonzero(everything)

@@ -91,8 +91,9 @@ class Strongest:
         """
         power = np.zeros(len(uniform))
         most = self.mean_count[0] if least <= _LEVELS[0] else self.count_above(_ROUNDING * least)
-        shots = np.flatnonzero(uniform > np.exp(-most) * _ROUNDING)
-        wanted = -np.log(np.maximum(uniform[shots], 1e-12))
+        likely = np.maximum(uniform, 1e-12)
+        shots = np.flatnonzero(likely > np.exp(-most) * _ROUNDING)
+        wanted = -np.log(likely[shots])
         level = np.interp(wanted, self.mean_count[::-1], _LOG_LEVELS[::-1])
         power[shots] = np.where(wanted < self.mean_count[0], np.exp(level), 0.0)
         return power
