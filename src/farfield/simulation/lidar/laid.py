@@ -28,7 +28,7 @@ from farfield.simulation.weather.fog import FOG_MOR_M, soft_echo
 from farfield.simulation.weather.icing import WindowField
 from farfield.simulation.weather.laid import CLEAR, Laid
 from farfield.simulation.weather.optics import extinction_per_m, film_transmission, haze_extinction_per_m
-from farfield.simulation.weather.precipitation import falling, strongest_particle
+from farfield.simulation.weather.precipitation import Strongest, falling, strongest_particle
 
 LIDARS = {model.name: model for model in (LidarModel(), OS2_64, OS1_128, HDL_64E)}
 """The sensors by name."""
@@ -149,34 +149,39 @@ def _open_sky(
     if not falling(weather, model.wavelength_nm) and weather.mor_m >= FOG_MOR_M:
         return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.float32)
     empty = empty_shots(seen_rad, model, rng)
-    met, at_m, power = _echoes_of_air(len(empty), model, weather, rng)
-    power = (power * window.gain(empty[met])).astype(np.float32)
-    lucky = rng.random(len(met), dtype=np.float32) < detection_probability(model, power) * (1 - model.dropout)
-    return _returns(_directions(empty[met[lucky]]), at_m[lucky], power[lucky], model, rng)
+    laws, source, power, at_m = _loudest(len(empty), model, weather, rng)
+    met = np.flatnonzero(power > _FAINT)
+    chance = detection_probability(model, power[met] * window.gain(empty[met])) * (1 - model.dropout)
+    shots = met[rng.random(len(met), dtype=np.float32) < chance]
+    for number, law in enumerate(laws):
+        own = shots[source[shots] == number]
+        at_m[own], _ = law.place(power[own], rng.random(len(own)))
+    shots = shots[at_m[shots] > model.min_range_m]
+    left = (power[shots] * window.gain(empty[shots])).astype(np.float32)
+    return _returns(_directions(empty[shots]), at_m[shots], left, model, rng)
 
 
-def _echoes_of_air(
+def _loudest(
     count: int, model: LidarModel, weather: Weather, rng: np.random.Generator
-) -> tuple[Int[np.ndarray, " m"], Float32[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """The strongest echo that shots into the open get from the air: which shots get one, its range and signal."""
+) -> tuple[list[Strongest], Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """What shots into the open hear loudest of the air.
+
+    Returns:
+        The laws of what falls; which of them each shot hears, -1 for fog; its signal; the range of fog's.
+    """
     beam, extinction = beam_of(model), extinction_per_m(weather, model.wavelength_nm)
-    at_m, strength = np.zeros(count, dtype=np.float32), np.zeros(count)
-    for particles in falling(weather, model.wavelength_nm):
-        law = strongest_particle(particles, beam, extinction)
-        drawn = law.strength(rng.random(count), least=_FAINT)
-        shots = np.flatnonzero(drawn > _FAINT)
-        power = drawn[shots]
-        place, _ = law.place(power, rng.random(len(shots)))
-        louder = (power > strength[shots]) & (place > model.min_range_m)
-        at_m[shots[louder]], strength[shots[louder]] = place[louder], power[louder]
+    source, power, at_m = np.full(count, -1), np.zeros(count), np.zeros(count, dtype=np.float32)
     if weather.mor_m < FOG_MOR_M:
         soft = soft_echo(beam, haze_extinction_per_m(weather.mor_m, model.wavelength_nm))
         low, high = BLANKING_M
-        place, power = soft.beyond(low + (high - low) * rng.random(count))
-        louder = power > strength
-        at_m[louder], strength[louder] = place[louder], power[louder]
-    met = np.flatnonzero(strength > _FAINT)
-    return met, at_m[met], strength[met]
+        at, power = soft.beyond(low + (high - low) * rng.random(count))
+        at_m[:] = at
+    laws = [strongest_particle(each, beam, extinction) for each in falling(weather, model.wavelength_nm)]
+    for number, law in enumerate(laws):
+        drawn = law.strength(rng.random(count), least=_FAINT)
+        louder = np.flatnonzero(drawn > power)
+        source[louder], power[louder] = number, drawn[louder]
+    return laws, source, power, at_m
 
 
 def _elevations_deg(model: LidarModel) -> tuple[float, float]:
