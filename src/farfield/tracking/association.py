@@ -64,9 +64,7 @@ def associate(
     """
     drives = int(max(track_drive.max(initial=-1), seen_drive.max(initial=-1))) + 1
     if _is_whole(settings, track_label, seen_label):
-        a, b, worth = best_whole(tracks, track_drive, seen, seen_drive, drives)
-        kept = worth >= gate[seen_label[b]]
-        return a[kept], b[kept]
+        return best_whole(tracks, track_drive, seen, seen_drive, drives, gate[seen_label])
     a, b = same_owner(track_drive, seen_drive, drives)
     if settings.same_class:
         alike = track_label[a] == seen_label[b]

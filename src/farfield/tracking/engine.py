@@ -94,14 +94,15 @@ class Engine:
         strong = np.ones(len(seen), dtype=bool)
         if self.settings.strong_score is not None:
             strong = seen.score >= self.settings.strong_score
-        free = self._take(seen[strong], np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)
-        left = seen[strong][free]
+        first = seen if strong.all() else seen[strong]
+        left = first[self._take(first, np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)]
         if self.settings.weak_gate is not None and not strong.all():
             gate = np.full(len(self.gate), self.settings.weak_gate)
             self._take(seen[~strong], self.tracks.misses > 0, gate, weak=True)
         self.tracks = self.tracks.joined(self._born(left))
         shown = self.tracks[self._shown()]
-        self.tracks = self.tracks[self.tracks.misses < self._by_range("max_age")]
+        alive = self.tracks.misses < self._by_range("max_age")
+        self.tracks = self.tracks if alive.all() else self.tracks[alive]
         return shown
 
     def _by_range(self, name: str) -> int | Int[np.ndarray, " n"]:
