@@ -2,13 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.tracking.association import Reach, associate
-from farfield.tracking.doppler import narrow_births, polar_covariance, spread_cross, update_coupled, update_doppler
+from farfield.tracking.doppler import (
+    narrow_births,
+    polar_covariance,
+    radial_gaps,
+    spread_cross,
+    update_coupled,
+    update_doppler,
+)
 from farfield.tracking.kalman import Tracks, predict, update
 from farfield.tracking.settings import TrackerSettings
 
@@ -173,10 +181,15 @@ class Engine:
         s = self.settings
         if s.gate_sigmas is None and not s.gate_speed_m_s:
             return None
+        radial = None
+        if self.coupled and seen.radial is not None and s.doppler_sigma_m_s is not None:
+            known = {"sigma_m_s": s.doppler_sigma_m_s, "span_m_s": s.doppler_span_m_s}
+            radial = partial(radial_gaps, tracks, seen.radial, **known)
         return Reach(
             wider_m=s.gate_speed_m_s * self.dt[tracks.drive] * tracks.misses,
             tracks_m2=tracks.pp[:, :2],
             seen_m2=self._variance(seen.ray_m)[:, :2],
+            radial=radial,
         )
 
     def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
