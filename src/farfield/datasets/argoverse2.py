@@ -94,7 +94,8 @@ class _Log:
 
     def annotated(self, rows: Int[np.ndarray, " n"]) -> tuple[Path, str, Table]:
         """Where some rows of the annotations stand, and their columns with the tracks' numbers."""
-        assert self.annotations is not None and self.annotation_path is not None
+        assert self.annotations is not None
+        assert self.annotation_path is not None
         table = {name: values[rows] for name, values in self.annotations.items()}
         table["track_id"] = np.array([self.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64)
         where = f"rows {rows[0]} to {rows[-1]}" if len(rows) else "no rows"

@@ -1,7 +1,7 @@
 """Boreas' files: annotated boxes and the LiDAR's poses (Burnett et al., IJRR 2023; format: the authors' documentation).
 
-A label file is named by the sweep's time in microseconds since 1970; a line an object: uuid of the track, class, length,
-width, height, x, y, z, yaw, number of points, in the LiDAR's frame, whose x points forward.
+A label file is named by the sweep's time in microseconds since 1970; a line an object: uuid of the track, class,
+length, width, height, x, y, z, yaw, number of points, in the LiDAR's frame, whose x points forward.
 """
 
 from dataclasses import dataclass

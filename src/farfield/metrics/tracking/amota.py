@@ -144,10 +144,10 @@ def figures_at(
         "MOTA": max(0.0, 1 - (missed + switches + false) / annotated_count) if annotated_count else np.nan,
         "MOTP": float(found.distance_m[hit].sum()) / int(hit.sum()) if hit.any() else np.nan,
         "recall": int(hit.sum()) / annotated_count if annotated_count else np.nan,
-        "TP": matches,
-        "FP": false,
-        "FN": missed,
-        "IDS": switches,
+        "TP": float(matches),
+        "FP": float(false),
+        "FN": float(missed),
+        "IDS": float(switches),
     }
     if bin_m is not None:
         return out
@@ -180,10 +180,10 @@ def _of_tracks(annotated: Side, hit: Bool[np.ndarray, " m"], step_s: float) -> d
     np.maximum.at(longest, track, length[run])
     begins = frame[np.minimum(first, len(track) - 1)] - frame[start]
     return {
-        "MT": int((share >= 0.8).sum()),
-        "ML": int((share < 0.2).sum()),
-        "tracks": len(count),
-        "FRAG": int(broken.sum()),
+        "MT": float((share >= 0.8).sum()),
+        "ML": float((share < 0.2).sum()),
+        "tracks": float(len(count)),
+        "FRAG": float(broken.sum()),
         "TID": step_s * float(begins[seen].mean()) if seen.any() else np.nan,
         "LGD": step_s * float(longest[seen].mean()) if seen.any() else np.nan,
     }
@@ -221,7 +221,7 @@ def average(follower: Follower, *, distance_m: float, step_s: float = 0.5) -> Av
     motp = [distance_m if each is None or np.isnan(each["MOTP"]) else each["MOTP"] for each in at]
     averages: Figures = {"AMOTA": float(np.mean(motar)), "AMOTP": float(np.mean(motp))}
     if not figures:
-        count, tracks = len(follower.annotated), len(np.unique(follower.annotated.track))
+        count, tracks = float(len(follower.annotated)), float(len(np.unique(follower.annotated.track)))
         rest: Figures = {"ML": tracks, "tracks": tracks, "FN": count, "MOTP": distance_m} | dict.fromkeys(_UNKNOWN)
         return Averaged(figures=averages | WORST | rest, found=every, threshold=None)
     best = max(figures, key=lambda score: (figures[score]["MOTA"], -score))
