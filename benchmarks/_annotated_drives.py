@@ -157,6 +157,45 @@ def kradar(root: Path) -> Detections:
     return joined(parts)
 
 
+def split_identities(truth: Detections, *, longest_gap_s: float = 1.0, fastest_m_s: float = 70.0) -> Detections:
+    """Annotated identities that begin anew where they are away for long, or jump further than anything moves.
+
+    Some annotators use a number again for another object of the drive; no tracker can find out which.
+    """
+    annotations = dict(truth.annotations)
+    for drive in truth.drives:
+        assert drive.times_ns is not None
+        last: dict[int, tuple[float, np.ndarray, int]] = {}
+        names = 0
+        for key, time_ns in zip(drive.keys, drive.times_ns.tolist(), strict=True):
+            annotation = truth.annotations[key]
+            boxes, now = annotation.boxes, time_ns / 1e9
+            if boxes.track_id is None or not len(boxes):
+                continue
+            renamed = []
+            for name, place in zip(boxes.track_id.tolist(), boxes.centre_m[:, :2], strict=True):
+                before, there, number = last.get(name, (-np.inf, place, -1))
+                gone = now - before > longest_gap_s
+                if gone or np.hypot(*(place - there)) > 2 + fastest_m_s * (now - before):
+                    number, names = names, names + 1
+                last[name] = (now, place, number)
+                renamed.append(number)
+            annotations[key] = Annotation(boxes=boxes.replace(track_id=np.array(renamed, dtype=np.int64)))
+    return replace(truth, annotations=annotations)
+
+
+def identities(truth: Detections) -> int:
+    """Number of annotated identities."""
+    return len(
+        {
+            (key[0], name)
+            for key, annotation in truth.annotations.items()
+            if annotation.boxes.track_id is not None
+            for name in annotation.boxes.track_id.tolist()
+        }
+    )
+
+
 def simulated(road: str, *, sequence: int, frames: int, reach_m: float = 250.0, seed: int = 2026) -> Detections:
     """A simulated road at 10 Hz: the road users' whole boxes ahead within a range, with velocities over ground."""
     from farfield.simulation.labels import full_boxes

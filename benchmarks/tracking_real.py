@@ -9,12 +9,23 @@ is left out. The simulated roads are tracked with and without radial velocities 
 
 import argparse
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _annotated_drives import Noise, argoverse2, boreas, detected, kradar, radiate, simulated
+from _annotated_drives import (
+    Noise,
+    argoverse2,
+    boreas,
+    detected,
+    identities,
+    kradar,
+    radiate,
+    simulated,
+    split_identities,
+)
 from _report import SHARED_REAL, header
 
 from farfield.metrics.detections import Detections
@@ -80,8 +91,14 @@ def real(name: str, of: Callable[[Path], Detections], noise: Noise, options: dic
     found = detected(truth, None)
     show("as annotated, default, min_hits=1", truth, track(found, min_hits=1))
     if options:
-        said = ", ".join(f"{key}={value}" for key, value in options.items())
-        show(f"as annotated, default, min_hits=1, {said}", truth, track(found, min_hits=1, **options))
+        said = "as annotated, default, min_hits=1, " + ", ".join(f"{key}={value}" for key, value in options.items())
+        tracks = track(found, min_hits=1, **options)
+        show(said, truth, tracks)
+        again = split_identities(truth)
+        if identities(again) > identities(truth):
+            said += f"; {identities(truth)} annotated identities, {identities(again)} as those begin anew that are away"
+            again_tracks = replace(tracks, annotations=again.annotations)
+            show(f"{said} for 1 s or jump by more than 70 m/s", again, again_tracks)
     show(f"degraded ({described(noise)}), default", truth, track(detected(truth, noise)))
 
 
