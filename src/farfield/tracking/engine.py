@@ -183,8 +183,8 @@ class Engine:
             return None
         radial = None
         if self.coupled and seen.radial is not None and s.doppler_sigma_m_s is not None:
-            known = {"sigma_m_s": s.doppler_sigma_m_s, "span_m_s": s.doppler_span_m_s}
-            radial = partial(radial_gaps, tracks, seen.radial, **known)
+            sigma, span = s.doppler_sigma_m_s, s.doppler_span_m_s
+            radial = partial(radial_gaps, tracks, seen.radial, sigma_m_s=sigma, span_m_s=span)
         return Reach(
             wider_m=s.gate_speed_m_s * self.dt[tracks.drive] * tracks.misses,
             tracks_m2=tracks.pp[:, :2],
