@@ -75,23 +75,37 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
         np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
 
 
-def test_the_assignment_by_bounds_is_that_of_all_pairs() -> None:
+@pytest.mark.parametrize("gate", [-1.0, -0.2, 0.3])
+def test_the_assignment_by_bounds_is_that_of_all_pairs(gate: float) -> None:
     rng = np.random.default_rng(8)
-    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9)):
-        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(3)]
-        a, b, worth = best_whole(
-            np.concatenate([one for one, _ in parts]),
-            np.repeat(np.arange(3), n),
-            np.concatenate([other for _, other in parts]),
-            np.repeat(np.arange(3), m),
-            4,
-        )
-        for drive, (one, other) in enumerate(parts):
+    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9), (30.0, 0, 3)):
+        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(20)]
+        of_tracks, of_seen = (np.concatenate([part[side] for part in parts]) for side in (0, 1))
+        # Half of the detections are the tracks' own, as in a drive, so that most pairs are plain.
+        own = slice(0, min(n, m) * 10)
+        of_seen[own, :2] = of_tracks[own, :2] + rng.normal(0, 0.3, (min(n, m) * 10, 2))
+        drive = np.repeat(np.arange(20), n), np.repeat(np.arange(20), m)
+        a, b = best_whole(of_tracks, drive[0], of_seen, drive[1], 21, np.full(20 * m, gate))
+        for place in range(20):
+            one, other = of_tracks[drive[0] == place], of_seen[drive[1] == place]
             whole = iou_3d(np.repeat(one, m, axis=0), np.tile(other, (n, 1)), generalised=True).reshape(n, m)
             wanted = linear_sum_assignment(whole, maximize=True)
-            here = a // n == drive
-            np.testing.assert_array_equal(np.stack([a[here] - drive * n, b[here] - drive * m]), np.stack(wanted))
-            np.testing.assert_array_equal(worth[here], whole[wanted])
+            kept = whole[wanted] >= gate
+            here = drive[0][a] == place
+            found = sorted(zip((a[here] - place * n).tolist(), (b[here] - place * m).tolist(), strict=True))
+            assert found == list(zip(wanted[0][kept].tolist(), wanted[1][kept].tolist(), strict=True))
+
+
+def test_many_drives_are_assigned_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(9)
+    rows, others = rows_of(random_boxes(rng, 60, 20.0)), rows_of(random_boxes(rng, 60, 20.0))
+    drive, gate = np.repeat(np.arange(6), 10), np.full(60, -1.0)
+    whole = best_whole(rows, drive, others, drive, 6, gate)
+    monkeypatch.setattr("farfield.tracking.whole._MOST_CELLS", 200)
+    pieces = best_whole(rows, drive, others, drive, 6, gate)
+    assert sorted(zip(*map(np.ndarray.tolist, whole), strict=True)) == sorted(
+        zip(*map(np.ndarray.tolist, pieces), strict=True)
+    )
 
 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:

@@ -11,7 +11,7 @@ def run(
     *,
     out: Path,
     data: Path | None = None,
-    format: Literal["boxes-csv", "kitti-tracking"] = "boxes-csv",
+    format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
         str, tyro.conf.arg(metavar="{default,offline,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
@@ -39,7 +39,7 @@ def run(
         detections: File, or folder of files, of scored boxes; a folder's files are sequences.
         out: The file, for kitti-tracking the folder, to write.
         data: Data set that the detections were made on; frames are matched by sequence and frame.
-        format: Format of the detections.
+        format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
         preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default, and
             offline, which --smooth takes instead of it.

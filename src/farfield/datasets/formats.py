@@ -62,7 +62,8 @@ def is_kitti_tracking(root: Path) -> bool:
 
 def is_argoverse2(root: Path) -> bool:
     """Whether a folder holds logs of Argoverse 2."""
-    return any(_has(root, prefix + "sensors/lidar/*.feather") for prefix in ("", "*/", "*/*/"))
+    patterns = ("sensors/lidar/*.feather", "annotations.feather", "annotations_with_ego.feather")
+    return any(_has(root, prefix + pattern) for prefix in ("", "*/", "*/*/") for pattern in patterns)
 
 
 def is_kradar(root: Path) -> bool:
@@ -127,7 +128,7 @@ KITTI_TRACKING = Format(
 )
 ARGOVERSE2 = Format(
     name="argoverse2",
-    looked_for="<log>/sensors/lidar/*.feather",
+    looked_for="<log>/sensors/lidar/*.feather, or <log>/annotations.feather alone",
     recognises=is_argoverse2,
     reader="farfield.datasets.argoverse2:Argoverse2",
 )

@@ -2,13 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.tracking.association import Reach, associate
-from farfield.tracking.doppler import narrow_births, polar_covariance, spread_cross, update_coupled, update_doppler
+from farfield.tracking.doppler import (
+    narrow_births,
+    polar_covariance,
+    radial_gaps,
+    spread_cross,
+    update_coupled,
+    update_doppler,
+)
 from farfield.tracking.kalman import Tracks, predict, update
 from farfield.tracking.settings import TrackerSettings
 
@@ -94,14 +102,15 @@ class Engine:
         strong = np.ones(len(seen), dtype=bool)
         if self.settings.strong_score is not None:
             strong = seen.score >= self.settings.strong_score
-        free = self._take(seen[strong], np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)
-        left = seen[strong][free]
+        first = seen if strong.all() else seen[strong]
+        left = first[self._take(first, np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)]
         if self.settings.weak_gate is not None and not strong.all():
             gate = np.full(len(self.gate), self.settings.weak_gate)
             self._take(seen[~strong], self.tracks.misses > 0, gate, weak=True)
         self.tracks = self.tracks.joined(self._born(left))
         shown = self.tracks[self._shown()]
-        self.tracks = self.tracks[self.tracks.misses < self._by_range("max_age")]
+        alive = self.tracks.misses < self._by_range("max_age")
+        self.tracks = self.tracks if alive.all() else self.tracks[alive]
         return shown
 
     def _by_range(self, name: str) -> int | Int[np.ndarray, " n"]:
@@ -172,10 +181,15 @@ class Engine:
         s = self.settings
         if s.gate_sigmas is None and not s.gate_speed_m_s:
             return None
+        radial = None
+        if self.coupled and seen.radial is not None and s.doppler_sigma_m_s is not None:
+            sigma, span = s.doppler_sigma_m_s, s.doppler_span_m_s
+            radial = partial(radial_gaps, tracks, seen.radial, sigma_m_s=sigma, span_m_s=span)
         return Reach(
             wider_m=s.gate_speed_m_s * self.dt[tracks.drive] * tracks.misses,
             tracks_m2=tracks.pp[:, :2],
             seen_m2=self._variance(seen.ray_m)[:, :2],
+            radial=radial,
         )
 
     def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:

@@ -74,6 +74,8 @@ class Tracks:
 
     def joined(self, born: "Tracks") -> "Tracks":
         """These and new ones, by drive."""
+        if not len(born):
+            return self
         both = {name: np.concatenate([values, getattr(born, name)]) for name, values in vars(self).items()}
         order = np.argsort(both["drive"], kind="stable")
         return Tracks(**{name: values[order] for name, values in both.items()})
