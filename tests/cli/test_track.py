@@ -81,7 +81,7 @@ def test_what_cannot_be_is_said(drives: Path, capsys: pytest.CaptureFixture[str]
     assert "found nothing there" in capsys.readouterr().err
     arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "sort", "--out", str(drives / "x")]
     assert cli.main(["track", *arguments]) == 1
-    assert "preset: expected one of default, offline, ab3dmot" in capsys.readouterr().err
+    assert "preset: expected one of default, offline, unposed, ab3dmot" in capsys.readouterr().err
     scored = ["score", str(drives / "found"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
     assert cli.main([*scored, "--protocol", "tracking"]) == 1
     assert "farfield track" in capsys.readouterr().err

@@ -14,7 +14,7 @@ def run(
     format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
-        str, tyro.conf.arg(metavar="{default,offline,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
+        str, tyro.conf.arg(metavar="{default,offline,unposed,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
     ] = "default",
     step_s: float | None = None,
     least_score: float | None = None,
@@ -41,8 +41,8 @@ def run(
         data: Data set that the detections were made on; frames are matched by sequence and frame.
         format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
-        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default, and
-            offline, which --smooth takes instead of it.
+        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
+            offline, which --smooth takes instead of it, and unposed, for a moving car whose poses are not known.
         step_s: Seconds between frames where there are no stamps; 0.1 unless given.
         least_score: Detections of a lower score are left out.
         least_track_score: Tracks of a lower mean score are left out.

@@ -34,6 +34,8 @@ PRESETS: dict[str, TrackerSettings] = {
     "default": TrackerSettings(),
     # For smoothing, which sees whole tracks: they live longer, and scores are judged afterwards.
     "offline": TrackerSettings(max_age=5, min_hits=3, warm_up=3, sure_score=None),
+    # For drives without poses: the car's own motion is in every track's speed.
+    "unposed": TrackerSettings(gate_speed_m_s=50.0, gate_sigmas=None, initial_speed_variance=600.0),
     "ab3dmot": TrackerSettings(**_AB3DMOT),
     "ab3dmot-paper": TrackerSettings(**_AB3DMOT | {"similarity": "iou", "gate": 0.01}),
     # Yin et al., CVPR 2021: greedy on distances, the last centre moved by the detection's velocity.
