@@ -1,0 +1,1 @@
+"""What cameras and LiDARs give together: depth maps."""
