@@ -91,14 +91,14 @@ def depth_map(
                 "method: expected a cloud with the column 'ring', or one whose rows go ring by ring, for rings; got "
                 f"{len(points_m)} points without. Take delaunay, or auto."
             )
-    ahead = _ahead(points_m, camera)
+    ahead = rows_ahead(points_m, camera)
     points_m, ring = points_m[ahead], None if ring is None else ring[ahead]
     if ring is not None and method in ("auto", "rings"):
         return _from_rings(points_m, ring, camera, max_gap_deg, compiled)
     return _from_pixels(points_m, ring, camera, "delaunay" if method == "auto" else method, max_gap_deg, compiled)
 
 
-def _ahead(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Int[np.ndarray, " k"]:
+def rows_ahead(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Int[np.ndarray, " k"]:
     """Rows of the points before the camera and about as far to the sides as it sees."""
     low, high = image_span(camera)
     margin = _MARGIN * (high[0] - low[0])
