@@ -16,12 +16,12 @@ except ImportError as error:
 
 
 @njit(
-    "void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[::1], float64, float64[::1], "
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[::1], float64, float64[::1], "
     "float64[:, ::1], float64[:, ::1])",
     cache=True,
 )
 @no_type_check
-def draw(points, spread, rows, distortion, fold, focal, depth, doubt):
+def draw(points, spread, slopes, rows, distortion, fold, focal, depth, doubt):
     """Keep the nearest of the points between rings in each pixel, and its doubt."""
     height, width = depth.shape
     k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
@@ -47,11 +47,14 @@ def draw(points, spread, rows, distortion, fold, focal, depth, doubt):
                 if not r2 < fold:
                     continue
                 radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                u = np.rint((x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) * focal[0] + focal[2])
-                v = np.rint((y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) * focal[1] + focal[3])
-                if not (u >= 0 and u < width and v >= 0 and v < height):
+                u = (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) * focal[0] + focal[2]
+                v = (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) * focal[1] + focal[3]
+                to_u, to_v = np.rint(u), np.rint(v)
+                if not (to_u >= 0 and to_u < width and to_v >= 0 and to_v < height):
                     continue
-                i, j, z = int(v), int(u), z / q
+                slope = slopes[lower, column]
+                inverse = q / z + slope[0] * (to_u - u) + slope[1] * (to_v - v)
+                i, j, z = int(to_v), int(to_u), 1 / min(max(inverse, slope[2]), slope[3])
                 if z <= depth[i, j]:
                     depth[i, j] = z
                     if row > 0:

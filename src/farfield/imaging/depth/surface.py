@@ -41,16 +41,16 @@ def draw_surface(
     """
     rows = steps_between(fan, step_rad, max_gap_rad)
     raster = Raster(np.full((camera.height_px, camera.width_px), np.inf), np.zeros((camera.height_px, camera.width_px)))
+    slopes = _slopes(fan, camera)
     if find_spec("numba") is not None if compiled is None else compiled:
         from farfield.imaging.depth.compiled import draw
 
         focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.matrix[0, 2], camera.matrix[1, 2]])
         fold = fold_radius(camera.distortion) ** 2
-        draw(fan.points, fan.spread_m, rows, camera.distortion, fold, focal, raster.depth_m, raster.doubt_m)
+        draw(fan.points, fan.spread_m, slopes, rows, camera.distortion, fold, focal, raster.depth_m, raster.doubt_m)
         return raster
     for lower, count in enumerate(rows):
-        share = (np.arange(count) / max(count, 1))[:, None]
-        _draw_between(fan, lower, share, camera, raster)
+        _draw_between(fan, lower, (np.arange(count) / count)[:, None], slopes[lower], camera, raster)
     return raster
 
 
@@ -62,36 +62,76 @@ def steps_between(fan: Fan, step_rad: float, max_gap_rad: float) -> np.ndarray:
     return rows.astype(np.int64)
 
 
-def _draw_between(fan: Fan, lower: int, share: Float[np.ndarray, "k 1"], camera: Camera, raster: Raster) -> None:
+def _slopes(fan: Fan, camera: Camera) -> Float[np.ndarray, "rings columns 4"]:
+    """How 1 / z changes per pixel to the right and down on the patch above each point, and its least and most there.
+
+    A drawn point falls beside its pixel's centre; with the patch's slope its depth is carried there. On grazing ground
+    40 m away that is up to 0.6 m.
+    """
+    found = np.zeros((*fan.points.shape[:2], 4))
+    found[..., 2], found[..., 3] = -np.inf, np.inf
+    if min(fan.points.shape[:2]) < 2:
+        return found
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ahead = np.where(fan.points[..., 2:3] > 0, fan.points, np.nan)
+        flat = (ahead[..., :2] / ahead[..., 2:3]).reshape(-1, 2)
+        flat = distort(flat, camera.distortion) if camera.distortion.any() else flat
+        pixels = (flat * [camera.matrix[0, 0], camera.matrix[1, 1]]).reshape(*found.shape[:2], 2)
+        inverse = ahead[..., 3] / ahead[..., 2]
+        here, right, above = inverse[:-1, :-1], inverse[:-1, 1:], inverse[1:, :-1]
+        along, up = pixels[:-1, 1:] - pixels[:-1, :-1], pixels[1:, :-1] - pixels[:-1, :-1]
+        area = along[..., 0] * up[..., 1] - along[..., 1] * up[..., 0]
+        to_right = ((right - here) * up[..., 1] - (above - here) * along[..., 1]) / area
+        down = ((above - here) * along[..., 0] - (right - here) * up[..., 0]) / area
+        corners = np.stack([here, right, above])
+        patch = np.stack([to_right, down, corners.min(axis=0), corners.max(axis=0)], axis=-1)
+    good = np.isfinite(patch).all(axis=-1)
+    found[:-1, :-1][good] = patch[good]
+    found[-1], found[:, -1] = found[-2], found[:, -2]
+    return found
+
+
+def _draw_between(
+    fan: Fan,
+    lower: int,
+    share: Float[np.ndarray, "k 1"],
+    slopes: Float[np.ndarray, "n 4"],
+    camera: Camera,
+    raster: Raster,
+) -> None:
     first = fan.points[lower]
-    if len(share) == 1:
-        points, doubt = first, fan.spread_m[lower]
-    else:
+    points, doubt = first, fan.spread_m[lower]
+    if len(share) > 1:
         second = fan.points[lower + 1]
-        points = (first[None] + (second - first)[None] * share[..., None]).reshape(-1, 4)
+        between = first[None] + (second - first)[None] * share[1:, :, None]
         apart = np.abs(1 / first[:, 3] - 1 / second[:, 3])
-        along = fan.spread_m[lower] * (1 - share) + fan.spread_m[lower + 1] * share
-        alone = np.where(share == 0, 0.0, apart)  # on the ring itself the other one has no say
-        doubt = (along + 2 * np.minimum(share, 1 - share) * alone).reshape(-1)
-        points[: len(first)] = first
-        doubt[: len(first)] = fan.spread_m[lower]
+        along = fan.spread_m[lower] * (1 - share[1:]) + fan.spread_m[lower + 1] * share[1:]
+        points = np.concatenate([first, between.reshape(-1, 4)])
+        doubt = np.concatenate([doubt, (along + 2 * np.minimum(share[1:], 1 - share[1:]) * apart).reshape(-1)])
+        slopes = np.tile(slopes, (len(share), 1))
     ahead = points[:, 2] > 0
-    _draw_points(points[ahead], doubt[ahead], camera, raster)
+    _draw_points(points[ahead], doubt[ahead], slopes[ahead], camera, raster)
 
 
 def _draw_points(
-    points: Float[np.ndarray, "n 4"], doubt: Float[np.ndarray, " n"], camera: Camera, raster: Raster
+    points: Float[np.ndarray, "n 4"],
+    doubt: Float[np.ndarray, " n"],
+    slopes: Float[np.ndarray, "n 4"],
+    camera: Camera,
+    raster: Raster,
 ) -> None:
     flat = points[:, :2] / points[:, 2:3]
     keep = (flat**2).sum(axis=1) < fold_radius(camera.distortion) ** 2
-    flat, points, doubt = flat[keep], points[keep], doubt[keep]
+    flat, inverse, doubt, slopes = flat[keep], (points[:, 3] / points[:, 2])[keep], doubt[keep], slopes[keep]
     if camera.distortion.any():
         flat = distort(flat, camera.distortion)
-    u = np.rint(flat[:, 0] * camera.matrix[0, 0] + camera.matrix[0, 2])
-    v = np.rint(flat[:, 1] * camera.matrix[1, 1] + camera.matrix[1, 2])
-    inside = (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
-    pixel = (v[inside] * camera.width_px + u[inside]).astype(np.int64)
-    depth = points[inside, 2] / points[inside, 3]
+    u = flat[:, 0] * camera.matrix[0, 0] + camera.matrix[0, 2]
+    v = flat[:, 1] * camera.matrix[1, 1] + camera.matrix[1, 2]
+    column, row = np.rint(u), np.rint(v)
+    inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
+    centred = inverse + slopes[:, 0] * (column - u) + slopes[:, 1] * (row - v)
+    depth = 1 / np.minimum(np.maximum(centred, slopes[:, 2]), slopes[:, 3])[inside]
+    pixel = (row[inside] * camera.width_px + column[inside]).astype(np.int64)
     nearest, doubts = raster.depth_m.reshape(-1), raster.doubt_m.reshape(-1)
     np.minimum.at(nearest, pixel, depth)
     won = nearest[pixel] == depth
