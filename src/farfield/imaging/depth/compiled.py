@@ -64,6 +64,48 @@ def draw(points, spread, slopes, rows, distortion, fold, focal, depth, doubt):
                         doubt[i, j] = along
 
 
+@njit(
+    "void(float64[::1], float64[:, ::1], int64[::1], float64[::1], float64, float64[:, :, ::1], float64[:, ::1])",
+    cache=True,
+)
+@no_type_check
+def sample(azimuth, points, starts, grid, max_gap, found, spread):
+    """Interpolate each ring at the grid's azimuths; see ``rings._sampled``."""
+    for ring in range(len(starts) - 1):
+        after, last = starts[ring] + 1, starts[ring + 1] - 1
+        for column in range(len(grid)):
+            while after < last and azimuth[after] < grid[column]:
+                after += 1
+            gap = azimuth[after] - azimuth[after - 1]
+            share = (grid[column] - azimuth[after - 1]) / max(gap, 1e-9)
+            first, second = points[after - 1], points[after]
+            for k in range(4):
+                found[ring, column, k] = first[k] + (second[k] - first[k]) * share
+            if gap > max_gap or share < 0 or share > 1:
+                found[ring, column] = np.nan
+            spread[ring, column] = 2 * min(share, 1 - share) * abs(1 / first[3] - 1 / second[3])
+
+
+@njit("void(float64[:, :, ::1], float64[:, :, ::1], float64[:, :, ::1])", cache=True)
+@no_type_check
+def slopes_of(points, pixels, found):
+    """How 1 / z changes per pixel on each patch, and its least and most; see ``surface._slopes``."""
+    for i in range(points.shape[0] - 1):
+        for j in range(points.shape[1] - 1):
+            here, right = points[i, j, 3] / points[i, j, 2], points[i, j + 1, 3] / points[i, j + 1, 2]
+            above = points[i + 1, j, 3] / points[i + 1, j, 2]
+            au, av = pixels[i, j + 1, 0] - pixels[i, j, 0], pixels[i, j + 1, 1] - pixels[i, j, 1]
+            bu, bv = pixels[i + 1, j, 0] - pixels[i, j, 0], pixels[i + 1, j, 1] - pixels[i, j, 1]
+            area = au * bv - av * bu
+            if area == 0:
+                continue
+            to_right = ((right - here) * bv - (above - here) * av) / area
+            down = ((above - here) * au - (right - here) * bu) / area
+            if np.isfinite(to_right) and np.isfinite(down):  # all three corners are there
+                found[i, j, 0], found[i, j, 1] = to_right, down
+                found[i, j, 2], found[i, j, 3] = min(here, right, above), max(here, right, above)
+
+
 @njit("void(float64[:, ::1], float64[:, ::1], float64, float64, float32[:, :, ::1])", cache=True)
 @no_type_check
 def channels_of(depth, doubt, slope, step, out):

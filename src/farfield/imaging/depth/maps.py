@@ -121,7 +121,7 @@ def _from_rings(
     aside = np.cos(np.arctan(np.abs([low[0], high[0]]).max()))  # an angle upwards spans more pixels there
     step = float(np.clip(_STEP_PX / camera.matrix[1, 1] * aside, *_STEPS_RAD))
     gap = float(np.radians(max_gap_deg))
-    rings = fan(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap)
+    rings = fan(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap, compiled=compiled)
     drawn = draw_surface(rings, camera, step_rad=step, max_gap_rad=gap, compiled=compiled)
     filled = blended(drawn, compiled=compiled)
     points = sparse_depth(points_m, camera)

@@ -6,6 +6,8 @@ further thought, and three points span exactly their plane.
 """
 
 from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -75,6 +77,7 @@ def fan(
     *,
     step_px: float,
     max_gap_rad: float,
+    compiled: bool | None = None,
 ) -> Fan:
     """Sample the rings where the camera looks.
 
@@ -84,25 +87,32 @@ def fan(
         camera: The camera.
         step_px: Pixels between columns.
         max_gap_rad: Wider gaps between neighbours of a ring stay empty: nothing came back from there.
+        compiled: Whether numba does it; where it is installed unless given.
     """
     points = points_m.astype(np.float64)
     in_camera = transform_points(camera.camera_T_lidar, points)
     azimuth = _azimuth(points, camera)
     inverse = 1 / np.maximum(np.linalg.norm(points, axis=1), 1e-3)
     order = np.lexsort((azimuth, ring))
-    homogeneous = np.column_stack([in_camera, np.ones(len(points))]) * inverse[:, None]
     rings = np.split(order, np.flatnonzero(np.diff(ring[order])) + 1) if len(order) else []
     rings = [rows for rows in rings if len(rows) > 1]
     heights = np.array([np.median(points[rows, 2] * inverse[rows]) for rows in rings])
-    sorted_rings = [rings[place] for place in np.argsort(heights, kind="stable")]
-    grid = _columns(azimuth, camera, step_px)
-    sampled = [_sampled(azimuth[rows], homogeneous[rows], grid, max_gap_rad) for rows in sorted_rings]
-    shape = (len(sampled), len(grid))
-    return Fan(
-        np.array([each[0] for each in sampled]).reshape(*shape, 4),
-        np.array([each[1] for each in sampled]).reshape(shape),
-        np.arcsin(np.clip(np.sort(heights), -1, 1)),
-    )
+    upwards = [rings[place] for place in np.argsort(heights, kind="stable")]
+    rows = np.concatenate(upwards) if upwards else np.zeros(0, dtype=np.int64)
+    starts = np.cumsum([0, *map(len, upwards)])
+    homogeneous = np.column_stack([in_camera, np.ones(len(points))])[rows] * inverse[rows, None]
+    grid, azimuth = _columns(azimuth, camera, step_px), azimuth[rows]
+    found = np.full((len(upwards), len(grid), 4), np.nan)
+    spread = np.zeros(found.shape[:2])
+    if find_spec("numba") is not None if compiled is None else compiled:
+        from farfield.imaging.depth.compiled import sample
+
+        sample(azimuth, homogeneous, starts, grid, max_gap_rad, found, spread)
+    else:
+        for place, (begin, end) in enumerate(pairwise(starts)):
+            part = slice(begin, end)
+            found[place], spread[place] = _sampled(azimuth[part], homogeneous[part], grid, max_gap_rad)
+    return Fan(found, spread, np.arcsin(np.clip(np.sort(heights), -1, 1)))
 
 
 def _azimuth(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Float[np.ndarray, " n"]:

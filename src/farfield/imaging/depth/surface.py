@@ -41,8 +41,9 @@ def draw_surface(
     """
     rows = steps_between(fan, step_rad, max_gap_rad)
     raster = Raster(np.full((camera.height_px, camera.width_px), np.inf), np.zeros((camera.height_px, camera.width_px)))
-    slopes = _slopes(fan, camera)
-    if find_spec("numba") is not None if compiled is None else compiled:
+    compiled = find_spec("numba") is not None if compiled is None else compiled
+    slopes = _slopes(fan, camera, compiled)
+    if compiled:
         from farfield.imaging.depth.compiled import draw
 
         focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.matrix[0, 2], camera.matrix[1, 2]])
@@ -62,7 +63,7 @@ def steps_between(fan: Fan, step_rad: float, max_gap_rad: float) -> np.ndarray:
     return rows.astype(np.int64)
 
 
-def _slopes(fan: Fan, camera: Camera) -> Float[np.ndarray, "rings columns 4"]:
+def _slopes(fan: Fan, camera: Camera, compiled: bool) -> Float[np.ndarray, "rings columns 4"]:
     """How 1 / z changes per pixel to the right and down on the patch above each point, and its least and most there.
 
     A drawn point falls beside its pixel's centre; with the patch's slope its depth is carried there. On grazing ground
@@ -77,18 +78,32 @@ def _slopes(fan: Fan, camera: Camera) -> Float[np.ndarray, "rings columns 4"]:
         flat = (ahead[..., :2] / ahead[..., 2:3]).reshape(-1, 2)
         flat = distort(flat, camera.distortion) if camera.distortion.any() else flat
         pixels = (flat * [camera.matrix[0, 0], camera.matrix[1, 1]]).reshape(*found.shape[:2], 2)
-        inverse = ahead[..., 3] / ahead[..., 2]
-        here, right, above = inverse[:-1, :-1], inverse[:-1, 1:], inverse[1:, :-1]
-        along, up = pixels[:-1, 1:] - pixels[:-1, :-1], pixels[1:, :-1] - pixels[:-1, :-1]
-        area = along[..., 0] * up[..., 1] - along[..., 1] * up[..., 0]
-        to_right = ((right - here) * up[..., 1] - (above - here) * along[..., 1]) / area
-        down = ((above - here) * along[..., 0] - (right - here) * up[..., 0]) / area
-        corners = np.stack([here, right, above])
-        patch = np.stack([to_right, down, corners.min(axis=0), corners.max(axis=0)], axis=-1)
-    good = np.isfinite(patch).all(axis=-1)
-    found[:-1, :-1][good] = patch[good]
+        if compiled:
+            from farfield.imaging.depth.compiled import slopes_of
+
+            slopes_of(ahead, pixels, found)
+        else:
+            patch = _patches(ahead[..., 3] / ahead[..., 2], pixels)
+            good = np.isfinite(patch).all(axis=-1)
+            found[:-1, :-1][good] = patch[good]
     found[-1], found[:, -1] = found[-2], found[:, -2]
     return found
+
+
+def _patches(
+    inverse: Float[np.ndarray, "rings columns"], pixels: Float[np.ndarray, "rings columns 2"]
+) -> Float[np.ndarray, "rings-1 columns-1 4"]:
+    """The plane through each point, its right neighbour and the one above, as :func:`_slopes` says."""
+    here, right, above = inverse[:-1, :-1], inverse[:-1, 1:], inverse[1:, :-1]
+    along, up = pixels[:-1, 1:] - pixels[:-1, :-1], pixels[1:, :-1] - pixels[:-1, :-1]
+    area = along[..., 0] * up[..., 1] - along[..., 1] * up[..., 0]
+    to_right = ((right - here) * up[..., 1] - (above - here) * along[..., 1]) / area
+    down = ((above - here) * along[..., 0] - (right - here) * up[..., 0]) / area
+    corners = np.stack([here, right, above])
+    patch: Float[np.ndarray, "rings columns 4"] = np.stack(
+        [to_right, down, corners.min(axis=0), corners.max(axis=0)], axis=-1
+    )
+    return patch
 
 
 def _draw_between(
