@@ -50,7 +50,7 @@ class DepthErrors:
     @property
     def coverage(self) -> float:
         """Share of the true depths that have an estimate."""
-        return self.compared / self.truth if self.truth else float("nan")
+        return float(self.compared / self.truth) if self.truth else float("nan")
 
     @property
     def mae_mm(self) -> float:
@@ -80,7 +80,7 @@ class DepthErrors:
     @property
     def within_1_25(self) -> float:
         """Share of pixels within a factor of 1.25 of the truth."""
-        return self._mean(self.close)
+        return self._mean(float(self.close))
 
     def to_json(self) -> dict[str, Any]:
         """Counts and figures; null where there are none."""
