@@ -196,7 +196,7 @@ def test_nearest_and_ip_basic_by_hand() -> None:
     both[20, 20], both[20, 22] = 30.0, 10.0
     assert ip_basic(both)[20, 21] == pytest.approx(10, abs=0.5)  # its dilation prefers what is near
     assert np.isinf(ip_basic(np.where(np.isfinite(depth), 200.0, np.inf))).all()  # beyond its 100 m all is empty
-    assert np.isfinite(ip_basic(np.where(np.isfinite(depth), 200.0, np.inf), far_m=250)).any()
+    assert np.isfinite(ip_basic(np.where(np.isfinite(depth), 200.0, np.inf), far_m=250.0)).any()
 
 
 REAL = Path(__file__).resolve().parents[2].parent / "shared" / "real" / "kitti"

@@ -44,14 +44,15 @@ def depth_picture(
             ax.set_axis_off()
         axes[0].imshow(grey if image is None else image, cmap="gray", vmin=0, vmax=1)
         v, u = np.nonzero(depth.measured)
-        axes[0].scatter(u, v, c=depth.depth_m[v, u], s=0.4, lw=0, cmap=_COLOURS, norm=norm)
+        axes[0].scatter(u, v, c=depth.depth_m[v, u], s=1.2, lw=0, cmap=_COLOURS, norm=norm)
         axes[0].set_title(f"{title}{len(v):,} measured depths", fontsize=9)
         axes[1].imshow(grey, cmap="gray", vmin=0, vmax=1)
         shown = axes[1].imshow(depth.depth_m, cmap=_COLOURS, norm=norm, alpha=_certainty(depth), interpolation="none")
         filled = np.isfinite(depth.depth_m).mean()
         axes[1].set_title(f"{depth.method}: {filled:.0%} of the pixels, fainter where less sure", fontsize=9)
         ticks = [tick for tick in _TICKS_M if low <= tick <= high]
-        figure.colorbar(shown, ax=list(axes[:2]), label="depth in m", ticks=ticks, format="%g", shrink=0.8)
+        bar = figure.colorbar(shown, ax=list(axes[:2]), label="depth in m", ticks=ticks, format="%g", shrink=0.8)
+        bar.minorticks_off()
         if sure:
             doubt = axes[2].imshow(depth.uncertainty_m, cmap="magma", norm=LogNorm(0.02, 20), interpolation="none")
             axes[2].set_title("how far it may be off", fontsize=9)
