@@ -106,9 +106,9 @@ def whole(depth: np.ndarray | DepthMap) -> tuple[np.ndarray, float]:
 
 def table(scenes: list[Scene]) -> tuple[list[str], dict[str, dict[str, float]]]:
     """One row a method: means over images, coverage, milliseconds, MAE and RMSE by range over pooled pixels."""
-    named = [f"{low:g}-{high:g} m" for low, high in pairwise(BINS_M[:6])]
+    named = [f"{low:g}-{high:g} m" for low, high in pairwise(BINS_M)]
     head = f"  {'method':<28} {'MAE':>6} {'RMSE':>6} {'iMAE':>6} {'iRMSE':>6}  filled  cpu ms " + "".join(
-        f"{name:>14}" for name in named
+        f"{name:>15}" for name in named
     )
     lines, figures = [head], {}
     for name, method in METHODS.items():
@@ -130,7 +130,7 @@ def table(scenes: list[Scene]) -> tuple[list[str], dict[str, dict[str, float]]]:
         row = f"  {name:<28} {mean['mae_mm']:6.0f} {mean['rmse_mm']:6.0f} {mean['imae_1_km']:6.2f}"
         row += f" {mean['irmse_1_km']:6.2f} {np.mean(filled):6.1%} {np.median(spent):8.1f} "
         cells = [f"{part.mae_mm:.0f}/{part.rmse_mm:.0f}" if part.compared else "-" for part in parts]
-        lines.append(row + "".join(f"{cell:>14}" for cell in cells))
+        lines.append(row + "".join(f"{cell:>15}" for cell in cells))
     return lines, figures
 
 
@@ -242,6 +242,7 @@ def main() -> None:
         rows, _ = table(scenes)
         text += ["", f"{preset}, {cloud} in {camera}, clear weather, {len(scenes)} frames against the exact depth"]
         text += [*rows, *(f"  {scene.name}" for scene in scenes)]
+        text += ["", f"{preset}, rings, by uncertainty", *uncertainty(scenes)]
     print("\n".join(text))
     if chosen.output:
         write_text(chosen.output, "\n".join(text) + "\n")
