@@ -18,9 +18,11 @@ def run(
     scale: Literal["auto", "256", "128"] = "auto",
     uncertainty: bool = False,
     max_uncertainty: float = 0.0,
-    max_gap_deg: float = 10.0,
+    max_gap_deg: float = 5.0,
     picture: Path | None = None,
     format: str | None = None,
+    mapping: Path | None = None,
+    roots: tuple[Path, ...] = (),
     workers: int = 0,
     engine: str = "local",
     overwrite: bool = False,
@@ -31,7 +33,7 @@ def run(
       farfield depth data/kitti --out depth/
       farfield depth data/kitti --out depth/ --uncertainty --picture first.png
       farfield depth data/kradar --cloud os2-64 --camera cam-front --out depth/ --max-uncertainty 2
-      farfield depth Cirrus_dataset1 --cloud uniform --method delaunay --out depth/ --workers 2
+      farfield depth Cirrus_dataset1 --mapping calibrated.yaml --cloud uniform --out depth/ --workers 2
 
     Depth is the distance along the optical axis: value / 256 in metres, 0 where there is none. Files of scale 128 say
     so in the text chunk depth_scale, and depth.json says it for all. What lies beyond a scale's end is left out and
@@ -50,6 +52,8 @@ def run(
         max_gap_deg: Neighbours further apart than this are not joined.
         picture: SVG, PNG or JPEG of the first frame's map to write.
         format: Format of the data, if it is not to be recognised.
+        mapping: Mapping file of a Cirrus copy; its calib names your calibration, since none was published.
+        roots: Further folders over which a K-Radar is spread.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the work is done.
         overwrite: Make every map anew.
@@ -57,7 +61,9 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.imaging.depth.writing import DepthSettings, write_depth_maps
 
-    dataset = open_dataset(data, format=format)
+    options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
+    options |= {"roots": roots} if roots else {}
+    dataset = open_dataset(data, **options)
     settings = DepthSettings(
         cloud=cloud,
         camera=camera,

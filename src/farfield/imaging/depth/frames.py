@@ -75,7 +75,7 @@ def _cloud_name(frame: Frame, cloud: str | None) -> str:
 
 
 def _camera(frame: Frame, camera: str | None) -> Camera:
-    known = ", ".join(frame.cameras) or "none: a depth map needs a calibrated camera"
+    known = ", ".join(frame.cameras) or "none (Cirrus: name your calibration in the mapping)"
     if camera is not None and camera not in frame.cameras:
         raise DatasetError(f"frame {frame.key}: expected calibrated camera {camera!r}, found {known}")
     name = camera or next(iter(frame.cameras), None)

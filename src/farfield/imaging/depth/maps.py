@@ -20,7 +20,7 @@ METHODS: tuple[str, ...] = get_args(Method)
 """``auto`` takes rings where they are known or can be told from the order of the rows, else delaunay."""
 
 MOST_PIXELS = 100_000_000
-MAX_GAP_DEG = 10.0
+MAX_GAP_DEG = 5.0
 _MARGIN = 0.1  # of the image's width, beyond which no point matters
 _STEP_PX = 1.2  # between drawn points
 _STEPS_RAD = np.radians((0.02, 0.5))
