@@ -152,6 +152,18 @@ def test_rings_are_asked_for_where_there_are_none(rng: np.random.Generator) -> N
     assert depth_map(points, camera()).method == "delaunay"
 
 
+def test_whatever_rings_are_called(rng: np.random.Generator) -> None:
+    """Names of rings come from files: large and negative ones cost nothing, and too many are none."""
+    points, ring = board(16)
+    named = rng.permutation(16)[ring] * 10**15 - 10**15
+    np.testing.assert_array_equal(
+        depth_map(points, camera(), ring=named).depth_m, depth_map(points, camera(), ring=ring).depth_m
+    )
+    assert depth_map(points, camera(), ring=np.arange(len(points))).method in ("delaunay", "rings")
+    with pytest.raises(ConfigError, match="more than 512"):
+        depth_map(points[::-1][rng.permutation(len(points))], camera(), method="rings", ring=np.arange(len(points)))
+
+
 def test_the_nearest_point_of_a_pixel_counts() -> None:
     points = np.array([[20.0, 0, 0], [5.0, 0, 0], [9.0, 0, 0], [0.1, 0, 0], [np.nan, 0, 0], [-5.0, 0, 0]])
     lens = replace(camera(), camera_T_lidar=CAMERA_T_LIDAR_AXES)

@@ -1,6 +1,7 @@
 """Depth maps of data sets: clouds and cameras by name, scales, names of files, interrupted runs."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,3 +121,17 @@ def test_a_cloud_in_its_own_axes_gives_the_same_map() -> None:
     lost = replace(moved, sensors={"lidar": Sensor(kind="lidar", in_frame=False)})
     with pytest.raises(DatasetError, match="where that stands"):
         frame_depth(lost)
+
+
+def test_the_page_s_example_runs(kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "depth.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "data").mkdir()
+    kitti.rename(tmp_path / "data" / "kitti")
+    monkeypatch.chdir(tmp_path)
+    write_depth_maps(open_dataset("data/kitti"), "depth")
+    names: dict[str, object] = {}
+    exec(compile(block, "depth.md", "exec"), names)
+    made, again = names["made"], names["again"]
+    assert np.nanmax(np.abs(made.depth_m - again)) <= 0.5 / 256 * 1.01
+    assert names["sure"].depth_m.shape == again.shape

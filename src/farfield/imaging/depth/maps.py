@@ -19,7 +19,7 @@ Method = Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"]
 METHODS: tuple[str, ...] = get_args(Method)
 """``auto`` takes rings where they are known or can be told from the order of the rows, else delaunay."""
 
-MOST_PIXELS = 100_000_000
+MOST_PIXELS, MOST_RINGS = 40_000_000, 512
 MAX_GAP_DEG = 5.0
 _MARGIN = 0.1  # of the image's width, beyond which no point matters
 _STEP_PX = 1.2  # between drawn points
@@ -84,18 +84,27 @@ def depth_map(
         raise ConfigError(f"depth_map: expected a camera of 1 to {MOST_PIXELS} pixels, got {found}")
     if method not in METHODS:
         raise ConfigError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    ring = None if ring is None else _counted(ring)
     if method in ("auto", "rings"):
         ring = ring_numbers(points_m) if ring is None else ring
         if ring is None and method == "rings":
             raise ConfigError(
                 "method: expected a cloud with the column 'ring', or one whose rows go ring by ring, for rings; got "
-                f"{len(points_m)} points without. Take delaunay, or auto."
+                f"{len(points_m)} points without (or of more than {MOST_RINGS} rings). Take delaunay, or auto."
             )
     ahead = rows_ahead(points_m, camera)
     points_m, ring = points_m[ahead], None if ring is None else ring[ahead]
     if ring is not None and method in ("auto", "rings"):
         return _from_rings(points_m, ring, camera, max_gap_deg, compiled)
     return _from_pixels(points_m, ring, camera, "delaunay" if method == "auto" else method, max_gap_deg, compiled)
+
+
+def _counted(ring: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"] | None:
+    """Rings counted from 0, whatever their names; None where there are too many to be rings."""
+    if not len(ring) or (ring.min() >= 0 and ring.max() < MOST_RINGS):
+        return ring
+    names, counted = np.unique(ring, return_inverse=True)
+    return counted if len(names) <= MOST_RINGS else None
 
 
 def rows_ahead(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Int[np.ndarray, " k"]:
