@@ -152,6 +152,20 @@ def test_rings_are_asked_for_where_there_are_none(rng: np.random.Generator) -> N
     assert depth_map(points, camera()).method == "delaunay"
 
 
+def test_rings_seen_from_elsewhere_are_not_trusted() -> None:
+    """About the car's middle on the ground a ring has no elevation of its own."""
+    rays, ring = directions(32)
+    ranges = np.minimum(onto_plane(rays, np.array([0, 0, -1.0]), 1.7), onto_plane(rays, np.array([1.0, 0, 0]), 40.0))
+    hit = np.isfinite(ranges)
+    points, ring = rays[hit] * ranges[hit, None], ring[hit]
+    assert depth_map(points, camera(), ring=ring).method == "rings"
+    shift = np.eye(4)
+    shift[:3, 3] = [-1.3, 0, -1.7]
+    lens = replace(camera(), camera_T_lidar=camera().camera_T_lidar @ shift)
+    assert depth_map(points - shift[:3, 3], lens, ring=ring).method == "delaunay"
+    assert depth_map(points - shift[:3, 3], lens, ring=ring, method="rings").method == "rings"
+
+
 def test_whatever_rings_are_called(rng: np.random.Generator) -> None:
     """Names of rings come from files: large and negative ones cost nothing, and too many are none."""
     points, ring = board(16)

@@ -11,13 +11,14 @@ from farfield.geometry.cameras import Camera
 from farfield.imaging.depth.baselines import ip_basic, nearest_depth
 from farfield.imaging.depth.blending import blended
 from farfield.imaging.depth.mesh import draw_mesh
-from farfield.imaging.depth.rings import fan, image_span, ring_numbers
+from farfield.imaging.depth.rings import fan, image_span, ring_numbers, steady
 from farfield.imaging.depth.sparse import NEAREST_M, not_hidden, seen, sparse_depth
 from farfield.imaging.depth.surface import Raster, draw_surface
 
 Method = Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"]
 METHODS: tuple[str, ...] = get_args(Method)
-"""``auto`` takes rings where they are known or can be told from the order of the rows, else delaunay."""
+"""``auto`` takes rings where they are known (and keep their elevation: the LiDAR stands where it should) or can be told
+from the order of the rows, else delaunay."""
 
 MOST_PIXELS, MOST_RINGS = 40_000_000, 512
 MAX_GAP_DEG = 5.0
@@ -85,6 +86,8 @@ def depth_map(
     if method not in METHODS:
         raise ConfigError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     ring = None if ring is None else _counted(ring)
+    if method == "auto" and ring is not None and not steady(points_m, ring):
+        method = "delaunay"
     if method in ("auto", "rings"):
         ring = ring_numbers(points_m) if ring is None else ring
         if ring is None and method == "rings":

@@ -18,6 +18,7 @@ from farfield.geometry.poses import transform_points
 
 _FEWEST, _MOST = 4, 512
 _FORWARDS = 0.95  # share of steps from row to row that go the same way round
+_APART_RAD = np.radians(0.01)
 _SPREAD_RAD = np.radians(0.35)  # KITTI's full turns: 0.10 to 0.29, for lasers do not share one origin
 
 
@@ -61,6 +62,23 @@ def ring_numbers(points_m: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"] | 
         if _FEWEST <= ring[-1] + 1 <= _MOST and spread < _SPREAD_RAD and (best is None or spread < best[0]):
             best = (spread, ring)
     return None if best is None else best[1]
+
+
+def steady(points_m: Float[np.ndarray, "n 3"], ring: Int[np.ndarray, " n"]) -> bool:
+    """Whether each ring keeps an elevation of its own, as seen from its LiDAR, and not where that stands elsewhere.
+
+    Args:
+        points_m: Points in what should be the sensor's own axes.
+        ring: The ring of each, counted from 0.
+    """
+    elevation = np.arctan2(points_m[:, 2], np.hypot(points_m[:, 0], points_m[:, 1]))
+    good = np.isfinite(elevation)
+    elevation, ring = elevation[good], ring[good]
+    if len(ring) == 0 or _spread(elevation, ring) >= _SPREAD_RAD:
+        return len(ring) == 0
+    counts = np.bincount(ring)
+    means = np.sort(np.bincount(ring, elevation)[counts > 0] / counts[counts > 0])
+    return len(means) < 2 or bool(np.median(np.diff(means)) > _APART_RAD)  # ground from the ground: all at 0
 
 
 def _spread(elevation: Float[np.ndarray, " n"], ring: Int[np.ndarray, " n"]) -> float:
