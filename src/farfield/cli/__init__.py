@@ -25,6 +25,7 @@ VERBS = {
     "track": "give detections identities and velocities over time",
     "sync": "match streams of stamps to one of them: offsets, drift, gaps",
     "anonymize": "cover faces in pictures, originals untouched; resumes by itself",
+    "depth": "write dense depth maps of the cameras from the LiDAR, with uncertainty",
     "score": "score the files of any detector, without a model",
     "compare-results": "set results side by side, never two conventions in one column",
     "compare": "set the statistics of two data sets side by side: figures and a table",

@@ -113,8 +113,14 @@ def check_picture(path: Path) -> None:
     Raises:
         ConfigError: If the file's name does not end with .svg, .png or .jpg.
     """
+    picture_kind(path)
+
+
+def picture_kind(path: Path) -> Kind:
+    """The kind of picture that a file's name asks for; refuses as :func:`check_picture` does."""
     if path.suffix.lower() not in _KINDS:
         raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
+    return _KINDS[path.suffix.lower()]
 
 
 def write_trails(path: Path | str, tracks: Detections) -> None:
@@ -124,6 +130,6 @@ def write_trails(path: Path | str, tracks: Detections) -> None:
         ConfigError: If it has another ending.
     """
     path = Path(path)
-    check_picture(path)
+    kind = picture_kind(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, figure_bytes(trails_picture(tracks), _KINDS[path.suffix.lower()]))
+    write_bytes(path, figure_bytes(trails_picture(tracks), kind))
