@@ -130,7 +130,7 @@ def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
     axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
     axes.set_ylabel("pairs")
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.locator_params(axis="y", integer=True)
 
 
 def _course(axes: "Axes", pair: Pair) -> None:
