@@ -1,0 +1,97 @@
+"""A sweep fitted to a map: point to plane, robust, with the directions that nothing observes left as predicted.
+
+Residuals are distances to planes (Chen and Medioni 1992), weighted by Geman and McClure's function, whose scale falls
+with the residuals' median. Directions of too little information keep the prediction (Zhang and Kaess, On degeneracy of
+optimization-based state estimation problems, ICRA 2016, section IV).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.timing.deskewing import exponential
+from farfield.timing.odometry_map import SurfaceMap
+
+LEAST_SHARE = 1e-3
+"""A direction is observed if the planes' normals have at least this share of their squared length along it."""
+_LEAST_PAIRS = 30
+_SCALES = 3.0  # of the residuals' median
+_LEAST_SCALE_M, _MOST_SCALE_M = 0.1, 1.0
+_ITERATIONS = 25
+_STILL_RAD, _STILL_M = 5e-5, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a sweep lies.
+
+    Args:
+        world_T_sensor: Its pose, shape (4, 4).
+        matched: Sum of the weights over the number of points: 1 if all lie on the map's planes.
+        residual_m: Weighted root mean square of the distances to the planes.
+        share: Least share of information of any direction, see :data:`LEAST_SHARE`.
+        blind: Directions that were left as predicted, in the sensor's coordinates, turns (about an axis, times the
+            lever arm) then translations, shape (k, 6); empty where all are observed.
+        iterations: Steps taken.
+    """
+
+    world_T_sensor: Float[np.ndarray, "4 4"]
+    matched: float
+    residual_m: float
+    share: float
+    blind: Float[np.ndarray, "k 6"]
+    iterations: int
+
+
+def fit(
+    surfaces: SurfaceMap,
+    points_m: Float[np.ndarray, "n 3"],
+    world_T_sensor: Float[np.ndarray, "4 4"],
+    *,
+    within_m: float,
+) -> Fit | None:
+    """Fit points to the surfaces, from a predicted pose.
+
+    Args:
+        surfaces: The map.
+        points_m: Points in the sensor's coordinates, shape (n, 3).
+        world_T_sensor: The predicted pose.
+        within_m: Pairs lie nearer than this.
+
+    Returns:
+        None where fewer than 30 pairs are found.
+    """
+    pose = world_T_sensor.copy()
+    found: Fit | None = None
+    for iteration in range(1, _ITERATIONS + 1):
+        lever = points_m @ pose[:3, :3].T
+        rows, voxels = surfaces.nearest(lever + pose[:3, 3], within_m)
+        if len(rows) < _LEAST_PAIRS:
+            return None
+        lever, normal = lever[rows], surfaces.normal[voxels]
+        residual = ((lever + pose[:3, 3] - surfaces.mean_m[voxels]) * normal).sum(1)
+        scale = min(max(_SCALES * float(np.median(np.abs(residual))), _LEAST_SCALE_M), _MOST_SCALE_M)
+        weight = 1 / (1 + (residual / scale) ** 2) ** 2
+        arm_m = float(np.sqrt((lever**2).sum(1).mean()))
+        slope = np.concatenate([np.cross(lever, normal) / arm_m, normal], axis=1)
+        weighted = slope * weight[:, None]
+        information = weighted.T @ slope / weight.sum()
+        size, axes = np.linalg.eigh(information)
+        seen = size > LEAST_SHARE
+        step = -axes[:, seen] @ ((axes[:, seen].T @ (weighted.T @ residual / weight.sum())) / size[seen])
+        turn, along = step[:3] / arm_m, step[3:]
+        pose[:3, :3] = exponential(np.concatenate([turn, np.zeros(3)])[None])[0, :3, :3] @ pose[:3, :3]
+        pose[:3, 3] += along
+        if np.linalg.norm(turn) < _STILL_RAD and np.linalg.norm(along) < _STILL_M:
+            break
+    blind = axes[:, ~seen].T.reshape(-1, 2, 3) @ pose[:3, :3]
+    found = Fit(
+        world_T_sensor=pose,
+        matched=float(weight.sum() / len(points_m)),
+        residual_m=float(np.sqrt((weight * residual**2).sum() / weight.sum())),
+        share=float(size[0]),
+        blind=blind.reshape(-1, 6),
+        iterations=iteration,
+    )
+    return found
