@@ -1,12 +1,13 @@
 """Simulated drives of 300 m, ten sweeps a second, in Cirrus' and K-Radar's layout: data without poses, and the truth.
 
-    python benchmarks/_drives.py FOLDER        simulates them; run again, it goes on where it stopped
+python benchmarks/_drives.py FOLDER        simulates them; run again, it goes on where it stopped
 """
 
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +31,7 @@ class Simulated:
     seed: int
     frames: int
 
-    def frame(self, index: int):
+    def frame(self, index: int) -> Any:
         """Frame ``index``, with its true pose; nothing is simulated before it is read."""
         from farfield.simulation import simulate_frame
 

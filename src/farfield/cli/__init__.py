@@ -24,6 +24,7 @@ VERBS = {
     "evaluate": "run a detector over a data set and score it by range",
     "track": "give detections identities and velocities over time",
     "sync": "match streams of stamps to one of them: offsets, drift, gaps",
+    "odometry": "find the poses of drives from their sweeps, and how far they drift",
     "score": "score the files of any detector, without a model",
     "compare-results": "set results side by side, never two conventions in one column",
     "compare": "set the statistics of two data sets side by side: figures and a table",

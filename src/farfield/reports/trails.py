@@ -100,6 +100,16 @@ def check_picture(path: Path) -> None:
         raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
 
 
+def picture_kind(path: Path) -> Kind:
+    """The kind of a picture by its name.
+
+    Raises:
+        ConfigError: If the name does not end with .svg, .png or .jpg.
+    """
+    check_picture(path)
+    return _KINDS[path.suffix.lower()]
+
+
 def write_trails(path: Path | str, tracks: Detections) -> None:
     """Write the trails from above as SVG, PNG or JPEG, by the file's name.
 
@@ -107,6 +117,6 @@ def write_trails(path: Path | str, tracks: Detections) -> None:
         ConfigError: If it has another ending.
     """
     path = Path(path)
-    check_picture(path)
+    kind = picture_kind(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, figure_bytes(trails_picture(tracks), _KINDS[path.suffix.lower()]))
+    write_bytes(path, figure_bytes(trails_picture(tracks), kind))

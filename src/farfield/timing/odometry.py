@@ -5,7 +5,7 @@ it where they have times, and what moves by itself is left to the robust weights
 is closed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +25,9 @@ _LOST_SHARE = 0.1
 _LOST_SWEEPS = 5
 _GATE_M = (1.0, 3.0)
 _FAR_M = 50.0  # where the deviation of a turn is measured
+
+
+_STATE = ("pose", "twist", "inserted", "time_s", "deviation_m2", "lost_in_a_row")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,17 @@ class Odometry:
         self.lost_in_a_row = 0
         self.inserted: Float[np.ndarray, "4 4"] = np.eye(4)
 
+    def state(self) -> dict[str, np.ndarray | float]:
+        """What it knows besides the map, to be saved."""
+        assert self.time_s is not None
+        return {name: getattr(self, name) for name in _STATE}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take up a state that was saved."""
+        self.pose, self.twist, self.inserted = state["pose"], state["twist"], state["inserted"]
+        self.time_s, self.deviation_m2 = float(state["time_s"]), float(state["deviation_m2"])
+        self.lost_in_a_row = int(state["lost_in_a_row"])
+
     def begins_at(self, sweep: Sweep) -> bool:
         """Whether a new map is to be begun with a sweep: at the first, after a pause, or when too many were lost."""
         if self.time_s is None or self.lost_in_a_row >= _LOST_SWEEPS:
@@ -147,8 +161,9 @@ class Odometry:
         points = points[rows]
         if sweep.offset_s is None or not len(points):
             return points
-        motion = exponential(self.twist[None] * sweep.offset_s[rows][:, None])
-        return np.einsum("nij,nj->ni", motion[:, :3, :3], points) + motion[:, :3, 3]
+        offsets, column = np.unique(sweep.offset_s[rows], return_inverse=True)  # many rays are fired at once
+        motion = exponential(self.twist[None] * offsets[:, None])[column]
+        return (motion[:, :3, :3] @ points[:, :, None])[:, :, 0] + motion[:, :3, 3]
 
     def add(self, sweep: Sweep) -> Placing:
         """Place the next sweep of a map that was begun."""

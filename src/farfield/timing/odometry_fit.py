@@ -19,7 +19,9 @@ _LEAST_PAIRS = 30
 _SCALES = 3.0  # of the residuals' median
 _LEAST_SCALE_M, _MOST_SCALE_M = 0.1, 1.0
 _ITERATIONS = 25
-_STILL_RAD, _STILL_M = 5e-5, 1e-3
+_STILL_RAD, _STILL_M = 1e-4, 2e-3
+_NEAR_RAD, _NEAR_M = 1e-3, 0.03  # steps until which every fourth point will do
+_FEW = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +65,9 @@ def fit(
         None where fewer than 30 pairs are found.
     """
     pose = world_T_sensor.copy()
-    found: Fit | None = None
+    every = _FEW if len(points_m) > _FEW * 10 * _LEAST_PAIRS else 1
     for iteration in range(1, _ITERATIONS + 1):
-        lever = points_m @ pose[:3, :3].T
+        lever = points_m[::every] @ pose[:3, :3].T
         rows, voxels = surfaces.nearest(lever + pose[:3, 3], within_m)
         if len(rows) < _LEAST_PAIRS:
             return None
@@ -83,10 +85,13 @@ def fit(
         turn, along = step[:3] / arm_m, step[3:]
         pose[:3, :3] = exponential(np.concatenate([turn, np.zeros(3)])[None])[0, :3, :3] @ pose[:3, :3]
         pose[:3, 3] += along
-        if np.linalg.norm(turn) < _STILL_RAD and np.linalg.norm(along) < _STILL_M:
+        turned, moved = float(np.linalg.norm(turn)), float(np.linalg.norm(along))
+        if every == 1 and turned < _STILL_RAD and moved < _STILL_M:
             break
+        if (turned < _NEAR_RAD and moved < _NEAR_M) or iteration > _ITERATIONS // 2:
+            every = 1
     blind = axes[:, ~seen].T.reshape(-1, 2, 3) @ pose[:3, :3]
-    found = Fit(
+    return Fit(
         world_T_sensor=pose,
         matched=float(weight.sum() / len(points_m)),
         residual_m=float(np.sqrt((weight * residual**2).sum() / weight.sum())),
@@ -94,4 +99,3 @@ def fit(
         blind=blind.reshape(-1, 6),
         iterations=iteration,
     )
-    return found

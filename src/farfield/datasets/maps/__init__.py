@@ -9,6 +9,7 @@ from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_b
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.maps.move import Move
 from farfield.datasets.maps.placed import Placed
+from farfield.datasets.maps.posed import Posed
 from farfield.datasets.maps.sweeps import Sweeps
 from farfield.errors import ConfigError
 from farfield.registry import Registry
@@ -20,6 +21,7 @@ __all__ = [
     "FrameMap",
     "Move",
     "Placed",
+    "Posed",
     "Sweeps",
     "described",
     "make",
@@ -32,6 +34,7 @@ MAPS: Registry[Any] = Registry(
     {
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
         "move": "farfield.datasets.maps.move:Move",
+        "posed": "farfield.datasets.maps.posed:Posed",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
     },
