@@ -73,7 +73,7 @@ class Placing:
         world_T_sensor: Its pose, shape (4, 4).
         matched: Weight of the points that lie on the map, as a share of all; 0 where it was not fitted.
         residual_m: Root mean square distance to the planes.
-        share: Least share of information of any direction.
+        information: The least of any direction, as a multiple of what scatter makes.
         blind: The least observed direction of those that nothing observes, shape (6,): turns, translations; zeros where
             all are observed.
         lost: It fits nowhere: the pose is the prediction.
@@ -83,7 +83,7 @@ class Placing:
     world_T_sensor: Float[np.ndarray, "4 4"]
     matched: float = 0.0
     residual_m: float = 0.0
-    share: float = 1.0
+    information: float = 0.0
     blind: Float[np.ndarray, " 6"] = field(default_factory=lambda: np.zeros(6))
     lost: bool = False
     begins: bool = False
@@ -128,20 +128,25 @@ class Odometry:
         self.surfaces = SurfaceMap(self.settings.voxel_m)
         self.twist, self.lost_in_a_row, self.deviation_m2 = np.zeros(6), 0, 0.25
         if len(sweeps) > 1:
-            self.twist = max((self._tried(sweeps, twist) for twist in _first_motions(sweeps)), key=_score)[1]
+            best = max((self._tried(sweeps, twist) for twist in _first_motions(sweeps)), key=_score)
+            again = (self._tried(sweeps, twist) for twist in (best.first, best.last))  # once more, from nearer by
+            best = max((best, *again), key=_score)
+            self.twist = np.zeros(6) if best.blind else best.first  # nothing tells: as if the car stood
         self._put(sweeps[0])
         return Placing(self.pose, begins=True)
 
-    def _tried(self, sweeps: Sequence[Sweep], twist: Float[np.ndarray, " 6"]) -> tuple[float, Float[np.ndarray, " 6"]]:
-        """How well the first sweeps fit if they began at a speed, and the speed that the second was then found at."""
+    def _tried(self, sweeps: Sequence[Sweep], twist: Float[np.ndarray, " 6"]) -> "_Tried":
+        """Place the first sweeps as if they began at a speed."""
         trial = Odometry(replace(self.settings, source_m=1.5 * self.settings.source_m))
         trial.twist, trial.deviation_m2 = twist, 0.25
         trial._put(sweeps[0])
-        total, found = 0.0, twist
+        matched, first, blind = 0.0, twist, 0
         for number, sweep in enumerate(sweeps[1:]):
-            total += trial.add(sweep).matched
-            found = trial.twist if number == 0 else found
-        return total, found
+            found = trial.add(sweep)
+            matched += found.matched
+            blind += abs(found.blind[3]) > 0.7
+            first = trial.twist if number == 0 else first
+        return _Tried(matched, first, trial.twist, 2 * blind > len(sweeps) - 1)
 
     def _put(self, sweep: Sweep) -> None:
         fine = self._prepared(sweep)
@@ -191,7 +196,7 @@ class Odometry:
             self.surfaces.insert(fine @ self.pose[:3, :3].T + self.pose[:3, 3], self.pose[:3, 3], self._radius_m)
             self.inserted = self.pose
         blind = found.blind[0] if len(found.blind) else np.zeros(6)
-        return Placing(self.pose, found.matched, found.residual_m, found.share, blind)
+        return Placing(self.pose, found.matched, found.residual_m, found.information, blind)
 
     def _fitted(self, fine: Float[np.ndarray, "n 3"], start: Float[np.ndarray, "4 4"]) -> Fit | None:
         coarse = fine[thinned(fine, self.settings.source_m)]
@@ -207,8 +212,16 @@ class Odometry:
         return bool(np.linalg.norm(off[3:]) > 0.2 or np.linalg.norm(off[:3]) > 0.01)
 
 
-def _score(tried: tuple[float, Float[np.ndarray, " 6"]]) -> float:
-    return tried[0]
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    matched: float
+    first: Float[np.ndarray, " 6"]  # speed at which the second sweep was found
+    last: Float[np.ndarray, " 6"]
+    blind: bool  # along x, in most sweeps
+
+
+def _score(tried: _Tried) -> float:
+    return tried.matched
 
 
 def _first_motions(sweeps: Sequence[Sweep]) -> list[Float[np.ndarray, " 6"]]:

@@ -26,9 +26,9 @@ class Placed:
     def __init__(self, rows: Sequence[Placing]) -> None:
         self.world_T_sensor: Float[np.ndarray, "n 4 4"] = np.array([row.world_T_sensor for row in rows])
         self.world_T_sensor = self.world_T_sensor.reshape(-1, 4, 4)
-        self.matched, self.residual_m, self.share = (
+        self.matched, self.residual_m, self.information = (
             np.array([getattr(row, name) for row in rows], dtype=np.float64)
-            for name in ("matched", "residual_m", "share")
+            for name in ("matched", "residual_m", "information")
         )
         self.lost: Bool[np.ndarray, " n"] = np.array([row.lost for row in rows], dtype=bool)
         self.begins: Bool[np.ndarray, " n"] = np.array([row.begins for row in rows], dtype=bool)
@@ -88,7 +88,7 @@ def _following(sweeps: Sequence[Sweep], number: int, gap_s: float) -> list[Sweep
     return found
 
 
-_FIELDS = ("world_T_sensor", "matched", "residual_m", "share", "blind", "lost", "begins")
+_FIELDS = ("world_T_sensor", "matched", "residual_m", "information", "blind", "lost", "begins")
 
 
 def _save(path: Path, mark: str, odometry: Odometry, rows: Sequence[Placing]) -> None:
@@ -117,7 +117,7 @@ def _taken_up(path: Path | None, mark: str, settings: OdometrySettings) -> tuple
     odometry.surfaces = SurfaceMap.restored(settings.voxel_m, state)
     odometry.restore(now)
     rows = [
-        Placing(pose, float(matched), float(residual), float(share), blind, bool(lost), bool(begins))
-        for pose, matched, residual, share, blind, lost, begins in zip(*columns, strict=True)
+        Placing(pose, float(matched), float(residual), float(information), blind, bool(lost), bool(begins))
+        for pose, matched, residual, information, blind, lost, begins in zip(*columns, strict=True)
     ]
     return odometry, rows

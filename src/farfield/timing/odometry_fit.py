@@ -2,19 +2,22 @@
 
 Residuals are distances to planes (Chen and Medioni 1992), weighted by Geman and McClure's function, whose scale falls
 with the residuals' median. Directions of too little information keep the prediction (Zhang and Kaess, On degeneracy of
-optimization-based state estimation problems, ICRA 2016, section IV).
+optimization-based state estimation problems, ICRA 2016, section IV): a wall seems to tell a little of the motion
+along it, since fitted normals scatter, so the information is compared with what the normals' variance makes of nothing.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import eigh
 
 from farfield.timing.deskewing import exponential
 from farfield.timing.odometry_map import SurfaceMap
 
-LEAST_SHARE = 1e-3
-"""A direction is observed if the planes' normals have at least this share of their squared length along it."""
+LEAST_INFORMATION = 2.0
+"""A direction is observed if it has so many times the information that scattered normals alone make of it."""
+_LEAST_SCATTER = 3e-5
 _LEAST_PAIRS = 30
 _SCALES = 3.0  # of the residuals' median
 _LEAST_SCALE_M, _MOST_SCALE_M = 0.1, 1.0
@@ -32,7 +35,7 @@ class Fit:
         world_T_sensor: Its pose, shape (4, 4).
         matched: Sum of the weights over the number of points: 1 if all lie on the map's planes.
         residual_m: Weighted root mean square of the distances to the planes.
-        share: Least share of information of any direction, see :data:`LEAST_SHARE`.
+        information: The least of any direction, as a multiple of what scatter makes, see :data:`LEAST_INFORMATION`.
         blind: Directions that were left as predicted, in the sensor's coordinates, turns (about an axis, times the
             lever arm) then translations, shape (k, 6); empty where all are observed.
         iterations: Steps taken.
@@ -41,7 +44,7 @@ class Fit:
     world_T_sensor: Float[np.ndarray, "4 4"]
     matched: float
     residual_m: float
-    share: float
+    information: float
     blind: Float[np.ndarray, "k 6"]
     iterations: int
 
@@ -79,8 +82,9 @@ def fit(
         slope = np.concatenate([np.cross(lever, normal) / arm_m, normal], axis=1)
         weighted = slope * weight[:, None]
         information = weighted.T @ slope / weight.sum()
-        size, axes = np.linalg.eigh(information)
-        seen = size > LEAST_SHARE
+        wobble = np.maximum(surfaces.wobble[voxels], _LEAST_SCATTER) * weight / weight.sum()
+        size, axes = eigh(information, _scattered(lever / arm_m, wobble))
+        seen = size > LEAST_INFORMATION
         step = -axes[:, seen] @ ((axes[:, seen].T @ (weighted.T @ residual / weight.sum())) / size[seen])
         turn, along = step[:3] / arm_m, step[3:]
         pose[:3, :3] = exponential(np.concatenate([turn, np.zeros(3)])[None])[0, :3, :3] @ pose[:3, :3]
@@ -90,12 +94,27 @@ def fit(
             break
         if (turned < _NEAR_RAD and moved < _NEAR_M) or iteration > _ITERATIONS // 2:
             every = 1
-    blind = axes[:, ~seen].T.reshape(-1, 2, 3) @ pose[:3, :3]
+    unseen = axes[:, ~seen] / np.linalg.norm(axes[:, ~seen], axis=0)
+    blind = unseen.T.reshape(-1, 2, 3) @ pose[:3, :3]
     return Fit(
         world_T_sensor=pose,
         matched=float(weight.sum() / len(points_m)),
         residual_m=float(np.sqrt((weight * residual**2).sum() / weight.sum())),
-        share=float(size[0]),
+        information=float(size[0]),
         blind=blind.reshape(-1, 6),
         iterations=iteration,
     )
+
+
+def _scattered(arm: Float[np.ndarray, "n 3"], wobble: Float[np.ndarray, " n"]) -> Float[np.ndarray, "6 6"]:
+    """Information that normals would seem to give if they were nothing but their scatter, alike in all directions.
+
+    Sum of ``w A A^T`` over the points, where ``A``, shape (6, 3), takes a normal to its slope: the cross product with
+    the lever arm, and itself.
+    """
+    total = wobble.sum()
+    mean = wobble @ arm
+    spread = (arm * wobble[:, None]).T @ arm
+    x, y, z = mean
+    crossed = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.block([[np.trace(spread) * np.eye(3) - spread, crossed], [crossed.T, total * np.eye(3)]])

@@ -37,6 +37,12 @@ class SurfaceMap:
 
     Args:
         voxel_m: Edge of a voxel.
+
+    Attributes:
+        mean_m: Mean point of each voxel, shape (n, 3).
+        normal: Normal of its plane, once it was asked for, shape (n, 3).
+        flat: Whether it has a plane, shape (n,).
+        wobble: Variance of the normal along the plane that scattered points alone make, in radians squared, shape (n,).
     """
 
     def __init__(self, voxel_m: float) -> None:
@@ -48,6 +54,7 @@ class SurfaceMap:
         self.mean_m: Float[np.ndarray, "n 3"] = np.zeros((0, 3))
         self.normal: Float[np.ndarray, "n 3"] = np.zeros((0, 3))
         self.flat: Bool[np.ndarray, " n"] = np.zeros(0, dtype=bool)
+        self.wobble: Float[np.ndarray, " n"] = np.zeros(0)
         self._tree: cKDTree | None = None
 
     def __len__(self) -> int:
@@ -74,6 +81,7 @@ class SurfaceMap:
         self._stale = np.insert(self._stale, new, True)
         self.normal = np.insert(self.normal, new, 0.0, axis=0)
         self.flat = np.insert(self.flat, new, False)
+        self.wobble = np.insert(self.wobble, new, 0.0)
         self.mean_m = self._sum / self._count[:, None]
         near = ((self.mean_m - centre_m) ** 2).sum(1) < radius_m**2
         if not near.all():
@@ -83,7 +91,7 @@ class SurfaceMap:
     def _take(self, rows: Bool[np.ndarray, " n"]) -> None:
         self._keys, self._sum, self._count = self._keys[rows], self._sum[rows], self._count[rows]
         self._stale, self.normal, self.flat = self._stale[rows], self.normal[rows], self.flat[rows]
-        self.mean_m = self.mean_m[rows]
+        self.mean_m, self.wobble = self.mean_m[rows], self.wobble[rows]
 
     def nearest(
         self, points_m: Float[np.ndarray, "n 3"], within_m: float
@@ -120,13 +128,14 @@ class SurfaceMap:
         least, middle, most, self.normal[rows] = smallest_axis(scatter)
         flat = (least < _FLAT**2 * middle) & (middle > _LINE**2 * most)
         self.flat[rows] = flat & (near.sum(1) >= _LEAST_NEIGHBOURS)
+        self.wobble[rows] = least / np.maximum(middle, 1e-12) / number[:, 0]
         self._stale[rows] = False
 
     def state(self) -> dict[str, np.ndarray]:
         """Its arrays, to be saved."""
         names = ("keys", "sum", "count", "stale")
         kept = {name: getattr(self, f"_{name}") for name in names}
-        return {**kept, "normal": self.normal, "flat": self.flat}
+        return {**kept, "normal": self.normal, "flat": self.flat, "wobble": self.wobble}
 
     @classmethod
     def restored(cls, voxel_m: float, state: Mapping[str, np.ndarray]) -> "SurfaceMap":
@@ -134,6 +143,7 @@ class SurfaceMap:
         found = cls(voxel_m)
         found._keys, found._sum, found._count = state["keys"], state["sum"], state["count"]
         found._stale, found.normal, found.flat = state["stale"], state["normal"], state["flat"]
+        found.wobble = state["wobble"]
         found.mean_m = found._sum / found._count[:, None]
         return found
 

@@ -38,7 +38,7 @@ class Track:
         name: Name of the drive.
         table: Its poses; the first sweep stands at the origin, whatever way is up there.
         backward: The same, found backwards; None where that was not done.
-        facts: Medians and counts of the sweeps: ``matched``, ``residual_m``, ``share``.
+        facts: Medians and counts of the sweeps: ``matched``, ``residual_m``, ``information``.
         cpu_ms: Time of the processor a sweep, reading included; None where it was done before.
     """
 
@@ -143,7 +143,7 @@ class PlaceDrive:
         write_poses(path, _table(drive, placed, reference, backward=kind == BACKWARD))
         saved.unlink(missing_ok=True)
         fitted = ~(placed.lost | placed.begins)
-        names = ("matched", "residual_m", "share")
+        names = ("matched", "residual_m", "information")
         medians = {f"median_{name}": _median(getattr(placed, name)[fitted]) for name in names}
         clock = 1e3 * (time.process_time() - began) / max(len(placed), 1)
         return Done(files=(path,), value=medians, clock=clock)
