@@ -24,7 +24,7 @@ from farfield.timing.odometry_runs import Track, odometry
 from farfield.timing.odometry_sweeps import DriveSweeps, SweepSettings, Turning
 
 CLOUDS = {"cirrus-sim": ("gaussian", "uniform"), "kradar-sim": ("os2-64",)}
-TIMED = 40
+TIMED = 20
 KITTI = "kitti_raw/2011_09_26/2011_09_26_drive_0001_sync/velodyne_points/data"
 HEAD = (
     "road      cloud      sweeps  way m  end %  deg/100 m   100 m stretches: rms %   deg    stated %   deg     "
@@ -58,7 +58,7 @@ def one(drive: Simulated, cloud: str, root: Path, every: int, *, backward: bool)
     rows = [row for row, number in enumerate(numbers) if number % every == 0]
     chosen = data.select(rows)
     settings = SweepSettings(cloud=cloud)
-    out = root / f"{drive.preset}-{drive.road}-{cloud}-{every}{'' if backward else '-forward'}"
+    out = root / f"{drive.preset}-{drive.road}-{cloud}-{every}"
     (track,) = odometry(chosen, out, sweeps=settings, backward=backward)
     true = drive.truth()[[numbers[row] for row in rows]]
     fit_ms, read_ms = timed(DriveSweeps(chosen, chosen.drives()[0], settings))

@@ -21,6 +21,7 @@ START_SWEEPS = 5
 _START_STEP_M = 1.5  # between two hypotheses of the first motion: what the fit reaches from either side
 _START_MOST = 20
 _FAST_M_S = 45.0
+_AS_GOOD = 0.9  # standing matches nearly as well as the best motion
 _LOST_SHARE = 0.1
 _LOST_SWEEPS = 5
 _GATE_M = (1.0, 3.0)
@@ -128,10 +129,12 @@ class Odometry:
         self.surfaces = SurfaceMap(self.settings.voxel_m)
         self.twist, self.lost_in_a_row, self.deviation_m2 = np.zeros(6), 0, 0.25
         if len(sweeps) > 1:
-            best = max((self._tried(sweeps, twist) for twist in _first_motions(sweeps)), key=_score)
+            tried = [self._tried(sweeps, twist) for twist in _first_motions(sweeps)]
+            best = max(tried, key=_score)
             again = (self._tried(sweeps, twist) for twist in (best.first, best.last))  # once more, from nearer by
             best = max((best, *again), key=_score)
-            self.twist = np.zeros(6) if best.blind else best.first  # nothing tells: as if the car stood
+            tells = not best.blind or tried[0].matched < _AS_GOOD * best.matched
+            self.twist = best.first if tells else np.zeros(6)  # where nothing tells, as if the car stood
         self._put(sweeps[0])
         return Placing(self.pose, begins=True)
 
@@ -144,7 +147,7 @@ class Odometry:
         for number, sweep in enumerate(sweeps[1:]):
             found = trial.add(sweep)
             matched += found.matched
-            blind += abs(found.blind[3]) > 0.7
+            blind += int(abs(found.blind[3]) > 0.7)
             first = trial.twist if number == 0 else first
         return _Tried(matched, first, trial.twist, 2 * blind > len(sweeps) - 1)
 

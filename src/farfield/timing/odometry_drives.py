@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.files.atomic import write_bytes
+from farfield.files.atomic import read_bytes, write_bytes
 from farfield.timing.odometry import START_SWEEPS, Odometry, OdometrySettings, Placing, Sweep
 from farfield.timing.odometry_map import SurfaceMap
 
@@ -106,7 +106,7 @@ def _taken_up(path: Path | None, mark: str, settings: OdometrySettings) -> tuple
     if path is None or not path.is_file():
         return odometry, []
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as kept:
             if str(kept["mark"]) != mark:
                 return odometry, []
             columns = [kept[f"row_{name}"] for name in _FIELDS]

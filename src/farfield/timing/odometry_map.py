@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 _BITS = 21
 _MIDDLE = 1 << (_BITS - 1)
-_TABLE = 1 << 20
+_TABLE_BITS = 20
+_GOLDEN = np.uint64(0x9E37_79B9_7F4A_7C15)
 _NEIGHBOURS = 8
 _LEAST_NEIGHBOURS = 5
 _OBSERVATIONS = 8  # of which a mean is taken; what comes later no longer moves it
@@ -24,10 +25,10 @@ _LINE = 0.1  # shorter extent as a share of the longer one, below which they lie
 def thinned(points_m: Float[np.ndarray, "n 3"], voxel_m: float) -> Int64[np.ndarray, " k"]:
     """Rows of one point a voxel, the first; a few voxels that share a place in the table of hashes lose theirs."""
     cell = np.floor(points_m / voxel_m).astype(np.int64)
-    primes = (73_856_093, 19_349_669, 83_492_791)
-    place = (cell[:, 0] * primes[0] ^ cell[:, 1] * primes[1] ^ cell[:, 2] * primes[2]) & (_TABLE - 1)
+    key = (cell[:, 0] + (cell[:, 1] << _BITS) + (cell[:, 2] << 2 * _BITS)).view(np.uint64)
+    place = ((key * _GOLDEN) >> np.uint64(64 - _TABLE_BITS)).view(np.int64)  # Fibonacci hashing
     rows = np.arange(len(points_m), dtype=np.int32)
-    first = np.full(_TABLE, len(points_m), dtype=np.int32)
+    first = np.full(1 << _TABLE_BITS, len(points_m), dtype=np.int32)
     first[place[::-1]] = rows[::-1]
     return np.flatnonzero(first[place] == rows)
 
