@@ -41,7 +41,7 @@ def ends(found: Float[np.ndarray, "n 4 4"], true: Float[np.ndarray, "n 4 4"]) ->
 def timed(sweeps: DriveSweeps) -> tuple[float, float]:
     """Milliseconds of the processor that the sweeps in the middle of a drive take: fitting, reading."""
     began = time.process_time()
-    middle = sweeps[len(sweeps) // 2 : len(sweeps) // 2 + TIMED]
+    middle = [sweeps[len(sweeps) // 2 + number] for number in range(TIMED)]
     read = time.process_time()
     place(middle[:5])
     started = time.process_time()

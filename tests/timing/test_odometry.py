@@ -77,7 +77,7 @@ def test_after_a_pause_a_new_map_begins() -> None:
     assert place(late).begins.tolist() == [True, False, False, True, False, False]
 
 
-class _Interrupted(Sequence[Sweep]):
+class _Interrupted:
     """Breaks off when a sweep is read."""
 
     def __init__(self, sweeps: Sequence[Sweep], at: int) -> None:
@@ -86,8 +86,8 @@ class _Interrupted(Sequence[Sweep]):
     def __len__(self) -> int:
         return len(self.sweeps)
 
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if not isinstance(index, slice) and index == self.at:
+    def __getitem__(self, index: int, /) -> Sweep:
+        if index == self.at:
             raise KeyboardInterrupt
         return self.sweeps[index]
 

@@ -4,6 +4,7 @@ import io
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,6 +15,15 @@ from farfield.timing.odometry_map import SurfaceMap
 
 SAVED_EVERY = 50
 BLIND_NAMES = ("turn x", "turn y", "turn z", "x", "y", "z")
+
+
+@runtime_checkable
+class Readable(Protocol):
+    """Sweeps by number, read when they are asked for; a list will do."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Sweep: ...
 
 
 class Placed:
@@ -44,7 +54,7 @@ def blind_name(direction: Float[np.ndarray, " 6"]) -> str:
 
 
 def place(
-    sweeps: Sequence[Sweep],
+    sweeps: Readable,
     settings: OdometrySettings | None = None,
     *,
     saved: Path | None = None,
@@ -76,11 +86,12 @@ def place(
     return Placed(rows)
 
 
-def _following(sweeps: Sequence[Sweep], number: int, gap_s: float) -> list[Sweep]:
+def _following(sweeps: Readable, number: int, gap_s: float) -> list[Sweep]:
     """The next few sweeps, up to a pause."""
     found: list[Sweep] = []
     last = sweeps[number]
-    for sweep in sweeps[number + 1 : number + START_SWEEPS]:
+    for later in range(number + 1, min(number + START_SWEEPS, len(sweeps))):
+        sweep = sweeps[later]
         if abs(sweep.time_s - last.time_s) > gap_s:
             break
         found.append(sweep)

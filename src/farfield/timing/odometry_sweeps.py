@@ -1,8 +1,7 @@
 """The sweeps of a drive as odometry takes them: read one by one, with the time of each point where it is known."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, overload
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,7 +40,7 @@ class SweepSettings:
             raise ConfigError(f"step_s: expected seconds between sweeps, got {self.step_s:g}")
 
 
-class DriveSweeps(Sequence[Sweep]):
+class DriveSweeps:
     """The sweeps of one drive, in the order of time or backwards.
 
     Args:
@@ -61,13 +60,7 @@ class DriveSweeps(Sequence[Sweep]):
     def __len__(self) -> int:
         return len(self.order)
 
-    @overload
-    def __getitem__(self, index: int) -> Sweep: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Sweep]: ...
-    def __getitem__(self, index: int | slice) -> Sweep | Sequence[Sweep]:
-        if isinstance(index, slice):
-            return [self._sweep(row) for row in self.order[index]]
+    def __getitem__(self, index: int, /) -> Sweep:
         return self._sweep(self.order[index])
 
     def _sweep(self, row: int) -> Sweep:
