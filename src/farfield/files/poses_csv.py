@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
-from farfield.geometry.poses import rotation_from_quaternion
 
 COLUMNS = ("sequence", "frame", "reference", "time_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "state", "blind")
 STATES = ("placed", "lost", "begins")
@@ -80,6 +79,8 @@ def read_poses(path: Path | str) -> PoseTable:
         FileFormatError: If the file is no table of poses: other columns, a number that is none or not finite, a
             quaternion of zeros, sweeps of several drives, or a sweep that stands there twice.
     """
+    from scipy.spatial.transform import Rotation
+
     path = Path(path)
     try:
         lines = read_bytes(path, max_bytes=_MOST_BYTES).decode("utf-8").splitlines()
@@ -100,7 +101,7 @@ def read_poses(path: Path | str) -> PoseTable:
         raise FileFormatError(path, where="the file", expected="each frame once", found="one that stands there twice")
     numbers = np.array([row[4:11] for row in body], dtype=np.float64)
     poses = np.tile(np.eye(4), (len(body), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rotation_from_quaternion(numbers[:, 3:]), numbers[:, :3]
+    poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3]
     times = None if any(row[3] == "" for row in body) else tuple(int(row[3]) for row in body)
     states, blind = (tuple(row[place] for row in body) for place in (11, 12))
     return PoseTable(body[0][0], frames, body[0][2], times, poses, states, blind)
