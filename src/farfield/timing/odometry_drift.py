@@ -104,5 +104,5 @@ def drift_of(
     length, place, turn = differences(forward, backward, breaks=breaks)
     if not len(place):
         return None
-    mean = (float(np.sqrt((values**2).mean() / 2)) for values in (place, turn))
-    return Drift(length, *mean, len(place))
+    place_m, turn_deg = (float(np.sqrt((values**2).mean() / 2)) for values in (place, turn))
+    return Drift(length, place_m, turn_deg, len(place))

@@ -67,7 +67,7 @@ class SurfaceMap:
         keys, inverse = np.unique((cell[:, 0] << 2 * _BITS) | (cell[:, 1] << _BITS) | cell[:, 2], return_inverse=True)
         count = np.bincount(inverse, minlength=len(keys)).astype(np.float64)
         total = np.stack([np.bincount(inverse, points_m[:, axis], len(keys)) for axis in range(3)], axis=1)
-        at = np.searchsorted(self._keys, keys)
+        at: Int[np.ndarray, " k"] = np.asarray(np.searchsorted(self._keys, keys))
         known = at < len(self._keys)
         known[known] = self._keys[at[known]] == keys[known]
         grows = known.copy()
@@ -102,7 +102,7 @@ class SurfaceMap:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         distance, row = self.tree.query(points_m, distance_upper_bound=within_m)
         near = np.flatnonzero(np.isfinite(distance))
-        row = row[near]
+        row = np.asarray(row)[near]
         asked = np.unique(row[self._stale[row]])
         if len(asked):
             self._fit(asked)
