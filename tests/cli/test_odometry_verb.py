@@ -59,8 +59,10 @@ def test_poses_are_written_beside_the_data_and_taken_by_what_opens_them(
     assert (out / "track.png").read_bytes()[:4] == b"\x89PNG"
 
     posed = ff.open_dataset(data, poses=out)
-    np.testing.assert_allclose(posed[3].world_T_frame, table.world_T_frame[3])
-    (seen,) = posed.drives()
+    own, (seen,) = posed[3].world_T_frame, posed.drives()
+    assert own is not None
+    assert seen.world_T_frame is not None
+    np.testing.assert_allclose(own, table.world_T_frame[3])
     np.testing.assert_allclose(seen.world_T_frame, table.world_T_frame)
     assert ff.open_dataset(data)[3].world_T_frame is None
     assert make("posed", {"poses": str(out)}) == Posed(out)

@@ -103,7 +103,7 @@ def _draw(axes: "Axes", track: Track) -> None:
     if doubtful.any():
         axes.plot(*place[doubtful].T, color=PREDICTED, ls="", marker=".", markersize=5, label="not observed")
     drift = track.drift
-    known = "drift not known" if drift is None else f"drift {drift.place_percent:.2f} %"
+    known = "drift not known" if drift is None else f"expected drift {drift.place_percent:.2f} %"
     axes.set_title(f"{track.name}: {track.way_m:,.0f} m, {known}")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(visible=True)
