@@ -11,6 +11,7 @@ def run(
     *,
     out: Path,
     data: Path | None = None,
+    poses: Path | None = None,
     format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
@@ -39,6 +40,7 @@ def run(
         detections: File, or folder of files, of scored boxes; a folder's files are sequences.
         out: The file, for kitti-tracking the folder, to write.
         data: Data set that the detections were made on; frames are matched by sequence and frame.
+        poses: Poses beside the data, as `farfield odometry` writes them; those of the data unless given.
         format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
         preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
@@ -67,11 +69,15 @@ def run(
     kind = format if to == "same" else to
     if kind == "kitti-tracking" and out.is_file():
         raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
+    if poses is not None and data is None:
+        raise ConfigError("--poses: expected --data too, whose frames they place")
     if picture is not None:
         check_picture(picture)
     preset = "offline" if smooth and preset == "default" else preset
     seen = read_predictions(detections, format=format)
-    found = track(seen if data is None else with_drives(seen, open_dataset(data).drives()), preset, **given)
+    found = track(
+        seen if data is None else with_drives(seen, open_dataset(data, poses=poses).drives()), preset, **given
+    )
     if smooth:
         found = smoothed(found, step_s=0.1 if step_s is None else step_s)
     if least_track_score is not None:
