@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
-from farfield.bulk.folders import sweep_out
+from farfield.bulk.folders import locked, sweep_out
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
 from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
@@ -155,12 +155,20 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
         raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
     sources = list(dict.fromkeys(sources))
     missing = [each for each in sources if overwrite or not is_fresh(cache_path(each[0], each[1]), each[0])]
-    for folder in {root / CACHE_FOLDER for _, root, _ in missing}:
+    folders = {root / CACHE_FOLDER for _, root, _ in missing}
+    _sweep(folders)
+    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
+    try:
+        done = run(_Cache(delimiter), units, bulk)
+    finally:
+        _sweep(folders)  # a worker that was killed left what it was at
+    return Outcome(written=done.written, skipped=len(sources) - done.written)
+
+
+def _sweep(folders: Iterable[Path]) -> None:
+    for folder in folders:
         if folder.is_dir():
             sweep_out(folder)
-    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
-    done = run(_Cache(delimiter), units, bulk)
-    return Outcome(written=done.written, skipped=len(sources) - done.written)
 
 
 @dataclass(frozen=True)
@@ -172,7 +180,11 @@ class _Cache:
     def __call__(self, unit: Unit) -> Done:
         root, count = unit.parameters
         columns = None if count in (5, 8) else count
-        return Done(files=(write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter),))
+        folder = root / CACHE_FOLDER
+        folder.mkdir(exist_ok=True)
+        with locked(folder, shared=True):  # or another command would sweep out what is being written
+            path = write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter)
+        return Done(files=(path,))
 
 
 def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
