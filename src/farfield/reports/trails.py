@@ -117,7 +117,11 @@ def check_picture(path: Path) -> None:
 
 
 def picture_kind(path: Path) -> Kind:
-    """The kind of picture that a file's name asks for; refuses as :func:`check_picture` does."""
+    """The kind of a picture, by the suffix of its file.
+
+    Raises:
+        ConfigError: If the suffix is not .svg, .png or .jpg.
+    """
     if path.suffix.lower() not in _KINDS:
         raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
     return _KINDS[path.suffix.lower()]
