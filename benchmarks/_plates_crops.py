@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from _plates_rendering import (
-    _FONTS,
+    FONTS,
     cover,
     degraded,
     draw_plate,
@@ -108,7 +108,7 @@ def draw_board(rng: np.random.Generator) -> tuple[np.ndarray, float, float]:
                 image,
                 words.lower() if rng.random() < 0.6 else words,
                 (left, top, width * rng.uniform(0.6, 0.98), top + height * 0.6 / lines),
-                str(rng.choice(_FONTS)),
+                str(rng.choice(FONTS)),
                 ink,
             )
     elif kind == 2:  # a round sign
@@ -117,7 +117,7 @@ def draw_board(rng: np.random.Generator) -> tuple[np.ndarray, float, float]:
             image,
             random_string(rng, 2),
             (width * 0.3, height * 0.3, width * 0.7, height * 0.7),
-            _FONTS[0],
+            FONTS[0],
             (10, 10, 10),
         )
     elif kind == 3:  # windows, a grille

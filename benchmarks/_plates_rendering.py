@@ -10,7 +10,7 @@ from _plates_scenes import Place, Scene, upright
 from PIL import Image, ImageDraw, ImageFont
 
 LETTERS, DIGITS = "ABCDEFGHJKLMNPRSTUVWXYZ", "0123456789"
-_FONTS = ("DejaVuSans-Bold", "DejaVuSansMono-Bold", "DejaVuSans", "DejaVuSansMono", "STIXGeneralBol")
+FONTS = ("DejaVuSans-Bold", "DejaVuSansMono-Bold", "DejaVuSans", "DejaVuSansMono", "STIXGeneralBol")
 _WHITE, _BLACK, _YELLOW, _BLUE = (236, 236, 230), (20, 20, 24), (242, 190, 20), (20, 50, 150)
 _HEIGHT_PX = 72  # of a drawn plate
 
@@ -88,11 +88,11 @@ def draw_plate(rng: np.random.Generator, form: Format | None = None) -> tuple[np
             image,
             str(rng.choice(list(LETTERS))),
             (left * 0.25, height * 0.62, left * 0.75, height * 0.85),
-            _FONTS[0],
+            FONTS[0],
             _WHITE,
         )
         left *= 1.15
-    font = str(rng.choice(_FONTS, p=[0.4, 0.25, 0.15, 0.1, 0.1]))
+    font = str(rng.choice(FONTS, p=[0.4, 0.25, 0.15, 0.1, 0.1]))
     for line in range(form.lines):
         length = int(rng.integers(5, 9)) if form.lines == 1 else int(rng.integers(2, 6))
         high = height / form.lines
@@ -124,7 +124,7 @@ def _decorate(image: Image.Image, rng: np.random.Generator, ink: tuple) -> None:
         image.paste(Image.fromarray(ramp.astype(np.uint8)))
     for top in (0.05, 0.83) if rng.random() < 0.6 else (0.83,):
         words = random_string(rng, int(rng.integers(6, 12)))
-        text_on(image, words, (width * 0.25, height * top, width * 0.75, height * (top + 0.12)), _FONTS[2], ink)
+        text_on(image, words, (width * 0.25, height * top, width * 0.75, height * (top + 0.12)), FONTS[2], ink)
 
 
 def _worn(plate: np.ndarray, rng: np.random.Generator) -> np.ndarray:

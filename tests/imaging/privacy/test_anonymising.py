@@ -152,7 +152,7 @@ def test_the_command_writes_pictures_log_and_page(tmp_path: Path, capsys: pytest
     walk(tmp_path / "in")
     assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1"]) == 0
     said = capsys.readouterr().out
-    assert "8 pictures and frames, 8 faces covered, 1 of them doubtful" in said
+    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in said
     assert "Names are no stamps" in said
     page = (tmp_path / "out" / "anonymized.html").read_text()
     assert "03.png: face" in page
