@@ -217,14 +217,18 @@ def _toned(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def with_plates(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A picture with a plate at every place, its plates' upright boxes, and the boxes that do not count."""
     image, boxes = scene.image.copy(), []
+    ignored = [upright(place.quad(0.6, 0.25)) for place in scene.hidden]
+    size = np.array(scene.image.shape[1::-1])
     for place in scene.places:
         plate, form = draw_plate(rng)
-        cover(image, place, rng)
         quad = place.quad(form.width_m, form.height_m)
+        box = upright(quad)
+        if (box[2:] < 0).any() or (box[:2] > size).any():
+            continue
+        cover(image, place, rng)
         paste(image, plate, quad, light_of(scene.light, scene.image, rng), rng)
-        boxes.append(upright(quad))
-    hidden = [upright(place.quad(0.6, 0.25)) for place in scene.hidden]
-    return degraded(image, rng), np.array(boxes).reshape(-1, 4), np.array(hidden).reshape(-1, 4)
+        (boxes if (box[:2] >= 0).all() and (box[2:] <= size).all() else ignored).append(box)
+    return degraded(image, rng), np.array(boxes).reshape(-1, 4), np.array(ignored).reshape(-1, 4)
 
 
 def cover(image: np.ndarray, place: Place, rng: np.random.Generator) -> None:

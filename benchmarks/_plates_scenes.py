@@ -1,7 +1,7 @@
 """Simulated camera images and the places on their vehicles where number plates belong."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -109,6 +109,27 @@ def _place(boxes: Boxes, row: int, end: int, camera: Camera) -> Place | None:
 def upright(quad: np.ndarray) -> np.ndarray:
     """Left, top, right, bottom around corners given in pixels' centres; right and bottom are not inside."""
     return np.concatenate([quad.min(axis=0), quad.max(axis=0)]) + 0.5
+
+
+def zoomed(scene: Scene, rng: np.random.Generator, size_px: tuple[int, int] = (960, 540)) -> Scene:
+    """The scene as a longer lens sees it, with a plate 16 to 80 pixels high somewhere in the picture."""
+    if not scene.places or scene.camera is None:
+        return scene
+    box = upright(scene.places[int(rng.integers(len(scene.places)))].quad(0.45, 0.13))
+    scale = float(np.exp(rng.uniform(np.log(16), np.log(80)))) / (box[3] - box[1])
+    height, width = scene.image.shape[:2]
+    scale = float(np.clip(scale, max(size_px[0] / width, size_px[1] / height), 8.0))
+    side = np.array(size_px) / scale
+    low = (box[:2] + box[2:]) / 2 - side * rng.uniform(0.25, 0.75, 2)
+    low = np.floor(low.clip(0, np.array([width, height]) - side)).astype(int)
+    high = np.minimum(low + np.round(side).astype(int), [width, height])
+    scale_x, scale_y = np.array(size_px) / (high - low)
+    image = cv2.resize(scene.image[low[1] : high[1], low[0] : high[0]], size_px, interpolation=cv2.INTER_LINEAR)
+    moved = np.array([[scale_x, 0, -scale_x * (low[0] - 0.5) - 0.5], [0, scale_y, -scale_y * (low[1] - 0.5) - 0.5]])
+    moved = np.vstack([moved, [0, 0, 1]])
+    places, hidden = (tuple(Place(moved @ each.pixel_H_metres) for each in old) for old in (scene.places, scene.hidden))
+    camera = replace(scene.camera, matrix=moved @ scene.camera.matrix, width_px=size_px[0], height_px=size_px[1])
+    return Scene(image, places, hidden, scene.light, scene.boxes, camera)
 
 
 def scenes_of(

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from _plates_crops import Sampler
 from _plates_rendering import with_plates
-from _plates_scenes import Scene, scenes_of
+from _plates_scenes import Scene, scenes_of, zoomed
 from _plates_training import train
 from _report import SHARED_REAL, header, progress
 from PIL import Image
@@ -105,11 +105,12 @@ HEADS += f" {'false':>9}"
 def pictures_of(
     scenes: Iterable[Scene], pictures: int, seed: int
 ) -> Iterator[tuple[Scene, np.ndarray, np.ndarray, np.ndarray]]:
-    """Pictures with plates, theirs boxes, and those that do not count; scenes are drawn anew until there are enough."""
+    """Pictures with plates, their boxes, and those that do not count: all scenes, then through a longer lens, again."""
     kept = list(scenes)
     for number in range(pictures):
-        scene = kept[number % len(kept)]
-        yield scene, *with_plates(scene, np.random.default_rng([seed, number]))
+        rng, scene = np.random.default_rng([seed, number]), kept[number % len(kept)]
+        scene = zoomed(scene, rng) if (number // len(kept)) % 2 else scene
+        yield scene, *with_plates(scene, rng)
 
 
 def plate_free(real: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
