@@ -14,7 +14,7 @@ from farfield.imaging.privacy import Anonymising, plates
 from farfield.imaging.privacy.covering import covered, mask_of
 from farfield.imaging.privacy.hits import Hits, covered_share
 from farfield.imaging.privacy.plate_network import MAX_BYTES, PlateNetwork, load_network, save_network
-from farfield.imaging.privacy.plates import PlateDetector, decoded
+from farfield.imaging.privacy.plates import PlateDetector, decoded, gathered
 
 
 def maps_with(rows: int, columns: int, *cells: tuple[int, int, float]) -> np.ndarray:
@@ -66,11 +66,20 @@ def test_a_hit_in_a_smaller_picture_is_drawn_large(monkeypatch, widths, side) ->
 
 
 def test_a_plate_seen_at_two_sizes_is_one(monkeypatch) -> None:
-    def_maps = Firing(256, 128)
-    monkeypatch.setattr(plates, "_network", lambda _: (def_maps, "digest"))
-    assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 2  # 16 and 32 pixels: hardly overlap
-    monkeypatch.setattr(plates, "_IOU", 0.2)
-    assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 1
+    """A box of 16 x 8 and one of 32 x 16 pixels about it: the second is four times as large and stays alone."""
+    monkeypatch.setattr(plates, "_network", lambda _: (Firing(256, 128), "digest"))
+    assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 2
+    monkeypatch.setattr(plates, "_LARGER", 4.0)
+    (hit,) = PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8)).box_px
+    assert np.ptp(hit[[0, 2]]) == pytest.approx(32 * plates.GROWTH, abs=1)
+
+
+def test_parts_of_a_plate_become_one_box_and_others_stay_apart() -> None:
+    boxes = np.array([[0.0, 0, 40, 10], [25, 0, 60, 10], [36, 0, 76, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
+    hits = gathered(Hits.of("plate", boxes, np.array([0.9, 0.2, 0.15, 0.3, 0.12])))
+    np.testing.assert_allclose(hits.box_px, [[0, 0, 60, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
+    np.testing.assert_allclose(hits.score, [0.9, 0.3, 0.12])
+    assert len(gathered(Hits())) == 0
 
 
 def test_weights_come_back_in_half_precision(tmp_path: Path) -> None:
