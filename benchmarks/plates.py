@@ -39,8 +39,30 @@ TRAINED = {"seed": 9100, "sizes": ("us",), "lights": ("day", "night", "rain", "d
 CALIBRATED = {"seed": 8200, "sizes": ("kitti",)}
 MEASURED = {"seed": 7700, "sizes": ("korea",)}
 SIZES_PX = (8, 12, 20, 40)
-WEAK, HIT, MOST_FALSE = 0.1, 0.9, 0.01
-SCORES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
+WEAK, HIT, MOST_FALSE = 0.1, 0.9, 0.02
+SCORES = (
+    0.1,
+    0.15,
+    0.18,
+    0.2,
+    0.22,
+    0.24,
+    0.26,
+    0.28,
+    0.3,
+    0.35,
+    0.4,
+    0.45,
+    0.5,
+    0.55,
+    0.6,
+    0.65,
+    0.7,
+    0.75,
+    0.8,
+    0.85,
+    0.9,
+)
 VEHICLES = (
     "Car",
     "Van",
