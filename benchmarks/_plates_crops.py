@@ -166,9 +166,17 @@ def vehicle_end(image: np.ndarray, place: Place, rng: np.random.Generator) -> No
 
 
 class Sampler:
-    """Draws crops; the same number gives the same crop."""
+    """Draws crops; the same number gives the same crop.
 
-    def __init__(self, scenes: Sequence[Scene], seed: int) -> None:
+    Args:
+        scenes: Where plates belong.
+        seed: Of all crops.
+        soft: Plates no crisper than what is around them, sharpened pictures, and more plates away from vehicles: a
+            recipe against what drawn crops have and photographs have not. The shipped weights were trained without.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], seed: int, *, soft: bool = False) -> None:
+        self.soft = soft
         self.scenes, self.seed, self.pictures = scenes, seed, free_pictures()
         self.spots = [(scene, place) for scene in scenes for place in scene.places]
         self.mined: list[Crop] = []
@@ -181,10 +189,14 @@ class Sampler:
             kept = self.mined[int(rng.integers(len(self.mined)))]
             return self._finished(Crop(kept.image.copy(), kept.boxes, kept.ignored), rng)
         draw = rng.random()
-        crop = self._on_vehicle(rng) if draw < 0.42 else self._free(rng) if draw < 0.64 else self._without(rng)
+        free = 0.74 if self.soft else 0.64
+        crop = self._on_vehicle(rng) if draw < 0.42 else self._free(rng) if draw < free else self._without(rng)
         return self._finished(crop, rng)
 
     def _finished(self, crop: Crop, rng: np.random.Generator) -> Crop:
+        if self.soft and rng.random() < 0.3:
+            low = cv2.GaussianBlur(crop.image, (0, 0), float(rng.uniform(0.7, 2.0)))
+            crop.image = cv2.addWeighted(crop.image, 1.7, low, -0.7, 0)
         crop.image = degraded(crop.image, rng, strong=True)
         if rng.random() < 0.5:
             crop.image = np.ascontiguousarray(crop.image[:, ::-1])
@@ -225,6 +237,8 @@ class Sampler:
             right_size = LEAST_PX * 0.8 <= box[3] - box[1] <= MOST_PX * 1.2 and box[2] - box[0] < WIDEST_PX * 1.2
             centre_in = ((box[:2] + box[2:]) / 2 >= 0).all() and ((box[:2] + box[2:]) / 2 < SIDE).all()
             (boxes if right_size and centre_in else ignored).append(box)
+        if self.soft and scale > 1.3 and rng.random() < 0.7:
+            image = cv2.GaussianBlur(image, (0, 0), 0.35 * scale)
         ignored += [upright(place.moved(scale, low + 0.5 - 0.5 / scale).quad(0.6, 0.25)) for place in scene.hidden]
         return Crop(image, np.array(boxes).reshape(-1, 4), np.array(ignored).reshape(-1, 4))
 
@@ -240,7 +254,7 @@ class Sampler:
             return Crop(cv2.resize(low, (SIDE, SIDE), interpolation=int(rng.choice([0, 1, 2]))))
         scene = self.scenes[int(rng.integers(len(self.scenes)))]
         height, width = scene.image.shape[:2]
-        scale = float(np.exp(rng.uniform(np.log(0.25), np.log(2.0))))
+        scale = float(np.exp(rng.uniform(np.log(0.25), np.log(1.0 if self.soft else 2.0))))
         return self._around(scene, rng.uniform(0, 1, 2) * [width, height], scale, rng, None)
 
     def _free(self, rng: np.random.Generator) -> Crop:

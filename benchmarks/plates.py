@@ -253,6 +253,7 @@ def main() -> None:
     parser.add_argument("--state", type=Path, help="a training's state, written every 100 steps")
     parser.add_argument("--cache", type=Path, help="keep simulated scenes here")
     parser.add_argument("--real", type=Path, default=SHARED_REAL)
+    parser.add_argument("--soft", action="store_true", help="train with the recipe against what only drawn crops have")
     parser.add_argument("--without-real", action="store_true")
     parser.add_argument("--output", type=Path)
     arguments = parser.parse_args()
@@ -260,7 +261,9 @@ def main() -> None:
     settings = {"train": TRAINED, "calibrate": CALIBRATED, "measure": MEASURED}[arguments.what]
     scenes = list(scenes_of(range(arguments.scenes), folder=arguments.cache, **settings))
     if arguments.what == "train":
-        save_network(arguments.weights, train(Sampler(scenes, 1), arguments.steps, arguments.state))
+        save_network(
+            arguments.weights, train(Sampler(scenes, 1, soft=arguments.soft), arguments.steps, arguments.state)
+        )
         return
     lines = [header(), ""]
     if arguments.what == "calibrate":

@@ -69,7 +69,8 @@ def test_a_plate_seen_at_two_sizes_is_one(monkeypatch) -> None:
     """A box of 16 x 8 and one of 32 x 16 pixels about it: the second is four times as large and stays alone."""
     monkeypatch.setattr(plates, "_network", lambda _: (Firing(256, 128), "digest"))
     assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 2
-    monkeypatch.setattr(plates, "_LARGER", 4.0)
+    monkeypatch.setattr(plates, "_LARGER", 4.1)
+    monkeypatch.setattr(plates, "_INSIDE", 0.2)  # a quarter of the larger one lies in the smaller one
     (hit,) = PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8)).box_px
     assert np.ptp(hit[[0, 2]]) == pytest.approx(32 * plates.GROWTH, abs=1)
 
