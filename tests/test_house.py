@@ -38,7 +38,7 @@ TORCH_ROOMS = {"detectors", "training", "adaptation", "testing"}
 TORCH_FILES = {
     "imaging/privacy/plates.py",
     "imaging/privacy/plate_network.py",
-}  # the plate detector, only when asked for
+}  # loaded when asked for
 NESTED: dict[str, str] = {}
 """Functions in functions that may stay, and why."""
 
