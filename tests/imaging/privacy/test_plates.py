@@ -157,7 +157,7 @@ def test_the_shipped_network_finds_a_plate_at_several_sizes_and_none_on_grey() -
     assert not len(PlateDetector()(np.full((200, 300, 3), 120, dtype=np.uint8)))
 
 
-CANDIDATES, TRIALS = 200, 200
+CANDIDATES, TRIALS = 200, 600
 
 
 def reading(seen: np.ndarray, templates: np.ndarray) -> int:
@@ -165,7 +165,8 @@ def reading(seen: np.ndarray, templates: np.ndarray) -> int:
     return int(np.argmin(((templates - seen) ** 2).reshape(len(templates), -1).mean(axis=1)))
 
 
-def test_a_pixelated_plate_cannot_be_read_by_trying_strings(rng) -> None:
+@pytest.mark.parametrize("how", ["pixelate", "blur", "fill"])
+def test_a_covered_plate_cannot_be_read_by_trying_strings(rng, how) -> None:
     """The attacker knows font, place, light and way of covering, and tries all of 200 strings (chance 0.5 %)."""
     words = ["".join(rng.choice(list("ABCDEFGHKLMNPRSTUVWXYZ0123456789"), 7)) for _ in range(CANDIDATES)]
     plates_drawn = []
@@ -174,15 +175,14 @@ def test_a_pixelated_plate_cannot_be_read_by_trying_strings(rng) -> None:
         ImageDraw.Draw(drawn).text((70, 17), word, fill=(16, 16, 20), font=font(24), anchor="mm")
         plates_drawn.append(np.array(drawn))
     hits = Hits.of("plate", np.array([[0.0, 0.0, 140.0, 34.0]]), np.ones(1))
-    clear = np.stack(plates_drawn).astype(float)
-    for how, sigma in (("pixelate", 25.0), ("blur", 25.0), ("fill", 25.0)):
-        model = np.stack([covered(each, hits, how, np.random.default_rng(0)) for each in plates_drawn]).astype(float)
-        before = after = 0
-        for _ in range(TRIALS):
-            truth = int(rng.integers(CANDIDATES))
-            seen = (clear[truth] + rng.normal(0, sigma, clear[truth].shape)).clip(0, 255).astype(np.uint8)
-            before += reading(seen.astype(float), clear) == truth
-            hidden = covered(seen, hits, how, np.random.default_rng()).astype(float)
-            after += reading(hidden, model) == truth
-        assert before / TRIALS >= 0.8
-        assert after / TRIALS <= 1 / CANDIDATES + 0.02, how
+    clear, rough = np.stack(plates_drawn).astype(float), (slice(None), slice(None, None, 8), slice(None, None, 7))
+    before = after = 0
+    model = np.stack([covered(each, hits, how, np.random.default_rng(0)) for each in plates_drawn]).astype(float)
+    for trial in range(TRIALS):
+        truth = int(rng.integers(CANDIDATES))
+        seen = (clear[truth] + rng.normal(0, 25.0, clear[truth].shape)).clip(0, 255).astype(np.uint8)
+        hidden = covered(seen, hits, how, np.random.default_rng([trial, 1])).astype(float)
+        before += reading(seen[None][rough][0].astype(float), clear[rough]) == truth
+        after += reading(hidden[None][rough][0], model[rough]) == truth
+    assert before / TRIALS >= 0.8
+    assert after / TRIALS <= 1 / CANDIDATES + 0.02
