@@ -56,10 +56,10 @@ def test_a_face_that_is_hidden_in_one_picture_stays_covered(tmp_path: Path) -> N
     """In picture HIDDEN the detector sees nothing; alone it would stay uncovered."""
     boxes = walk(tmp_path / "in")
     before = digests(tmp_path / "in")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out")
+    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False))
     assert min(shares(done, boxes)) >= EVERY_BOX
     assert {row["how"] for row in done[HIDDEN].rows} == {"bridged"}
-    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(together=False))
+    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(plates=False, together=False))
     assert shares(alone, boxes)[HIDDEN] == 0
     assert digests(tmp_path / "in") == before  # originals are as they were
 
@@ -92,7 +92,7 @@ def test_nothing_of_the_original_is_left_beside_the_picture(tmp_path: Path) -> N
     stored.save(
         tmp_path / "in" / "b.jpg", format="MPO", save_all=True, append_images=[thumbnail], exif=exif, quality=95
     )
-    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(together=False))
+    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False, together=False))
     for name in ("a.jpg", "b.jpg"):
         data = (tmp_path / "out" / name).read_bytes()
         with Image.open(tmp_path / "out" / name) as covered:
@@ -120,7 +120,7 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     assert not len(FaceDetector(least_score=0.3)(pale))
     written(tmp_path / "in" / "image_03" / "0.png", pale)
     sources = sources_of(tmp_path / "in")
-    strict = Anonymising(together=False)
+    strict = Anonymising(plates=False, together=False)
     done = anonymise(sources, tmp_path / "out", strict, pairs=pairs_of(sources.folders))
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
@@ -150,9 +150,9 @@ def test_a_data_sets_images_are_covered_as_they_are_read() -> None:
 
 def test_the_command_writes_pictures_log_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk(tmp_path / "in")
-    assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1", "--no-plates"]) == 0
     said = capsys.readouterr().out
-    assert "8 pictures and frames, 8 faces covered, 1 of them doubtful" in said
+    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in said
     assert "Names are no stamps" in said
     page = (tmp_path / "out" / "anonymized.html").read_text()
     assert "03.png: face" in page

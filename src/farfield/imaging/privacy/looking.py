@@ -13,6 +13,7 @@ from farfield.imaging.privacy.covering import How
 from farfield.imaging.privacy.faces import FaceDetector
 from farfield.imaging.privacy.hits import Hits
 from farfield.imaging.privacy.linking import HOWS, Cover, Linking, linked
+from farfield.imaging.privacy.plates import PlateDetector, available
 
 _DOUBTFUL = 0.3
 _PARTS, _CUT, _APART_S = 4, 28.0, 1e4
@@ -36,6 +37,7 @@ class Anonymising:
     Args:
         how: See :func:`~farfield.imaging.privacy.covering.covered`.
         small_faces: Look at the picture at twice its size too.
+        plates: Cover number plates too, where torch is installed (:func:`without_plates` says why not).
         least_score: Weaker boxes are not even kept in mind.
         linking: How boxes become tracks.
         together: Whether the pictures of a folder follow one another; else each stands alone.
@@ -43,6 +45,7 @@ class Anonymising:
 
     how: How = "fill"
     small_faces: bool = False
+    plates: bool = True
     least_score: float = 0.1
     linking: Linking = field(default_factory=Linking)
     together: bool = True
@@ -55,7 +58,14 @@ class Anonymising:
             FarfieldError: If a model is missing.
         """
         sizes = (1.0, 2.0) if self.small_faces else (1.0,)
-        return [FaceDetector(least_score=self.least_score, sizes=sizes)]
+        faces = FaceDetector(least_score=self.least_score, sizes=sizes)
+        if not self.plates or self.without_plates():
+            return [faces]
+        return [faces, PlateDetector(least_score=self.least_score)]
+
+    def without_plates(self) -> str:
+        """Why plates stay as they are, in words; empty where they are covered or were not asked for."""
+        return available() if self.plates else ""
 
     def setting(self) -> str:
         """All that decides the result besides the pictures."""
