@@ -15,6 +15,7 @@ def run(
     how: Literal["fill", "pixelate", "blur"] = "fill",
     series: Literal["time", "single"] = "time",
     stereo: tuple[str, ...] = (),
+    side_by_side: tuple[str, ...] = (),
     small_faces: bool = False,
     plates: bool = True,
     workers: int = 0,
@@ -39,6 +40,7 @@ def run(
         how: Fill with the colour around, or keep a few cells, with or without edges; none can be undone.
         series: Whether the pictures of a folder follow one another, so that a face that is missed once stays covered.
         stereo: Folders of two eyes, LEFT:RIGHT; the names that KITTI, RADIATE and Argoverse give them are known.
+        side_by_side: Folders whose pictures hold both eyes beside each other; K-Radar's are known.
         small_faces: Look at twice the size too: finds faces below 15 pixels, in five times the time.
         plates: Cover number plates too (extra detect).
         workers: Processes; 0 takes as many as there are cores, pictures and memory for.
@@ -46,7 +48,7 @@ def run(
     """
     from farfield.errors import ConfigError
     from farfield.imaging.privacy import Anonymising, anonymise
-    from farfield.imaging.privacy.sources import PAIRS, pairs_of, sources_of
+    from farfield.imaging.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
     from farfield.reports.privacy_page import write_privacy_page
 
     named = [tuple(pair.split(":")) for pair in stereo]
@@ -62,6 +64,7 @@ def run(
         out,
         chosen,
         pairs=pairs_of(sources.folders, eyes),
+        both=side_by_side_of(sources.folders, (*side_by_side, *SIDE_BY_SIDE)),
         find=hands(workers, engine, "finding"),
         cover=hands(workers, engine, "covering"),
     )

@@ -24,7 +24,7 @@ from farfield.imaging.privacy import Anonymising, Private, anonymise
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
 from farfield.imaging.privacy.hits import Hits, covered_share
-from farfield.imaging.privacy.sources import pairs_of, sources_of
+from farfield.imaging.privacy.sources import pairs_of, side_by_side_of, sources_of
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -125,6 +125,23 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
     assert [row["how"] for each in done for row in each.rows] == ["found", "partner"]
+
+
+def test_what_one_half_of_a_picture_of_both_eyes_shows_is_covered_in_the_other(tmp_path: Path) -> None:
+    """K-Radar's cameras write both eyes into one picture; a pale half goes unseen, on either side."""
+    image, box = portrait(60, width=240, height=120)
+    pale = (np.roll(image, -9, axis=1) * 0.015 + 120).astype(np.uint8)
+    shift = np.array([image.shape[1], 0] * 2)
+    written(tmp_path / "in" / "cam-front" / "0.png", np.concatenate([image, pale], axis=1))
+    written(tmp_path / "in" / "cam-rear" / "0.png", np.concatenate([pale, image], axis=1))
+    written(tmp_path / "in" / "other" / "0.png", np.concatenate([image, pale], axis=1))
+    sources = sources_of(tmp_path / "in")
+    chosen = Anonymising(plates=False, together=False, least_score=0.3)
+    done = anonymise(sources, tmp_path / "out", chosen, both=side_by_side_of(sources.folders))
+    faint = box - [9, 0, 9, 0]
+    assert shares(done, [box, box + shift, box]) == [1.0, 1.0, 1.0]
+    assert shares(done, [faint + shift, faint, faint + shift]) == [1.0, 1.0, 0.0]
+    assert [[row["how"] for row in each.rows] for each in done] == [["found", "partner"]] * 2 + [["found"]]
 
 
 def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: Path) -> None:
