@@ -1,5 +1,8 @@
 """The tracker: its filter and overlaps against plain forms, births and deaths, presets, order of detections."""
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -12,7 +15,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
-from farfield.tracking import PRESETS, TrackerSettings, track
+from farfield.tracking import PRESETS, TrackerSettings, track, with_options
 from farfield.tracking.association import associate
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
@@ -270,6 +273,41 @@ def test_births_and_deaths_are_others_far_away() -> None:
     far = {"far_m": 100.0, "far_min_hits": 4, "far_max_age": 5, "max_age": 2, "warm_up": 0, "sure_score": None}
     for x, wanted in ((50.0, [[], [], [0], [], [], []]), (150.0, [[], [], [], [], [], [0]])):
         assert shown_in(track(line([x, x, x, None, None, x]), **far)) == wanted
+
+
+def test_tracks_live_for_seconds_where_frames_are_not_evenly_apart() -> None:
+    """Two frames without a match: 0.2 s at 10 Hz, 2 s at 1 Hz."""
+    seen = line([5.0, 5.0, None, None, 5.0])
+    settings = {"warm_up": 0, "min_hits": 1, "sure_score": None, "max_age": 1, "gate_speed_m_s": 0.0}
+    for step_s, longest_s, same in ((0.1, 0.3, True), (1.0, 0.3, False), (1.0, 2.5, True), (0.1, 0.2, False)):
+        shown = shown_in(track(seen, step_s=step_s, max_age_s=longest_s, **settings))
+        assert shown == [[0], [0], [], [], [0 if same else 1]], (step_s, longest_s)
+    assert shown_in(track(seen, **settings))[-1] == [1]
+
+
+def test_options_are_words() -> None:
+    settings = with_options(TrackerSettings(), ["max_age_s=1.5", "gates_m={car: 3}", "similarity=giou", "gate=-0.2"])
+    assert (settings.max_age_s, settings.gates_m, settings.similarity, settings.gate) == (
+        1.5,
+        {"car": 3.0},
+        "giou",
+        -0.2,
+    )
+    for word, message in (
+        ("max_age", "of the form name=value"),
+        ("age=3", "expected options among .*max_age_s.*; got age"),
+        ("max_age=many", "max_age: .* got 'many'"),
+        ("similarity=near", "similarity: "),
+        ("min_hits=0", "min_hits: expected 1 or more"),
+        ("gates_m=[", "gates_m: expected a value as YAML writes it"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            with_options(TrackerSettings(), [word])
+
+
+def test_the_docs_name_every_option() -> None:
+    words = (Path(__file__).parents[2] / "docs" / "tracking.md").read_text()
+    assert [each.name for each in fields(TrackerSettings) if f"`{each.name}`" not in words] == []
 
 
 def test_impossible_options_are_refused() -> None:

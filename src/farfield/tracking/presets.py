@@ -1,6 +1,11 @@
 """Trackers as published, by name."""
 
+from collections.abc import Iterable
+from dataclasses import fields
 from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
 
 from farfield.errors import ConfigError
 from farfield.tracking.settings import TrackerSettings
@@ -81,3 +86,33 @@ def preset(name: str) -> TrackerSettings:
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
     return PRESETS[name]
+
+
+def with_options(settings: TrackerSettings, options: Iterable[str]) -> TrackerSettings:
+    """Settings changed by words of the form ``name=value``, values as YAML reads them.
+
+    >>> with_options(preset("default"), ["max_age=5", "gates_m={car: 3}", "gate_sigmas=null"]).gates_m
+    {'car': 3.0}
+
+    Raises:
+        ConfigError: If a word has another form, names no option, or holds an impossible value.
+    """
+    given: dict[str, Any] = {}
+    for word in options:
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"tracker: expected an option of the form name=value, got {word!r}")
+        try:
+            given[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"tracker: {name}: expected a value as YAML writes it, got {value!r}") from error
+    known = {each.name: getattr(settings, each.name) for each in fields(settings)}
+    unknown = sorted(given.keys() - known.keys())
+    if unknown:
+        raise ConfigError(f"tracker: expected options among {', '.join(sorted(known))}; got {', '.join(unknown)}")
+    try:
+        return TypeAdapter(TrackerSettings).validate_python(known | given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"tracker: {where}: {first['msg']}, got {first['input']!r}") from error
