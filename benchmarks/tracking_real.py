@@ -19,6 +19,7 @@ from _annotated_drives import (
     Noise,
     argoverse2,
     boreas,
+    class_identities,
     detected,
     identities,
     kradar,
@@ -29,7 +30,7 @@ from _annotated_drives import (
 from _report import SHARED_REAL, header
 
 from farfield.metrics.detections import Detections
-from farfield.tracking import track
+from farfield.tracking import Joining, joined, track
 
 BINS_M = (0.0, 50.0, 100.0, 150.0, 250.0)
 LIDAR = Noise(range_sigma_m=0.1, azimuth_sigma_deg=0.1)
@@ -40,6 +41,8 @@ ACROSS_M_S = 3.0
 COUNTS = (1, 2, 3, 5, 10)
 NO_POSES: dict[str, Any] = {"gate_speed_m_s": 50.0, "gate_sigmas": None, "initial_speed_variance": 600.0}
 """For drives without poses, in whose coordinates others come at up to 60 m/s."""
+JOINING = Joining(size=0.03)
+"""Annotators keep an object's size."""
 _RADAR_OPTIONS = {"range_sigma_m": 0.3, "azimuth_sigma_rad": float(np.deg2rad(0.5)), "min_hits": 2, "unsure_hits": 3}
 
 
@@ -93,12 +96,19 @@ def real(name: str, of: Callable[[Path], Detections], noise: Noise, options: dic
     if options:
         said = "as annotated, default, min_hits=1, " + ", ".join(f"{key}={value}" for key, value in options.items())
         tracks = track(found, min_hits=1, **options)
+        title = said
         show(said, truth, tracks)
         again = split_identities(truth)
         if identities(again) > identities(truth):
             said += f"; {identities(truth)} annotated identities, {identities(again)} as those begin anew that are away"
             again_tracks = replace(tracks, annotations=again.annotations)
             show(f"{said} for 1 s or jump by more than 70 m/s", again, again_tracks)
+        by_class = class_identities(truth)
+        if identities(by_class) > identities(truth):
+            words = f"{title}; {identities(by_class)} identities: an annotated number and a class"
+            show(words, by_class, replace(tracks, annotations=by_class.annotations))
+            whole = replace(joined(tracks, JOINING), annotations=by_class.annotations)
+            show(f"{words}; offline, joined: {JOINING}", by_class, whole)
     show(f"degraded ({described(noise)}), default", truth, track(detected(truth, noise)))
 
 
