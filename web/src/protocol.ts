@@ -346,6 +346,13 @@ export interface Polar {
   elevation_rad: number[] | null;
 }
 
+/** Axes of a map in metres along the sensor's own axes: first value, step and count; a BFS-2D has rows of z. */
+export interface Grid {
+  x_m: number[] | null;
+  y_m: number[] | null;
+  z_m: number[] | null;
+}
+
 /** Something to show of a frame: fetched from ``url`` (relative to the page). */
 export interface Layer {
   id: number;
@@ -362,6 +369,7 @@ export interface Layer {
   sweeps: number;
   camera: CameraModel | null;
   polar: Polar | null;
+  grid: Grid | null;
   holds: string[];
   file: string;
 }
@@ -423,6 +431,14 @@ export interface FrameState {
   predicted: PredictedFrame[];
   trails: Trail[];
   notes: string[];
+}
+
+/** What a set predicts in a frame, where it became known after the frame was opened. */
+export interface Predicted {
+  op: "predicted";
+  frame: number;
+  predicted: PredictedFrame;
+  set: PredictionSet;
 }
 
 /** An edit is on the disk. Its rows follow in ``changed`` where the tool made them. */
@@ -618,6 +634,7 @@ export type Request =
 export type Reply =
   | Welcome
   | FrameState
+  | Predicted
   | Ack
   | Conflict
   | Refused

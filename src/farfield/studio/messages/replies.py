@@ -69,6 +69,16 @@ class FrameState:
 
 
 @message
+class Predicted:
+    """What a set predicts in a frame, where it became known after the frame was opened."""
+
+    op: Literal["predicted"] = "predicted"
+    frame: int
+    predicted: PredictedFrame
+    set: PredictionSet
+
+
+@message
 class Ack:
     """An edit is on the disk. Its rows follow in ``changed`` where the tool made them."""
 
@@ -242,6 +252,7 @@ class Bye:
 Reply = (
     Welcome
     | FrameState
+    | Predicted
     | Ack
     | Conflict
     | Refused

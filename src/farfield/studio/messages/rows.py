@@ -111,6 +111,15 @@ class Polar:
 
 
 @message
+class Grid:
+    """Axes of a map in metres along the sensor's own axes: first value, step and count; a BFS-2D has rows of z."""
+
+    x_m: tuple[float, float, int] | None = None
+    y_m: tuple[float, float, int] | None = None
+    z_m: tuple[float, float, int] | None = None
+
+
+@message
 class Layer:
     """Something to show of a frame: fetched from ``url`` (relative to the page)."""
 
@@ -128,6 +137,7 @@ class Layer:
     sweeps: int = 1
     camera: CameraModel | None = None
     polar: Polar | None = None
+    grid: Grid | None = None  # of a map in metres; either this or ``polar``
     holds: tuple[str, ...] = ()  # layers whose points are among this one's
     file: str = ""  # its file, relative to the data set
 

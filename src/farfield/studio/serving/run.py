@@ -1,0 +1,167 @@
+"""Start the studio: a port, a link, a browser, and what is said in the terminal."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+import webbrowser
+from collections.abc import Callable
+from functools import partial
+from typing import TextIO
+
+import uvicorn
+
+from farfield.datasets.base import Dataset
+from farfield.errors import ConfigError
+from farfield.studio.serving.app import make_app
+from farfield.studio.serving.entry import Entry
+from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
+from farfield.studio.session.desk import Desk
+from farfield.studio.session.settings import StudioSettings
+
+_TRIED = 50
+
+
+def listening(port: int | None) -> socket.socket:
+    """A socket that listens on 127.0.0.1: the port asked for, or the first free one from 8877 on; 0: any.
+
+    Raises:
+        ConfigError: If the port that was asked for is taken, or all tried are.
+    """
+    wanted = [port] if port is not None else range(PORT, PORT + _TRIED)
+    for each in wanted:
+        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind(("127.0.0.1", each))
+            found.listen(128)
+        except OSError:
+            found.close()
+            continue
+        return found
+    named = f"port {port} is taken" if port is not None else f"ports {PORT} to {PORT + _TRIED - 1} are taken"
+    raise ConfigError(f"{named}: choose another with --port, or end what listens there")
+
+
+def serve(
+    open_data: Callable[[], Dataset],
+    settings: StudioSettings,
+    *,
+    port: int | None = None,
+    browser: bool = True,
+    out: TextIO = sys.stdout,
+) -> int:
+    """Serve a data set until Ctrl-C.
+
+    Args:
+        open_data: Opens it; called in a thread while the server listens already.
+        settings: What the studio is started with.
+        port: Port to listen on; None takes the first free one from 8877 on.
+        browser: Whether the browser is opened; never over SSH.
+        out: The terminal.
+
+    Raises:
+        FarfieldError: If the data set cannot be opened or the port is taken.
+    """
+    with contextlib.closing(listening(port)) as listener:
+        entry = Entry(listener.getsockname()[1])
+        asyncio.run(_serve(listener, entry, open_data, settings, browser=browser, out=out))
+    return 0
+
+
+async def _serve(
+    listener: socket.socket,
+    entry: Entry,
+    open_data: Callable[[], Dataset],
+    settings: StudioSettings,
+    *,
+    browser: bool,
+    out: TextIO,
+) -> None:
+    desk = Desk(settings)
+    config = uvicorn.Config(
+        make_app(desk, entry),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        ws="websockets-sansio",
+        ws_max_size=MESSAGE_BYTES,
+        ws_ping_interval=PING_S,
+        ws_ping_timeout=PING_S,
+        lifespan="off",
+        timeout_graceful_shutdown=2,
+    )
+    server = _Server(config, desk)
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
+    opening = asyncio.create_task(_open(desk, open_data))
+    print("\n".join(_words(entry)), file=out, flush=True)
+    with _enter_for_link(entry, out):
+        try:
+            await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
+            if opening.done():
+                opening.result()  # raises what went wrong
+                if browser and not os.environ.get("SSH_CONNECTION"):
+                    await asyncio.get_running_loop().run_in_executor(None, webbrowser.open, link(entry))
+            await serving
+        finally:
+            server.should_exit = True
+            opening.cancel()
+            await asyncio.gather(serving, opening, return_exceptions=True)
+            desk.threads.shutdown(wait=False, cancel_futures=True)
+
+
+async def _open(desk: Desk, open_data: Callable[[], Dataset]) -> None:
+    await desk.in_thread(lambda: desk.open(open_data()))
+    desk.opened_now()
+
+
+class _Server(uvicorn.Server):
+    """Says goodbye to the windows before it stops."""
+
+    def __init__(self, config: uvicorn.Config, desk: Desk) -> None:
+        super().__init__(config)
+        self.desk = desk
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Say goodbye, then stop."""
+        self.desk.stop("the studio was ended in its terminal")
+        await asyncio.sleep(0.05)
+        await super().shutdown(sockets)
+
+
+def link(entry: Entry) -> str:
+    """A link that lets one window in."""
+    return f"http://127.0.0.1:{entry.port}/?token={entry.new_token()}"
+
+
+def _words(entry: Entry) -> list[str]:
+    """What the terminal shows: the link, and over SSH the line that makes the tunnel."""
+    lines = [f"farfield studio: {link(entry)}"]
+    remote = os.environ.get("SSH_CONNECTION", "").split()
+    if len(remote) == 4:
+        user = os.environ.get("USER", "") or os.environ.get("LOGNAME", "")
+        where = f"{user}@{remote[2]}" if user else remote[2]
+        lines.insert(0, f"on your own machine, first: ssh -N -L {entry.port}:127.0.0.1:{entry.port} {where}")
+    lines.append("the link is good once, for ten minutes; Enter prints a new one, Ctrl-C ends the studio")
+    return lines
+
+
+@contextlib.contextmanager
+def _enter_for_link(entry: Entry, out: TextIO):  # type: ignore[no-untyped-def]
+    """Print a new link at each Enter, where a person sits at the terminal."""
+    if not sys.stdin or not sys.stdin.isatty():
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    loop.add_reader(sys.stdin.fileno(), partial(_new_link, entry, out))
+    try:
+        yield
+    finally:
+        loop.remove_reader(sys.stdin.fileno())
+
+
+def _new_link(entry: Entry, out: TextIO) -> None:
+    sys.stdin.readline()
+    print(link(entry), file=out, flush=True)
