@@ -5,7 +5,7 @@ coordinates in which boxes are kept, and gives a :class:`Fit`. None keeps anythi
 """
 
 from farfield.studio.fitting.contract import Box, Candidate, Extent, Fit, Prior, prior_of
-from farfield.studio.fitting.gestures import drop_to_ground, fit_click, fit_drag, refit
+from farfield.studio.fitting.gestures import drop_to_ground, fit_click, fit_drag, fit_rectangle, refit
 from farfield.studio.fitting.radar_peak import fit_radar_peak
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "fit_click",
     "fit_drag",
     "fit_radar_peak",
+    "fit_rectangle",
     "prior_of",
     "refit",
 ]

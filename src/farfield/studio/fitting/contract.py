@@ -1,4 +1,4 @@
-"""What a gesture's fit takes and gives: the prior of an object, the box that was found, and the other boxes it may be."""
+"""What a gesture's fit takes and gives: the prior of an object, the box found, and the other boxes it may be."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

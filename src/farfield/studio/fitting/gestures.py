@@ -13,18 +13,20 @@ from farfield.studio.fitting.clusters import cluster_at, link_radius_m
 from farfield.studio.fitting.contract import Box, Candidate, Fit, HeadingFrom, Prior, boxes_of
 from farfield.studio.fitting.finishing import headed, inside, stood_on
 from farfield.studio.fitting.ground import Ground, above, fit_ground, near
-from farfield.studio.fitting.lshape import best_yaw
+from farfield.studio.fitting.lshape import CLOSENESS_BELOW, best_yaw, turned_yaw
 from farfield.studio.fitting.searching import search
 
 XY = Sequence[float] | Float[np.ndarray, " 2"]
 
-_SEARCHED_RAD = np.deg2rad(np.array([-6.0, -3.0, 0.0, 3.0, 6.0]))
+_SEARCHED_RAD = np.deg2rad(np.array([0.0, -4.0, 4.0]))  # the first is placed, the others are offered
 _REFINED_RAD = np.deg2rad(np.arange(-4.0, 4.5, 0.5))
 _SNAPPED_RAD = np.deg2rad(np.arange(-6.0, 6.5, 0.5))
-_WINDOW_M = 0.3
+_WINDOW_M = 0.2
+REACH_M = 0.8
 _POINTS_TO_TURN = 15
 _POINTS_TO_REFIT = 8
 _LEAST_DRAG_M = 0.3
+_TRUSTED_M = 30.0
 _WIDER_M = 2.0
 
 
@@ -43,8 +45,8 @@ class _Scene:
 def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior: Prior) -> Fit:
     """Press at the object and drag along its heading: the main gesture.
 
-    The box of the prior's size is searched where it holds the place of the press, at the drag's direction and up to 6
-    degrees beside it; then fitted to the points within 0.3 m of it.
+    The box of the prior's size is searched at the drag's direction, where it holds the place of the press; then fitted
+    to the points in it and within 0.2 m of it, turned by up to 4 degrees. Boxes 4 degrees beside are offered.
 
     Args:
         points_m: All points of the frame, shape (n, 3), metres.
@@ -65,7 +67,8 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fi
     """One click on an object: the quick gesture, for near objects and for tracks.
 
     With a track's yaw the box is searched as after a drag. Without, the points that hang together at the click give the
-    yaw by the L-shape, and the box along the lane is offered beside it where the lane is known.
+    yaw by the L-shape. Where the lane is known, vehicles of fewer than 30 points beyond 30 m take it, and
+    otherwise the box along the lane is offered beside the other.
 
     Args:
         points_m: All points of the frame, shape (n, 3), metres.
@@ -79,9 +82,11 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fi
     linked = scene.points_m[
         cluster_at(scene.points_m, at, link_radius_m(_range_m(at, prior), small=not prior.anchored))
     ]
+    sparse = len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M
+    if prior.lane_rad is not None and (len(linked) < 2 or (sparse and prior.anchored)):
+        return _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
     if len(linked) < 2:
-        yaw = 0.0 if prior.lane_rad is None else prior.lane_rad
-        return _searched(scene, at, yaw, prior, criterion="lane", drawn_rad=None, begun=begun)
+        return _searched(scene, at, 0.0, prior, criterion="drawn", drawn_rad=None, begun=begun)
     yaw, criterion = best_yaw(linked[:, :2])
     yaw, source = headed(along_length(linked[:, :2], yaw, prior), prior)
     box = stood_on(footprint(linked[:, :2], yaw, prior), linked, scene.ground, prior)
@@ -112,9 +117,38 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
         made = stood_on(rectangle, held, scene.ground, prior)
         note = f"{len(held)} points: place and yaw are as drawn, size and height are set"
         return _fit(scene, made, (), "drawn", "drag", begun, note)
+    at = (float(drawn[0]), float(drawn[1]))
+    found = search(scene.xy_m, at, drawn[4:], _drawn_size(drawn, prior), reach_m=REACH_M)[0][0]
+    moved = scene.points_m[inside(scene.xy_m, found, _WINDOW_M)]
+    held = moved if len(moved) >= _POINTS_TO_REFIT else held
     yaw, criterion = _turned(held, float(drawn[4]), _SNAPPED_RAD)
     made = stood_on(footprint(held[:, :2], yaw, prior), held, scene.ground, prior)
     return _fit(scene, made, (), criterion, "drag", begun)
+
+
+def fit_rectangle(
+    points_m: Float[np.ndarray, "n 3"], corners_m: Sequence[Sequence[float]] | Float[np.ndarray, "4 2"], prior: Prior
+) -> Fit:
+    """Draw a rectangle: its longer side is the length, and its box is fitted as by :func:`refit`.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        corners_m: Its four corners in order, x and y, metres.
+        prior: What is known of the object.
+
+    Raises:
+        ValueError: If two corners are one.
+    """
+    corners = np.asarray(corners_m, dtype=np.float64).reshape(4, 2)
+    sides = np.array([corners[1] - corners[0], corners[2] - corners[1]])
+    lengths = np.hypot(*sides.T)
+    if not lengths.min() > 0:
+        raise ValueError(f"fit_rectangle: expected four corners apart from each other, got {corners.tolist()}")
+    along = sides[int(np.argmax(lengths))]
+    yaw, source = headed(float(np.arctan2(along[1], along[0])), prior)
+    x, y = corners.mean(axis=0)
+    found = refit(points_m, [x, y, 0.0, lengths.max(), lengths.min(), prior.size_m[2], yaw], prior)
+    return replace(found, heading=source)
 
 
 def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> Fit:
@@ -132,6 +166,13 @@ def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> 
     made = (x, y, z, length, width, height, yaw)
     around = near(points_m, (x, y), float(np.hypot(length, width)))
     return _fit(_Scene(ground, above(around, ground)), made, (), "drawn", "drag", begun, note)
+
+
+def _drawn_size(drawn: Float[np.ndarray, " 5"], prior: Prior) -> Prior:
+    """The size to search with: the prior's, and of a visible part the drawn one."""
+    if prior.grows:
+        return prior
+    return replace(prior, size_m=(float(drawn[2]), float(drawn[3]), prior.size_m[2]))
 
 
 def _pair(xy: XY) -> tuple[float, float]:
@@ -160,22 +201,21 @@ def _searched(
     drawn_rad: float | None,
     begun: float,
 ) -> Fit:
-    """Search about a yaw, fit the best to its points, and offer the others."""
+    """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
     rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
-    order = np.argsort(-score, kind="stable")
-    rectangle, note = rectangles[order[0]], ""
+    rectangle, note = rectangles[0], ""
     held = scene.points_m[inside(scene.xy_m, rectangle, _WINDOW_M)]
     if len(held) == 0:
         rectangle = np.array([*at, *prior.size_m[:2], yaw_rad])
         note = "no points over the ground here: the box has its usual size about the pointer"
     else:
-        yaw, _ = _turned(held, float(rectangle[4]), _REFINED_RAD)
+        yaw, _ = _turned(held, yaw_rad, _REFINED_RAD)
         rectangle = footprint(held[:, :2], yaw, prior)
     yaw, source = headed(float(rectangle[4]), prior, drawn_rad)
     rectangle[4] = yaw
     others = tuple(
         Candidate(box=stood_on(rectangles[place], scene.points_m[:0], scene.ground, prior), score=float(score[place]))
-        for place in order[1:]
+        for place in 1 + np.argsort(-score[1:], kind="stable")
     )
     return _fit(scene, stood_on(rectangle, held, scene.ground, prior), others, criterion, source, begun, note)
 
@@ -192,7 +232,7 @@ def _turned(held_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[n
     """The yaw, turned a little where enough points tell by how much."""
     if len(held_m) < _POINTS_TO_TURN:
         return yaw_rad, "drawn"
-    return best_yaw(held_m[:, :2], yaw_rad + turns_rad)
+    return turned_yaw(held_m[:, :2], yaw_rad, turns_rad), "closeness"
 
 
 def _fit(

@@ -11,6 +11,7 @@ CLOSENESS_BELOW = 30
 """With fewer points than these closeness is the better criterion, with more variance."""
 _NEAREST_M = 0.05  # distances below it count alike
 _MOST_POINTS = 1500  # more add nothing but time
+_HOLD, _HOLD_RAD = 0.02, np.deg2rad(4.0)
 QUARTER_RAD = np.deg2rad(np.arange(90.0))
 
 
@@ -44,6 +45,21 @@ def best_yaw(xy_m: Float[np.ndarray, "n 2"], yaws_rad: Float[np.ndarray, " k"] =
     """The best of some yaws, and the criterion that chose it: closeness for few points, variance for many."""
     criterion = "closeness" if len(xy_m) < CLOSENESS_BELOW else "variance"
     return float(yaws_rad[int(np.argmax(scores(xy_m, yaws_rad, criterion)))]), criterion
+
+
+def turned_yaw(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> float:
+    """A yaw that is known to a few degrees, turned to where the closeness is best.
+
+    The known yaw holds a little: a turn of 4 degrees has to be 2 % closer, which points at one side alone never are.
+
+    Args:
+        xy_m: The object's points seen from above.
+        yaw_rad: The yaw.
+        turns_rad: Turns to try, shape (k,).
+    """
+    found = scores(xy_m, yaw_rad + turns_rad, "closeness")
+    held = _HOLD * (turns_rad / _HOLD_RAD) ** 2
+    return yaw_rad + float(turns_rad[int(np.argmax(found / found.max() - held))])
 
 
 def _to_side(along_m: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k n"]:

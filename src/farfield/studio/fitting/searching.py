@@ -1,6 +1,6 @@
 """Where a box of known size and nearly known yaw stands: by the points it holds, and those it leaves just outside.
 
-Score of a place: points inside, less points in the 0.4 m round it, and half the points within 0.25 m of the two faces
+Score of a place: points inside, less points in the 0.6 m round it, and half the points within 0.25 m of the two faces
 towards the sensor. Counts come from sums over a grid of 0.1 m along the box's axes, so that all places are tried.
 """
 
@@ -11,11 +11,16 @@ from farfield.studio.fitting.anchoring import axes
 from farfield.studio.fitting.contract import Prior
 
 CELL_M = 0.1
-_RING_M, _FACE_M, _FACE_WEIGHT = 0.4, 0.25, 0.5
+_RING_M, _FACE_M, _FACE_WEIGHT = 0.6, 0.25, 0.5
 
 
 def search(
-    xy_m: Float[np.ndarray, "n 2"], at_m: tuple[float, float], yaws_rad: Float[np.ndarray, " k"], prior: Prior
+    xy_m: Float[np.ndarray, "n 2"],
+    at_m: tuple[float, float],
+    yaws_rad: Float[np.ndarray, " k"],
+    prior: Prior,
+    *,
+    reach_m: float = np.inf,
 ) -> tuple[Float[np.ndarray, "k 5"], Float[np.ndarray, " k"]]:
     """The best place of a box at each yaw, of those that hold the pointer's.
 
@@ -24,23 +29,24 @@ def search(
         at_m: The pointer: x and y.
         yaws_rad: Headings to try.
         prior: The size.
+        reach_m: How far the box's middle may be from the pointer along each of its axes.
 
     Returns:
         Rectangles (x, y, length, width, yaw), and the score of each.
     """
-    found = [_search_one(xy_m, np.asarray(at_m, dtype=np.float64), float(yaw), prior) for yaw in yaws_rad]
+    found = [_search_one(xy_m, np.asarray(at_m, dtype=np.float64), float(yaw), prior, reach_m) for yaw in yaws_rad]
     return np.array([box for box, _ in found]), np.array([score for _, score in found])
 
 
 def _search_one(
-    xy_m: Float[np.ndarray, "n 2"], at_m: Float[np.ndarray, " 2"], yaw_rad: float, prior: Prior
+    xy_m: Float[np.ndarray, "n 2"], at_m: Float[np.ndarray, " 2"], yaw_rad: float, prior: Prior, reach_m: float
 ) -> tuple[Float[np.ndarray, " 5"], float]:
     turn, size = axes(yaw_rad), np.array(prior.size_m[:2])
     local = (xy_m - at_m) @ turn.T
     sums = _sums(local, size)
     cells = np.maximum(np.round(size / CELL_M).astype(np.int64), 1)
     margin = _margin(size)
-    starts = [margin[axis] - cells[axis] + 1 + np.arange(cells[axis]) for axis in (0, 1)]  # low corners, in cells
+    starts = [margin[axis] + _starts(int(cells[axis]), reach_m) for axis in (0, 1)]  # low corners
     ring, face = round(_RING_M / CELL_M), max(round(_FACE_M / CELL_M), 1)
     low = [starts[0][:, None], starts[1][None, :]]
     high = [low[0] + cells[0], low[1] + cells[1]]
@@ -59,6 +65,12 @@ def _search_one(
     corner = (np.array([starts[0][row], starts[1][column]]) - margin) * CELL_M
     x, y = (corner + cells * CELL_M / 2) @ turn + at_m
     return np.array([x, y, *size, yaw_rad]), float(score[row, column])
+
+
+def _starts(cells: int, reach_m: float) -> np.ndarray:
+    """Low ends of a box of so many cells that holds cell 0, its middle no farther than ``reach_m`` from it."""
+    starts = 1 - cells + np.arange(cells)
+    return starts[np.abs(starts + cells / 2) * CELL_M <= max(reach_m, CELL_M)]
 
 
 def _central(score: Float[np.ndarray, "a b"]) -> int:
