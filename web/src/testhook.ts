@@ -1,0 +1,37 @@
+// What tests read, only with ?test=1: the events themselves are real mouse and keys.
+
+import { fitTimes } from "./annotate";
+import type { Vec3 } from "./boxes";
+import type { CloseUps } from "./closeups";
+import { cached } from "./loader";
+import { Projector } from "./project";
+import type { Stage } from "./stage";
+import { state } from "./state";
+
+export function offerTest(stage: Stage, closeUps: CloseUps): void {
+  if (new URL(location.href).searchParams.get("test") !== "1") return;
+  const waitIdle = async (): Promise<number> => {
+    const started = performance.now();
+    const settled = (): boolean => stage.idle && state.shown !== null && state.shown.frame.index === state.frame && stage.drawn.frame === state.frame && stage.drawn.whole && state.pending === 0;
+    while (!settled()) {
+      if (performance.now() - started > 30_000) throw new Error(`not idle: ${JSON.stringify({ idle: stage.idle, frame: state.frame, drawn: stage.drawn, pending: state.pending })}`);
+      await new Promise((resolve) => setTimeout(resolve, 15));
+    }
+    return performance.now() - started;
+  };
+  const project = (p: Vec3, pane = 0): [number, number] | null => {
+    const found = stage.panes()[pane]!;
+    return new Projector(found.camera, found.rect).point(p);
+  };
+  Object.assign(window, {
+    farfieldTest: {
+      state, stage, waitIdle, project, fitTimes,
+      drawn: () => ({ ...stage.drawn }),
+      colours: () => stage.coloursNow(),
+      closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),
+      closePoints: () => closeUps.count,
+      look: (target: Vec3, distance: number, top: boolean) => { stage.eye.frame(target, distance); stage.eye.top = top; stage.eye.azimuth = Math.PI; stage.touch(); },
+      cached,
+    },
+  });
+}
