@@ -4,6 +4,7 @@ from farfield.datasets.edits.places import FOLDER, JOURNAL, journal_folder
 from farfield.datasets.edits.reading import Replay, read_journal
 from farfield.datasets.edits.records import Cell, Change, Record, box_cell, decode, encode, track_cell
 from farfield.datasets.edits.state import Standing, State
+from farfield.datasets.edits.values import label_of, numbers, value_of
 
 __all__ = [
     "FOLDER",
@@ -18,6 +19,9 @@ __all__ = [
     "decode",
     "encode",
     "journal_folder",
+    "label_of",
+    "numbers",
     "read_journal",
     "track_cell",
+    "value_of",
 ]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from farfield.frame import Key
 
@@ -46,6 +46,7 @@ class BoxLabel:
         return self.state in ("edited", "accepted") and not (made and self.state != "accepted")
 
 
+@runtime_checkable
 class LabelFormat(Protocol):
     """The label files of one data set. An object knows its data set's layout; what it parses comes from the caller.
 
