@@ -81,10 +81,10 @@ class Store:
         self.keys = data.keys
         self.index_of = {key: index for index, key in enumerate(self.keys)}
         self.drives = DriveTable(data)
-        self.files = LabelFiles(labels, self.keys)
+        self.files = LabelFiles(labels, self.keys, folder)
         self.state, self.history = State(), History()
         self.tracks = TrackIndex(self.rows, self.drives)
-        self.lock = threading.RLock()
+        self.lock, self.saving = threading.RLock(), threading.Lock()
         self.journal = Journal(folder, self._take)
         try:
             self.schema = load_schema(folder, schema)
