@@ -105,10 +105,8 @@ def test_a_new_file_gets_its_header(tmp_path: Path) -> None:
 
 
 def test_older_versions_and_objects_seen_from_above(tmp_path: Path) -> None:
-    old = (
-        HEADER
-        + b" *, 5, 5, Sedan, 1, 2, 0, 30, 2, 1, 0.8\n#, 6, 6, Sedan, 5, 6, 7, 2, 1\n*, 7, -1, Pedestrian, 9, 2, 0, 30, .4, .3, .9\n"
-    )
+    old = HEADER + b" *, 5, 5, Sedan, 1, 2, 0, 30, 2, 1, 0.8\n#, 6, 6, Sedan, 5, 6, 7, 2, 1\n"
+    old += b"*, 7, -1, Pedestrian, 9, 2, 0, 30, .4, .3, .9\n"
     labels = tree(tmp_path, old, "1/info_label")
     found = read(labels, old)
     assert labels.attributes == {}
@@ -150,20 +148,18 @@ def saved_again(labels: KRadarLabelFormat, name: str, data: bytes) -> None:
     assert labels.render(data, path, {KEY: found}) == data, name
     if not found:
         return
-    chosen = found[len(found) // 2]
-    moved = [
-        replace(label, box=(label.box[0], label.box[1] - 0.37, *label.box[2:])) if label is chosen else label
-        for label in found
-    ]
+    moved, chosen = list(found), len(found) // 2
+    x, y, *rest = found[chosen].box
+    moved[chosen] = replace(found[chosen], box=(x, y - 0.37, *rest))
     changed = labels.render(data, path, {KEY: moved})
     lines = zip(data.split(b"\n"), changed.split(b"\n"), strict=True)
     assert sum(old != new for old, new in lines) == 1, name
     assert labels.parse(changed, path, [KEY])[KEY] == tuple(moved)
 
 
-def test_every_thirtieth_published_file(shared_real: Path, labels: KRadarLabelFormat) -> None:
+def test_every_hundredth_published_file(shared_real: Path, labels: KRadarLabelFormat) -> None:
     for number, (name, data) in enumerate(published(shared_real)):
-        if number % 30 == 0:
+        if number % 100 == 0:
             saved_again(labels, name, data)
 
 

@@ -159,6 +159,7 @@ class _Writing(NamedTuple):
     parts: Sequence[Part]
 
     def __call__(self, key: Key, new: BoxLabel, old: Part | None) -> bytes:
+        del key
         cells = self._new(new) if old is None else _cells(old.raw)
         before = None if old is None else old.label
         values = list(cells.values)
