@@ -5,6 +5,8 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlencode
 
+from starlette.exceptions import HTTPException
+
 from farfield.studio.serving.entry import Entry, refusal
 from farfield.studio.serving.limits import BODY_BYTES
 
@@ -31,10 +33,6 @@ USED = (
     "This link was used before, or is older than ten minutes. Press Enter in the terminal in which the studio runs "
     "for a new one."
 )
-
-
-class TooLarge(Exception):  # noqa: N818
-    """A body is longer than what is taken."""
 
 
 class Guard:
@@ -86,10 +84,7 @@ class Guard:
         if not length.isdecimal() or int(length) > BODY_BYTES:
             await answer(send, 413, _too_large())
             return
-        try:
-            await self.app(scope, _Counted(receive), send)
-        except TooLarge:
-            await answer(send, 413, _too_large())
+        await self.app(scope, _Counted(receive), send)
 
     async def _admit(self, scope: Scope, send: Send) -> None:
         given = parse_qs(scope["query_string"].decode("latin-1"))
@@ -169,5 +164,5 @@ class _Counted:
         message = await self.receive()
         self.bytes += len(message.get("body", b""))
         if self.bytes > BODY_BYTES:
-            raise TooLarge
+            raise HTTPException(413, _too_large())
         return message

@@ -8,7 +8,6 @@ import sys
 import webbrowser
 from collections.abc import Callable
 from functools import partial
-from typing import TextIO
 
 import uvicorn
 
@@ -16,11 +15,13 @@ from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
 from farfield.studio.serving.app import make_app
 from farfield.studio.serving.entry import Entry
+from farfield.studio.serving.guard import App
 from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
 from farfield.studio.session.desk import Desk
 from farfield.studio.session.settings import StudioSettings
 
 _TRIED = 50
+Say = Callable[[str], None]
 
 
 def listening(port: int | None) -> socket.socket:
@@ -44,13 +45,17 @@ def listening(port: int | None) -> socket.socket:
     raise ConfigError(f"{named}: choose another with --port, or end what listens there")
 
 
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
 def serve(
     open_data: Callable[[], Dataset],
     settings: StudioSettings,
     *,
     port: int | None = None,
     browser: bool = True,
-    out: TextIO = sys.stdout,
+    say: Say = _say,
 ) -> int:
     """Serve a data set until Ctrl-C.
 
@@ -59,29 +64,53 @@ def serve(
         settings: What the studio is started with.
         port: Port to listen on; None takes the first free one from 8877 on.
         browser: Whether the browser is opened; never over SSH.
-        out: The terminal.
+        say: Writes a line into the terminal.
 
     Raises:
         FarfieldError: If the data set cannot be opened or the port is taken.
     """
-    with contextlib.closing(listening(port)) as listener:
-        entry = Entry(listener.getsockname()[1])
-        asyncio.run(_serve(listener, entry, open_data, settings, browser=browser, out=out))
+    with contextlib.closing(listening(port)) as listener, contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(serving(listener, open_data, settings, browser=browser, say=say))
     return 0
 
 
-async def _serve(
+async def serving(
     listener: socket.socket,
-    entry: Entry,
     open_data: Callable[[], Dataset],
     settings: StudioSettings,
     *,
     browser: bool,
-    out: TextIO,
+    say: Say,
+    ended: asyncio.Event | None = None,
 ) -> None:
-    desk = Desk(settings)
-    config = uvicorn.Config(
-        make_app(desk, entry),
+    """Serve on a socket that listens, until Ctrl-C or until ``ended`` is set; arguments as of :func:`serve`."""
+    desk, entry = Desk(settings), Entry(listener.getsockname()[1])
+    server = _Server(_config(make_app(desk, entry)), desk)
+    tasks = [asyncio.create_task(server.serve(sockets=[listener])), asyncio.create_task(_open(desk, open_data))]
+    running, opening = tasks
+    if ended is not None:
+        tasks.append(asyncio.create_task(ended.wait()))
+    with _enter_for_link(entry, say):
+        try:
+            say("\n".join(_words(entry)))
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if opening.done():
+                opening.result()  # raises what went wrong
+                if browser and not os.environ.get("SSH_CONNECTION"):
+                    await asyncio.get_running_loop().run_in_executor(None, webbrowser.open, link(entry))
+                await asyncio.wait([task for task in tasks if task is not opening], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            server.should_exit = True
+            await asyncio.wait([running], timeout=10)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await desk.close()
+
+
+def _config(app: App) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -93,23 +122,6 @@ async def _serve(
         lifespan="off",
         timeout_graceful_shutdown=2,
     )
-    server = _Server(config, desk)
-    serving = asyncio.create_task(server.serve(sockets=[listener]))
-    opening = asyncio.create_task(_open(desk, open_data))
-    print("\n".join(_words(entry)), file=out, flush=True)
-    with _enter_for_link(entry, out):
-        try:
-            await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
-            if opening.done():
-                opening.result()  # raises what went wrong
-                if browser and not os.environ.get("SSH_CONNECTION"):
-                    await asyncio.get_running_loop().run_in_executor(None, webbrowser.open, link(entry))
-            await serving
-        finally:
-            server.should_exit = True
-            opening.cancel()
-            await asyncio.gather(serving, opening, return_exceptions=True)
-            desk.threads.shutdown(wait=False, cancel_futures=True)
 
 
 async def _open(desk: Desk, open_data: Callable[[], Dataset]) -> None:
@@ -149,19 +161,19 @@ def _words(entry: Entry) -> list[str]:
 
 
 @contextlib.contextmanager
-def _enter_for_link(entry: Entry, out: TextIO):  # type: ignore[no-untyped-def]
+def _enter_for_link(entry: Entry, say: Say):  # type: ignore[no-untyped-def]
     """Print a new link at each Enter, where a person sits at the terminal."""
     if not sys.stdin or not sys.stdin.isatty():
         yield
         return
     loop = asyncio.get_running_loop()
-    loop.add_reader(sys.stdin.fileno(), partial(_new_link, entry, out))
+    loop.add_reader(sys.stdin.fileno(), partial(_new_link, entry, say))
     try:
         yield
     finally:
         loop.remove_reader(sys.stdin.fileno())
 
 
-def _new_link(entry: Entry, out: TextIO) -> None:
+def _new_link(entry: Entry, say: Say) -> None:
     sys.stdin.readline()
-    print(link(entry), file=out, flush=True)
+    say(link(entry))

@@ -102,9 +102,8 @@ async def _receive(connection: WebSocket, desk: Desk, window: Window) -> None:
         except FarfieldError as error:
             bad += 1
             window.send(Refused(id=None, code="message", sentence=str(error), mend="reload the page"))
-            if bad >= BAD_MESSAGES:
-                await connection.close(1008)
-                return
+            if bad == BAD_MESSAGES:
+                window.send(Bye(reason="this window sends messages that are none: reload it"))
             continue
         if isinstance(request, Edit | Undo | Redo) and not bucket.take():
             window.send(_too_fast(request.id))

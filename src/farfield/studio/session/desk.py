@@ -110,6 +110,10 @@ class Desk:
         """Say goodbye to all windows."""
         self.tell(Bye(reason=reason))
 
+    async def close(self) -> None:
+        """End what still works for the windows."""
+        self.threads.shutdown(wait=False, cancel_futures=True)
+
     def tell(self, reply: Reply, *, but: Window | None = None) -> None:
         """Send something to all windows, or to all but one."""
         for window in self.windows.values():
