@@ -9,7 +9,7 @@ import type { CameraModel, Layer } from "./protocol";
 import type { Stage } from "./stage";
 import { boxOf, colourOf, lookOf, on, shownBoxes, shownPredictions, state } from "./state";
 
-const POINTS = 12000;
+const POINTS = 9000; // drawn at most in a picture
 
 /** A point of the frame in pixels of the picture, or null behind the camera (k1 k2 p1 p2 k3 as OpenCV has them). */
 export function toPixel(camera: CameraModel, p: Vec3): [number, number, number] | null {
@@ -82,7 +82,7 @@ function draw(stage: Stage, { layer, canvas, picture }: Strip): void {
   const paper = canvas.getContext("2d")!;
   paper.drawImage(picture, 0, 0);
   if (!layer.camera) return;
-  const scale = Math.max(1, canvas.width / 900);
+  const scale = Math.max(0.5, canvas.width / Math.max(200, canvas.getBoundingClientRect().width || 440));
   if (options.points) for (const { object, layer: cloud } of stage.clouds.values()) if (stage.inPane(cloud.name, cloud, 0)) points(paper, layer.camera, object.set, cloud, scale);
   if (state.showTruth) for (const row of shownBoxes()) box(paper, layer.camera, boxOf(row), row.id === state.selection ? "#ffffff" : colourOf(row.class_name), scale, []);
   for (const { set, rows } of shownPredictions(0)) for (const row of rows) box(paper, layer.camera, boxOf(row), set?.colour ?? "#e69f00", scale, [6 * scale, 4 * scale]);
@@ -90,13 +90,14 @@ function draw(stage: Stage, { layer, canvas, picture }: Strip): void {
 
 function points(paper: CanvasRenderingContext2D, camera: CameraModel, set: PointSet, layer: Layer, scale: number): void {
   if (layer.frame_T_layer) return;
-  const count = Math.min(set.count, POINTS);
-  const size = layer.sensor === "radar" ? 4 * scale : 1.6 * scale;
-  for (let i = 0, k = 0; i < count; i += 1, k += 4) {
+  const size = (layer.sensor === "radar" ? 4 : 1.5) * scale;
+  let drawn = 0;
+  for (let i = 0, k = 0; i < set.count && drawn < POINTS; i += 1, k += 4) {
     const at = toPixel(camera, [set.places[k]! * set.scale + set.offset[0], set.places[k + 1]! * set.scale + set.offset[1], set.places[k + 2]! * set.scale + set.offset[2]]);
     if (!at || at[0] < 0 || at[1] < 0 || at[0] > paper.canvas.width || at[1] > paper.canvas.height) continue;
+    drawn += 1;
     const [r, g, b] = sample("viridis", 1 - at[2] / 70);
-    paper.fillStyle = `rgba(${r | 0}, ${g | 0}, ${b | 0}, 0.85)`;
+    paper.fillStyle = `rgba(${r | 0}, ${g | 0}, ${b | 0}, 0.8)`;
     paper.fillRect(at[0] - size / 2, at[1] - size / 2, size, size);
   }
 }
