@@ -5,10 +5,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
 from farfield.errors import FarfieldError
@@ -16,10 +17,10 @@ from farfield.studio.messages.replies import VERSION
 from farfield.studio.serving.entry import Entry
 from farfield.studio.serving.guard import App, Guard
 from farfield.studio.serving.socket import socket
+from farfield.studio.session.book import first_of
 from farfield.studio.session.desk import Desk
-from farfield.studio.showing.opened import Payload, plain_error
+from farfield.studio.showing.opened import STATIC, Payload, plain_error
 
-STATIC = Path(__file__).resolve().parent.parent / "static"
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -69,11 +70,24 @@ async def _health(request: Request) -> Response:
 
 async def _static(request: Request) -> Response:
     name = request.path_params.get("name", "index.html")
+    if name == "index.html" and request.query_params.get("frame", "0").rpartition("/")[1]:
+        return _numbered(request)
     path = request.app.state.files.get(name)
     if path is None:
         return PlainTextResponse(_NO_PAGE if name == "index.html" else "There is nothing of this name.", 404)
     payload = await in_thread(request, lambda: Payload.of(path.read_bytes(), _KINDS[path.suffix]))
     return _answer(request, payload)
+
+
+def _numbered(request: Request) -> Response:
+    """Send a link to ``?frame=sequence/frame``, as reports have it, on to the frame's number."""
+    desk: Desk = request.app.state.desk
+    try:
+        index = first_of(request.query_params["frame"], desk.book.data) if desk.ready else 0
+    except FarfieldError:
+        index = 0
+    rest = {name: value for name, value in request.query_params.items() if name == "test"}
+    return RedirectResponse("/?" + urlencode({"frame": index, **rest}), 303)
 
 
 async def _layer(request: Request) -> Response:

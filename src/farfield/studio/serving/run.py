@@ -18,6 +18,7 @@ from farfield.studio.serving.entry import Entry
 from farfield.studio.serving.guard import App
 from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
 from farfield.studio.session.desk import Desk
+from farfield.studio.session.handlers import HANDLERS
 from farfield.studio.session.settings import StudioSettings
 
 _TRIED = 50
@@ -84,7 +85,7 @@ async def serving(
     ended: asyncio.Event | None = None,
 ) -> None:
     """Serve on a socket that listens, until Ctrl-C or until ``ended`` is set; arguments as of :func:`serve`."""
-    desk, entry = Desk(settings), Entry(listener.getsockname()[1])
+    desk, entry = Desk(settings, HANDLERS), Entry(listener.getsockname()[1])
     server = _Server(_config(make_app(desk, entry)), desk)
     tasks = [asyncio.create_task(server.serve(sockets=[listener])), asyncio.create_task(_open(desk, open_data))]
     running, opening = tasks
@@ -126,7 +127,7 @@ def _config(app: App) -> uvicorn.Config:
 
 async def _open(desk: Desk, open_data: Callable[[], Dataset]) -> None:
     await desk.in_thread(lambda: desk.open(open_data()))
-    desk.opened_now()
+    desk.let_in()
 
 
 class _Server(uvicorn.Server):
@@ -138,7 +139,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Say goodbye, then stop."""
-        self.desk.stop("the studio was ended in its terminal")
+        self.desk.goodbye("the studio was ended in its terminal")
         await asyncio.sleep(0.05)
         await super().shutdown(sockets)
 

@@ -12,6 +12,7 @@ from farfield.studio.messages.replies import VERSION, Bye, Refused, Reply
 from farfield.studio.messages.requests import Edit, Hello, Redo, Undo
 from farfield.studio.serving.limits import BAD_MESSAGES, EDITS_A_SECOND, EDITS_AT_ONCE, WINDOWS
 from farfield.studio.session.desk import Desk
+from farfield.studio.session.looking import welcome
 from farfield.studio.session.window import Window
 
 _HELLO_S = 10.0
@@ -49,14 +50,14 @@ async def socket(connection: WebSocket) -> None:
         return
     sending = asyncio.create_task(_send(connection, window))
     try:
-        await desk.join(window)
+        await desk.join(window, welcome)
         await _receive(connection, desk, window)
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
         sending.cancel()
         await asyncio.gather(sending, return_exceptions=True)
-        await desk.leave(window)
+        desk.leave(window)
 
 
 async def _greeted(connection: WebSocket, desk: Desk) -> Window | None:
@@ -108,10 +109,7 @@ async def _receive(connection: WebSocket, desk: Desk, window: Window) -> None:
         if isinstance(request, Edit | Undo | Redo) and not bucket.take():
             window.send(_too_fast(request.id))
             continue
-        try:
-            await desk.handle(window, request)
-        except FarfieldError as error:
-            window.send(desk.refusal(getattr(request, "id", None), error))
+        await desk.handle(window, request)
 
 
 def _too_fast(name: str) -> Reply:

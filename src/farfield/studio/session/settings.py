@@ -18,9 +18,12 @@ class StudioSettings:
         format: Their format, see :data:`farfield.metrics.reading.FORMATS`.
         detectors: Detectors to run on what is shown: bundled names, runs' folders or weights files.
         threshold: Least score of a box that a detector gives.
-        first: Number of the frame to show first.
+        first: Frame to show first: its number, or sequence/frame.
         classes: ``name:length,width,height`` of the classes to offer; the data set's own unless given.
-        edits: Folder of the journal and of saves; beside the labels unless given.
+        extent: What the boxes hold, whole bodies or visible parts; None where it is still to be declared.
+        edits: Folder of the journal; beside the labels unless given.
+        out: Folder into which labels are saved; beside the journal unless given.
+        to: Format of the saved labels; the data set's own unless given.
         write: Whether saves go into the data set's own label files.
         notes: Folder for bookmarks; the user's data folder unless given.
     """
@@ -33,8 +36,11 @@ class StudioSettings:
     format: str = "boxes-csv"
     detectors: tuple[str, ...] = ()
     threshold: float = 0.1
-    first: int = 0
+    first: str = ""
     classes: tuple[str, ...] = ()
+    extent: Literal["full", "visible"] | None = None
     edits: Path | None = None
+    out: Path | None = None
+    to: str = ""
     write: bool = False
     notes: Path | None = None

@@ -5,6 +5,7 @@ import hashlib
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from farfield.datasets.base import Dataset
@@ -22,6 +23,8 @@ _FRAMES = 6
 """Frames whose clouds stay in memory, for fits and counts."""
 _POWERS = 4
 CACHE_BYTES = 512 << 20
+STATIC = Path(__file__).resolve().parent.parent / "static"
+"""The built page."""
 _PATH = re.compile(r"(?<![\w./])/(?:[^\s/'\":,]+/)+")
 
 
@@ -208,8 +211,8 @@ def _missing(layers: tuple[Layer, ...], frame: Frame) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def plain_error(error: BaseException, data: Any = None) -> str:
-    """An error's message without absolute paths: what the page may show."""
+def plain_error(error: BaseException | str, data: Any = None) -> str:
+    """A message without absolute paths: what the page may show."""
     text = str(error) or type(error).__name__
     root = str(getattr(data, "root", "")) if data is not None else ""
     if root and root != ".":

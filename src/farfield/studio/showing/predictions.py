@@ -1,7 +1,7 @@
 """Sets of predicted boxes: read from files or made by a detector here, matched with the truth when they are shown."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,7 @@ class Predictions:
 
 
 def _judged(row: PredictedRow, match: Match, place: int, known: Sequence[BoxRow]) -> PredictedRow:
-    return PredictedRow(**{**vars(row), "match": match, "truth": known[place].id if place >= 0 else None})
+    return replace(row, match=match, truth=known[place].id if place >= 0 else None)
 
 
 def read_set(path: Path, data: Dataset, *, format: str, protocol: str, place: int) -> Predictions:

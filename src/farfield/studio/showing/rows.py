@@ -106,7 +106,9 @@ def _velocity(boxes: Boxes, row: int) -> tuple[float, float] | None:
     return float(boxes.velocity_m_s[row, 0]), float(boxes.velocity_m_s[row, 1])
 
 
-def frame_info(frame: Frame, index: int, *, extra: dict[str, str] | None = None) -> FrameInfo:
+def frame_info(
+    frame: Frame, index: int, *, simulated: bool | None = None, extra: dict[str, str] | None = None
+) -> FrameInfo:
     """What the page says about a frame."""
     return FrameInfo(
         index=index,
@@ -117,6 +119,6 @@ def frame_info(frame: Frame, index: int, *, extra: dict[str, str] | None = None)
         conditions={str(name): str(value) for name, value in frame.conditions.items()},
         world_T_frame=None if frame.world_T_frame is None else matrix(frame.world_T_frame),
         annotated=frame.has_annotation,
-        simulated=frame.simulated,
+        simulated=frame.simulated if frame.simulated is not None else simulated,
         metadata=extra or {},
     )
