@@ -73,11 +73,22 @@ async function arrive(found: FrameState): Promise<void> {
   }
 }
 
+/** How layers are first seen: a radar's points are off where its map is there, and so are clouds that others hold. */
+function firstLooks({ layers }: FrameState): void {
+  const map = layers.some((layer) => layer.kind === "bev");
+  const held = new Set(layers.flatMap((layer) => layer.holds));
+  for (const layer of layers) {
+    const unplaced = layer.kind === "points" && !layer.placed && layers.some((other) => other.kind === "points" && other.placed);
+    const hidden = layer.kind === "points" && ((map && layer.sensor === "radar") || held.has(layer.name) || unplaced);
+    lookOf(layer.name, layer.kind, !hidden);
+  }
+}
+
 onReply("frame.state", (message) => {
   const frame = message.frame.index;
   asked.delete(frame);
   states.set(frame, message);
-  for (const layer of message.layers) lookOf(layer.name, layer.kind);
+  firstLooks(message);
   if (frame === wanted) void arrive(message);
   else prefetch(frame, neededLayers(message));
 });

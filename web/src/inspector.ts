@@ -70,9 +70,9 @@ function trackPart(row: BoxRow): HTMLElement {
 
 function tools(row: BoxRow): HTMLElement | null {
   if (state.mode !== "annotate") return null;
-  const act = (title: string, id: string): HTMLElement => h("button", { title: keyFor(id), onclick: () => run(id) }, title);
+  const act = (title: string, id: string): HTMLElement => h("button", { class: "small", title: keyFor(id), onclick: () => run(id) }, title);
   if (row.state === "proposed") return h("div", { class: "row" }, act("Accept", "accept"), act("Reject", "delete"), act("Fit", "refit"));
-  return h("div", { class: "row" }, act("Fit", "refit"), act("To ground", "ground"), act("Turn 180°", "turn.half"), act("Propagate", "propagate"), act("Interpolate", "interpolate"), act("Wall", "wall"), act("Lock size", "lock"), act("Ends here", "end"), act("Remove", "delete"));
+  return h("div", { class: "row" }, act("Fit", "refit"), act("Ground", "ground"), act("Turn", "turn.half"), act("Propagate", "propagate"), act("Interpolate", "interpolate"), act("Wall", "wall"), act("Lock", "lock"), act("End", "end"), act("Remove", "delete"));
 }
 
 function chooser(): HTMLElement {
@@ -102,7 +102,7 @@ function draw(): void {
       h("div", { class: "row" }, classes(row), trackPart(row)),
       h("div", { class: "row weak", id: "facts" }),
       ...(Object.keys(row.attributes).length > 0 ? [h("div", { class: "row" }, ...Object.entries(row.attributes).map(([name, value]) => attribute(row, name, value)))] : []),
-      tools(row), state.mode === "annotate" ? chooser() : null);
+      tools(row));
   }
   refreshNumbers();
   fill(byId("facts"), [`${row.distance_m.toFixed(1)} m`, row.points === null ? "" : `${row.points} points`, row.radar_points ? `${row.radar_points} radar` : "", row.state, row.source, row.score === null ? "" : `score ${row.score.toFixed(2)}`, row.visibility ?? "", row.moving === null ? "" : row.moving ? "moving" : "standing", row.keyframe ? "" : "not a keyframe"].filter(Boolean).join(" · "));

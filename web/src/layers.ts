@@ -135,7 +135,7 @@ function draw(stage: Stage): void {
   const left = byId("left");
   if (left.contains(document.activeElement) && document.activeElement instanceof HTMLInputElement && document.activeElement.type === "range" && sliding) return;
   const all = state.shown?.layers ?? [];
-  const hasRadarPower = [...stage.clouds.values()].some(({ layer, object }) => layer.sensor === "radar" && object.set.values.has("power"));
+  const hasRadarPower = [...stage.clouds.values()].some(({ layer, object }) => layer.sensor === "radar" && (object.set.values.has("power") || object.set.values.has("rcs_dbsm")));
   const top = left.scrollTop;
   fill(left,
     heading("Layers"), ...all.filter((layer) => layer.kind !== "bfs").map((layer) => layerRow(stage, layer)),

@@ -150,7 +150,10 @@ function start(): void {
   on("looks", () => { stage.applyLooks(); stage.request("all"); });
   on("filters", () => { stage.applyLooks(); stage.request("main"); });
   on("tool", hint);
-  on("frame", () => { for (const note of state.shown?.notes ?? []) report("info", note); });
+  const noted = new Set<string>();
+  on("frame", () => {
+    for (const note of state.shown?.notes ?? []) if (!noted.has(note)) noted.add(note), report("info", note);
+  });
   listen();
   void readLayout();
   offerTest(stage, closeUps);

@@ -13,6 +13,9 @@ export interface Style {
   cross?: boolean;
 }
 
+/** Where labels stand already in the pane being drawn: far ones give way to near ones. */
+let taken: [number, number, number][] = [];
+
 const FONT = "11px system-ui, sans-serif";
 
 export function strokeBox(paper: CanvasRenderingContext2D, view: Projector, box: Box, style: Style): void {
@@ -56,6 +59,7 @@ function clipped(paper: CanvasRenderingContext2D, rect: Rect, draw: () => void):
 
 /** Everything over one pane of the main view. */
 export function drawPane(paper: CanvasRenderingContext2D, rect: Rect, view: Projector, pane: number, ground: number): void {
+  taken = [];
   clipped(paper, rect, () => {
     if (state.showRings) rings(paper, view, ground);
     if (state.showTrails) trails(paper, view);
@@ -102,7 +106,8 @@ function trails(paper: CanvasRenderingContext2D, view: Projector): void {
 function truths(paper: CanvasRenderingContext2D, view: Projector, pane: number): void {
   if (!state.showTruth) return;
   const missed = new Set(state.showMissed ? shownPredictions(pane).flatMap((found) => found.missed) : []);
-  for (const row of shownBoxes()) {
+  const chosenFirst = (row: { id: string; distance_m: number }): number => (row.id === state.selection ? -1 : row.distance_m);
+  for (const row of shownBoxes().sort((a, b) => chosenFirst(a) - chosenFirst(b))) {
     const chosen = row.id === state.selection;
     const box = boxOf(row);
     const lost = missed.has(row.id);
@@ -120,13 +125,18 @@ function caption(row: { class_name: string; track: number | null; distance_m: nu
 
 function tag(paper: CanvasRenderingContext2D, view: Projector, box: Box, text: string, colour: string): void {
   const at = view.point([box[0], box[1], box[2] + box[5] / 2 + 0.3]);
-  if (at) label(paper, text, at[0] + 4, at[1] - 4, colour);
+  if (!at) return;
+  const [x, y] = [at[0] + 4, at[1] - 4];
+  const width = text.length * 6 + 4;
+  if (taken.some(([tx, ty, tw]) => Math.abs(ty - y) < 13 && x < tx + tw && tx < x + width)) return;
+  taken.push([x, y, width]);
+  label(paper, text, x, y, colour);
 }
 
 function predictions(paper: CanvasRenderingContext2D, view: Projector, pane: number): void {
   for (const { set, rows } of shownPredictions(pane)) {
     const tracked = set?.kind === "tracks";
-    for (const row of rows) {
+    for (const row of [...rows].sort((a, b) => a.distance_m - b.distance_m)) {
       const box = boxOf(row);
       const wrong = row.match === "false";
       const colour = wrong ? "#ff7ad9" : (set?.colour ?? "#e69f00");

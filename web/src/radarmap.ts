@@ -72,7 +72,7 @@ export class RadarMap {
   }
 }
 
-/** From the median to the 99.7 % quantile of the bytes, as 0..1. */
+/** From the 60 % to the 99.9 % quantile of the bytes, as 0..1. */
 function spread(power: Uint8Array): [number, number] {
   const counts = new Uint32Array(256);
   for (const value of power) counts[value]! += 1;
@@ -81,8 +81,8 @@ function spread(power: Uint8Array): [number, number] {
     for (let value = 0; value < 256; value += 1) if ((left -= counts[value]!) <= 0) return value;
     return 255;
   };
-  const low = at(0.5);
-  return [low / 255, Math.max(low + 8, at(0.997)) / 255];
+  const low = at(0.6);
+  return [low / 255, Math.max(low + 8, at(0.999)) / 255];
 }
 
 function material(): ShaderMaterial {

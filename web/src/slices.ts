@@ -40,9 +40,7 @@ async function draw(): Promise<void> {
   const payload = (await load(frame, { ...layer, url }).catch(() => null)) as Payload | null;
   if (!payload || frame !== state.frame) return;
   const canvas = paint(payload, layer);
-  const row = selected();
-  if (row && canvas) mark(canvas, layer, boxOf(row));
-  const title = row ? `radar from the front, ${low} to ${high} m` : "radar from the front, all ranges";
+  const title = selected() ? `radar from the front, ${low} to ${high} m` : "radar from the front, all ranges";
   last = url;
   fill(byId("slices"), h("div", { class: "close" }, canvas, h("span", {}, title)));
 }
@@ -52,47 +50,59 @@ function axes(layer: Layer): { across: [number, number, number]; up: [number, nu
   return layer.grid?.y_m && layer.grid.z_m ? { across: edges(layer.grid.y_m), up: edges(layer.grid.z_m) } : null;
 }
 
-/** Rows upwards, left of the sensor on the left. */
+/** The part of an axis that is shown: round the box, or all of it. */
+function part(axis: [number, number, number], centre: number | null, half: number): [number, number] {
+  const [low, high] = [Math.min(axis[0], axis[1]), Math.max(axis[0], axis[1])];
+  if (centre === null || high - low < 2 * half) return [low, high];
+  const from = Math.min(high - 2 * half, Math.max(low, centre - half));
+  return [from, from + 2 * half];
+}
+
+const WIDE = 560;
+const TALL = 168;
+
+/** Up is up, and left of the sensor is on the left. */
 function paint(payload: Payload, layer: Layer): HTMLCanvasElement | null {
   const field = payload.header.fields.find((one) => one.type === "uint8");
   const found = axes(layer);
   if (!field || !found) return null;
-  const [columns, rows] = [found.across[2], found.up[2]];
+  const row = selected();
+  const at = row ? mapped(layer, boxOf(row)) : null;
+  const across = part(found.across, at?.across ?? null, layer.polar ? 0.35 : 14);
+  const up = part(found.up, at ? at.up : layer.polar ? null : 1, layer.polar ? 0.32 : 5);
   const level = payload.arrays.get(field.name) as Uint8Array;
-  const canvas = h("canvas", { width: columns, height: rows, id: "slice" });
-  const picture = new ImageData(columns, rows);
-  const flipX = found.across[0] < found.across[1];
-  const flipY = found.up[0] < found.up[1];
-  const sorted = Uint8Array.from(level).sort();
-  const [floor, top] = [sorted[Math.floor(sorted.length * 0.4)]!, sorted[sorted.length - 1]!];
-  for (let j = 0; j < rows; j += 1)
-    for (let i = 0; i < columns; i += 1) {
-      const value = level[(flipY ? rows - 1 - j : j) * columns + (flipX ? columns - 1 - i : i)]!;
-      const [r, g, b] = sample("inferno", (value - floor) / Math.max(1, top - floor));
-      picture.data.set([r, g, b, 255], (j * columns + i) * 4);
-    }
-  const paper = canvas.getContext("2d")!;
+  const columns = found.across[2];
+  const pick = (axis: [number, number, number], value: number): number => Math.min(axis[2] - 1, Math.max(0, Math.floor(((value - axis[0]) / (axis[1] - axis[0])) * axis[2])));
+  const out = h("canvas", { width: WIDE, height: TALL, id: "slice" });
+  const picture = new ImageData(WIDE, TALL);
+  const seen: number[] = [];
+  for (let j = 0; j < TALL; j += 1)
+    for (let i = 0; i < WIDE; i += 1)
+      seen.push(level[pick(found.up, up[1] - ((j + 0.5) / TALL) * (up[1] - up[0])) * columns + pick(found.across, across[1] - ((i + 0.5) / WIDE) * (across[1] - across[0]))]!);
+  const sorted = Uint8Array.from(seen).sort();
+  const [floor, top] = [sorted[Math.floor(sorted.length * 0.3)]!, sorted[sorted.length - 1]!];
+  seen.forEach((value, k) => picture.data.set([...sample("inferno", (value - floor) / Math.max(1, top - floor)), 255], k * 4));
+  const paper = out.getContext("2d")!;
   paper.putImageData(picture, 0, 0);
-  const out = h("canvas", { width: 560, height: 180, id: "slice" });
-  out.getContext("2d")!.drawImage(canvas, 0, 0, 560, 180);
+  if (at) {
+    const x = (value: number): number => WIDE * (1 - (value - across[0]) / (across[1] - across[0]));
+    const y = (value: number): number => TALL * (1 - (value - up[0]) / (up[1] - up[0]));
+    paper.strokeStyle = "#ffffff";
+    paper.lineWidth = 2;
+    paper.strokeRect(x(at.across + at.wide), y(at.top), x(at.across - at.wide) - x(at.across + at.wide), y(at.bottom) - y(at.top));
+  }
   return out;
 }
 
-function mark(canvas: HTMLCanvasElement, layer: Layer, box: ReturnType<typeof boxOf>): void {
-  const found = axes(layer)!;
-  const r = Math.hypot(box[0], box[1]);
-  const polar = layer.polar !== null;
+/** The box on the slice's axes: radians from a polar radar, metres from a cube; the radar's own place taken off. */
+function mapped(layer: Layer, box: ReturnType<typeof boxOf>): { across: number; wide: number; up: number; top: number; bottom: number } {
   const m = layer.frame_T_layer;
-  const height = (z: number): number => (polar ? Math.atan2(z - (m?.[11] ?? 0), r) : z - (m?.[11] ?? 0));
-  const centre = polar ? Math.atan2(box[1] - (m?.[7] ?? 0), box[0] - (m?.[3] ?? 0)) : box[1] - (m?.[7] ?? 0);
+  const [x, y, z] = [box[0] - (m?.[3] ?? 0), box[1] - (m?.[7] ?? 0), box[2] - (m?.[11] ?? 0)];
+  const r = Math.max(1, Math.hypot(x, y));
   const half = (Math.abs(Math.sin(box[6])) * box[3] + Math.abs(Math.cos(box[6])) * box[4]) / 2;
-  const wide = polar ? half / Math.max(1, r) : half;
-  const x = (value: number): number => canvas.width * (1 - (value - Math.min(found.across[0], found.across[1])) / Math.abs(found.across[1] - found.across[0]));
-  const y = (value: number): number => canvas.height * (1 - (value - Math.min(found.up[0], found.up[1])) / Math.abs(found.up[1] - found.up[0]));
-  const paper = canvas.getContext("2d")!;
-  paper.strokeStyle = "#ffffff";
-  paper.lineWidth = 2;
-  paper.strokeRect(x(centre + wide), y(height(box[2] + box[5] / 2)), x(centre - wide) - x(centre + wide), y(height(box[2] - box[5] / 2)) - y(height(box[2] + box[5] / 2)));
+  const polar = layer.polar !== null;
+  const height = (value: number): number => (polar ? Math.atan2(value, r) : value);
+  return { across: polar ? Math.atan2(y, x) : y, wide: polar ? half / r : half, up: height(z), top: height(z + box[5] / 2), bottom: height(z - box[5] / 2) };
 }
 
 export const shownSlice = (): string => last;

@@ -162,11 +162,12 @@ export class Stage {
 
   look(name: string, layer: Layer, row: number): Look {
     const radar = layer.sensor === "radar";
-    const power = this.clouds.get(name)?.object.set.values.has("power") ? "power" : null;
-    const mode = state.colour === "pattern" ? "pattern" : state.colour;
+    const fields = this.clouds.get(name)?.object.set.values;
+    const power = ["power", "rcs_dbsm"].find((field) => fields?.has(field)) ?? null;
+    const own = radar && power !== null && ["height", "intensity", "ring", "lag_s", "age_s"].includes(state.colour);
     return {
-      mode: radar && mode === "intensity" && power ? power : mode,
-      window: state.window,
+      mode: own ? power : state.colour,
+      window: own ? null : state.window,
       size: state.pointSize * (radar ? 2.2 : 1),
       grow: state.grow ? 1 : 0,
       opacity: lookOf(name, layer.kind).opacity,

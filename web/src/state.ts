@@ -141,9 +141,9 @@ export function shownPredictions(pane: number): { set: PredictionSet | undefined
   return out;
 }
 
-export function lookOf(name: string, kind: string): LayerLook {
+export function lookOf(name: string, kind: string, visible?: boolean): LayerLook {
   const key = `${kind} ${name}`;
   let look = state.looks.get(key);
-  if (!look) state.looks.set(key, (look = { visible: true, opacity: kind === "bev" ? 0.7 : 1, side: 0 }));
+  if (!look) state.looks.set(key, (look = { visible: visible ?? true, opacity: kind === "bev" ? 0.7 : 1, side: 0 }));
   return look;
 }
