@@ -1,9 +1,10 @@
 """Which data set a studio opens."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from farfield.datasets.base import Dataset
+if TYPE_CHECKING:
+    from farfield.datasets.base import Dataset
 
 
 class Opening:
@@ -22,7 +23,7 @@ class Opening:
         """What the page calls it."""
         return "two simulated frames" if self.path is None else self.path.resolve().name
 
-    def __call__(self) -> Dataset:
+    def __call__(self) -> "Dataset":
         """Open it.
 
         Raises:

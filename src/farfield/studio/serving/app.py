@@ -14,8 +14,7 @@ from starlette.routing import Route, WebSocketRoute
 
 from farfield.errors import FarfieldError
 from farfield.studio.messages.replies import VERSION
-from farfield.studio.serving.entry import Entry
-from farfield.studio.serving.guard import App, Guard
+from farfield.studio.serving.guard import App
 from farfield.studio.serving.socket import socket
 from farfield.studio.session.book import first_of
 from farfield.studio.session.desk import Desk
@@ -33,12 +32,11 @@ _KINDS = {
 _NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
 
 
-def make_app(desk: Desk, entry: Entry, *, static: Path = STATIC) -> App:
-    """The application behind its guard.
+def make_app(desk: Desk, *, static: Path = STATIC) -> App:
+    """The application; who may speak to it is its :class:`~farfield.studio.serving.guard.Guard`'s business.
 
     Args:
         desk: What is open, and who is at it.
-        entry: Who is let in.
         static: Folder of the built page.
     """
     routes = [
@@ -55,7 +53,7 @@ def make_app(desk: Desk, entry: Entry, *, static: Path = STATIC) -> App:
     app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
     app.state.desk, app.state.readers = desk, ThreadPoolExecutor(4, thread_name_prefix="studio-read")
     app.state.files = _files(static)
-    return Guard(app, entry)
+    return app
 
 
 def _files(static: Path) -> dict[str, Path]:

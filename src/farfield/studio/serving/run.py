@@ -6,20 +6,22 @@ import os
 import socket
 import sys
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 
 import uvicorn
 
-from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
-from farfield.studio.serving.app import make_app
 from farfield.studio.serving.entry import Entry
-from farfield.studio.serving.guard import App
+from farfield.studio.serving.guard import App, Guard
+from farfield.studio.serving.late import Late
 from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
-from farfield.studio.session.desk import Desk
-from farfield.studio.session.handlers import HANDLERS
 from farfield.studio.session.settings import StudioSettings
+
+if TYPE_CHECKING:
+    from farfield.datasets.base import Dataset
+    from farfield.studio.session.desk import Desk
 
 _TRIED = 50
 Say = Callable[[str], None]
@@ -51,7 +53,7 @@ def _say(line: str) -> None:
 
 
 def serve(
-    open_data: Callable[[], Dataset],
+    open_data: "Callable[[], Dataset]",
     settings: StudioSettings,
     *,
     port: int | None = None,
@@ -77,7 +79,7 @@ def serve(
 
 async def serving(
     listener: socket.socket,
-    open_data: Callable[[], Dataset],
+    open_data: "Callable[[], Dataset]",
     settings: StudioSettings,
     *,
     browser: bool,
@@ -85,12 +87,15 @@ async def serving(
     ended: asyncio.Event | None = None,
 ) -> None:
     """Serve on a socket that listens, until Ctrl-C or until ``ended`` is set; arguments as of :func:`serve`."""
-    desk, entry = Desk(settings, HANDLERS), Entry(listener.getsockname()[1])
-    server = _Server(_config(make_app(desk, entry)), desk)
-    tasks = [asyncio.create_task(server.serve(sockets=[listener])), asyncio.create_task(_open(desk, open_data))]
+    late, entry = Late(), Entry(listener.getsockname()[1])
+    server = _Server(_config(Guard(late, entry)))
+    tasks = [
+        asyncio.create_task(server.serve(sockets=[listener])),
+        asyncio.create_task(_open(server, late, open_data, settings)),
+    ]
     running, opening = tasks
     if ended is not None:
-        tasks.append(asyncio.create_task(ended.wait()))
+        tasks.append(asyncio.create_task(ended.wait()))  # type: ignore[arg-type]
     with _enter_for_link(entry, say):
         try:
             say("\n".join(_words(entry)))
@@ -106,7 +111,8 @@ async def serving(
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            await desk.close()
+            if server.desk is not None:
+                await server.desk.close()
 
 
 def _config(app: App) -> uvicorn.Config:
@@ -125,23 +131,35 @@ def _config(app: App) -> uvicorn.Config:
     )
 
 
-async def _open(desk: Desk, open_data: Callable[[], Dataset]) -> None:
+class _Server(uvicorn.Server):
+    """Says goodbye to the windows before it stops."""
+
+    desk: "Desk | None" = None
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Say goodbye, then stop."""
+        if self.desk is not None:
+            self.desk.goodbye("the studio was ended in its terminal")
+            await asyncio.sleep(0.05)
+        await super().shutdown(sockets)
+
+
+async def _open(server: _Server, late: Late, open_data: "Callable[[], Dataset]", settings: StudioSettings) -> None:
+    """Import what is heavy, open the data set, and let the windows in."""
+    desk, app = await asyncio.to_thread(_made, settings)
+    server.desk = desk
+    late.take(app)
     await desk.in_thread(lambda: desk.open(open_data()))
     desk.let_in()
 
 
-class _Server(uvicorn.Server):
-    """Says goodbye to the windows before it stops."""
+def _made(settings: StudioSettings) -> "tuple[Desk, App]":
+    from farfield.studio.serving.app import make_app
+    from farfield.studio.session.desk import Desk
+    from farfield.studio.session.handlers import HANDLERS
 
-    def __init__(self, config: uvicorn.Config, desk: Desk) -> None:
-        super().__init__(config)
-        self.desk = desk
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Say goodbye, then stop."""
-        self.desk.goodbye("the studio was ended in its terminal")
-        await asyncio.sleep(0.05)
-        await super().shutdown(sockets)
+    desk = Desk(settings, HANDLERS)
+    return desk, make_app(desk)
 
 
 def link(entry: Entry) -> str:
@@ -162,7 +180,7 @@ def _words(entry: Entry) -> list[str]:
 
 
 @contextlib.contextmanager
-def _enter_for_link(entry: Entry, say: Say):  # type: ignore[no-untyped-def]
+def _enter_for_link(entry: Entry, say: Say) -> Iterator[None]:
     """Print a new link at each Enter, where a person sits at the terminal."""
     if not sys.stdin or not sys.stdin.isatty():
         yield
