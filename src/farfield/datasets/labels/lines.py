@@ -1,10 +1,13 @@
 """Files of lines in which some objects change: the others keep their bytes, in their places."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from farfield.datasets.labels.contract import BoxLabel
+from farfield.datasets.labels.contract import BoxLabel, Numbers
 from farfield.frame import Key
+
+_ALIKE = 1e-9  # metres or radians: a box that went to the page and came back unmoved
 
 
 class Part(NamedTuple):
@@ -78,3 +81,16 @@ def physical_lines(data: bytes) -> list[bytes]:
     """
     pieces = data.split(b"\n")
     return [piece + b"\n" for piece in pieces[:-1]] + ([pieces[-1]] if pieces[-1] else [])
+
+
+def kept_numbers(old: Numbers, new: Numbers) -> Numbers:
+    """The new box, with the old number wherever both differ by less than a nanometre or a full turn.
+
+    >>> kept_numbers((1.0, 0.0, 0.0, 4.0, 2.0, 1.5, 4.0), (1.0, 2.0, 0.0, 4.0, 2.0, 1.5, 4.0 - 2 * math.pi))
+    (1.0, 2.0, 0.0, 4.0, 2.0, 1.5, 4.0)
+    """
+    turn = math.remainder(new[6] - old[6], 2 * math.pi)
+    x, y, z, length, width, height = (
+        a if abs(b - a) <= _ALIKE else float(b) for a, b in zip(old[:6], new[:6], strict=True)
+    )
+    return x, y, z, length, width, height, old[6] if abs(turn) <= _ALIKE else float(new[6])
