@@ -60,14 +60,14 @@ export async function makeFilm(stage: Stage): Promise<void> {
       frames.push(frame);
       if (frame % 5 === 0) report("info", `Film: frame ${frame - first + 1} of ${last - first + 1}`);
     }
-    send({ op: "export", id: newId(), kind: "gif", frames, shots, name: fileName(".gif"), rate_hz: state.rate });
+    send({ op: "export", id: newId(), kind: "gif", frames, shots, name: fileName(""), rate_hz: state.rate });
   } catch (error) {
     report("error", `The film stopped: ${(error as Error).message}.`);
   }
 }
 
 export function makePage(): void {
-  send({ op: "export", id: newId(), kind: "html", frames: [state.frame], name: fileName(".html") });
+  send({ op: "export", id: newId(), kind: "html", frames: [state.frame], name: fileName("") });
 }
 
 onReply("job", (message) => {

@@ -13,6 +13,7 @@ function conditions(): string {
 }
 
 function saveState(): string {
+  if (document.body.classList.contains("file")) return "a file: nothing can be changed here";
   if (state.pending > 0 && !state.connected) return `not saved: ${state.pending} edit${state.pending > 1 ? "s" : ""}`;
   if (!state.connected) return state.everConnected ? "connection lost, trying again" : "connecting";
   if (state.pending > 0) return "saving";

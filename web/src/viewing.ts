@@ -1,8 +1,7 @@
 // Keys that look and never change an annotation: frames, objects, colours, panes.
 
-import { fill } from "./dom";
-import { setTool } from "./annotate";
-import { byId } from "./dom";
+import { setClass, setTool } from "./annotate";
+import { byId, fill } from "./dom";
 import type { PointSet } from "./cloud";
 import { show } from "./frames";
 import { bind } from "./keys";
@@ -115,6 +114,7 @@ function jump(stage: Stage, by: number): void {
 export function bindViewing(stage: Stage): void {
   frames();
   objects(stage);
+  for (let i = 1; i <= 9; i += 1) bind(`class.${i}`, () => classKey(i));
   bind("check.next", () => jump(stage, 1));
   bind("check.previous", () => jump(stage, -1));
   bind("colour.next", () => {
@@ -135,6 +135,17 @@ export function bindViewing(stage: Stage): void {
   bind("size.up", () => pointSize(1.25));
   bind("size.down", () => pointSize(0.8));
   bind("measure", () => setTool(state.tool === "measure" ? "none" : "measure"));
+}
+
+/** A digit shows or hides a class while viewing, and sets it while annotating. */
+function classKey(place: number): void {
+  const classes = state.welcome?.classes ?? [];
+  const spec = classes.find((one) => one.key === String(place)) ?? (classes.some((one) => one.key) ? undefined : classes[place - 1]);
+  if (!spec) return;
+  if (state.mode === "annotate") return setClass(spec.name);
+  const { hidden } = state.filters;
+  if (!hidden.delete(spec.name)) hidden.add(spec.name);
+  changed("filters");
 }
 
 function pointSize(by: number): void {
