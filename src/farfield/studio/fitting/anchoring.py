@@ -6,6 +6,7 @@ from jaxtyping import Float
 from farfield.studio.fitting.contract import Prior
 
 _LEAST_M = 0.1
+_POINTS_ACROSS, _WHOLE = 100, 0.8
 
 
 def axes(yaw_rad: float) -> Float[np.ndarray, "2 2"]:
@@ -19,7 +20,8 @@ def footprint(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior) -> F
 
     Its size is the larger of the prior's and the measured one along each axis. Along an axis on which all points lie to
     one side of the sensor, the face towards the sensor stays and the box grows away from it; otherwise, and for all
-    that is not anchored, it grows about the middle of the points.
+    that is not anchored, it grows about the middle of the points. So it does across where 100 points cover most of
+    the width: both sides were seen then, and only mirrors are missing.
 
     Args:
         xy_m: The object's points seen from above, at least one.
@@ -29,22 +31,12 @@ def footprint(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior) -> F
     turn, ego = axes(yaw_rad), np.array(prior.ego_m)
     along = (xy_m - ego) @ turn.T
     low, high = along.min(axis=0), along.max(axis=0)
-    size = _sizes(high - low, prior)
-    return placed(low, high, size, yaw_rad, prior)
-
-
-def placed(
-    low: Float[np.ndarray, " 2"],
-    high: Float[np.ndarray, " 2"],
-    size: Float[np.ndarray, " 2"],
-    yaw_rad: float,
-    prior: Prior,
-) -> Float[np.ndarray, " 5"]:
-    """A rectangle of a size over the stretch that points cover, both along the box's axes from the sensor on."""
-    centre = (low + high) / 2
+    size, centre = _sizes(high - low, prior), (low + high) / 2
     if prior.anchored:
-        centre = np.where(low > 0, low + size / 2, np.where(high < 0, high - size / 2, centre))
-    x, y = centre @ axes(yaw_rad) + np.array(prior.ego_m)
+        anchored = np.where(low > 0, low + size / 2, np.where(high < 0, high - size / 2, centre))
+        across = len(xy_m) >= _POINTS_ACROSS and high[1] - low[1] >= _WHOLE * prior.size_m[1]
+        centre = np.where([False, across], centre, anchored)
+    x, y = centre @ turn + ego
     return np.array([x, y, *size, yaw_rad])
 
 
