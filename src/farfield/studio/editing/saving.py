@@ -4,6 +4,7 @@ Files are always made from what they held before the first edit, so that lines t
 back, keep their bytes.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -118,6 +119,8 @@ def save_copy(store: Store, author: Author, id: str, folder: Path) -> Saved:
             for path in store.files.keys_of
             if _updated(folder / store.files.relative(path), _current(store, path, touched.get(path)))
         ]
+        if written:
+            sync()
         done = store.edit(author, id, SAVE, _nothing, data={"folder": str(folder), "count": len(written)})
         written = [folder / store.files.relative(path) for path in written]
     return Saved(folder, tuple(written), done)
@@ -129,11 +132,22 @@ def _current(store: Store, path: Path, keys: Sequence[Key] | None) -> bytes | No
 
 
 def _updated(target: Path, data: bytes | None) -> bool:
-    """Write a file where it differs; whether it did."""
+    """Write a file where it differs, without waiting for the disk; whether it did."""
     differs = _differs(target, data)
-    if differs:
-        _put(target, data)
+    if differs and data is None:
+        target.unlink()
+    elif differs and data is not None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(f".{target.name[:100]}.part")
+        partial.write_bytes(data)
+        partial.replace(target)
     return differs
+
+
+def sync() -> None:
+    """Wait until all that was written is on the disk: once for thousands of files."""
+    if hasattr(os, "sync"):
+        os.sync()
 
 
 def export_labels(store: Store, labels: LabelFormat, keys: Sequence[Key]) -> tuple[Path, ...]:
