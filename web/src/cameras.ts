@@ -7,9 +7,10 @@ import { byId, fill, h } from "./dom";
 import { load } from "./loader";
 import type { CameraModel, Layer } from "./protocol";
 import type { Stage } from "./stage";
+import type { Numbers } from "./wire";
 import { boxOf, colourOf, lookOf, on, shownBoxes, shownPredictions, state } from "./state";
 
-const POINTS = 9000; // drawn at most in a picture
+const POINTS = 5000; // drawn at most in a picture
 
 /** A point of the frame in pixels of the picture, or null behind the camera (k1 k2 p1 p2 k3 as OpenCV has them). */
 export function toPixel(camera: CameraModel, p: Vec3): [number, number, number] | null {
@@ -90,9 +91,12 @@ function draw(stage: Stage, { layer, canvas, picture }: Strip): void {
 
 function points(paper: CanvasRenderingContext2D, camera: CameraModel, set: PointSet, layer: Layer, scale: number): void {
   if (layer.frame_T_layer) return;
-  const size = (layer.sensor === "radar" ? 4 : 1.5) * scale;
+  const size = (layer.sensor === "radar" ? 3 : 1.2) * scale;
   let drawn = 0;
+  const power = layer.sensor === "radar" && set.count > 5000 ? set.values.get("power_db")?.rows : undefined;
+  const least = power ? quantile(power, 0.97) : 0;
   for (let i = 0, k = 0; i < set.count && drawn < POINTS; i += 1, k += 4) {
+    if (power && power[i]! < least) continue;
     const at = toPixel(camera, [set.places[k]! * set.scale + set.offset[0], set.places[k + 1]! * set.scale + set.offset[1], set.places[k + 2]! * set.scale + set.offset[2]]);
     if (!at || at[0] < 0 || at[1] < 0 || at[0] > paper.canvas.width || at[1] > paper.canvas.height) continue;
     drawn += 1;
@@ -100,6 +104,10 @@ function points(paper: CanvasRenderingContext2D, camera: CameraModel, set: Point
     paper.fillStyle = `rgba(${r | 0}, ${g | 0}, ${b | 0}, 0.8)`;
     paper.fillRect(at[0] - size / 2, at[1] - size / 2, size, size);
   }
+}
+
+function quantile(values: Numbers, part: number): number {
+  return Float64Array.from(values.subarray(0, 4000)).sort()[Math.floor(part * Math.min(4000, values.length - 1))] ?? 0;
 }
 
 function box(paper: CanvasRenderingContext2D, camera: CameraModel, numbers: ReturnType<typeof boxOf>, colour: string, scale: number, dash: number[]): void {

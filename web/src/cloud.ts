@@ -132,7 +132,7 @@ export class CloudObject {
 
 export function scaleOf(mode: string): Scale {
   if (mode === "doppler_m_s" || mode === "doppler") return "signed";
-  if (mode === "power" || mode === "rcs_dbsm") return "inferno";
+  if (mode === "power_db" || mode === "rcs_dbsm") return "inferno";
   return mode === "age" || mode === "lag_s" ? "cividis" : "viridis";
 }
 

@@ -135,12 +135,12 @@ function draw(stage: Stage): void {
   const left = byId("left");
   if (left.contains(document.activeElement) && document.activeElement instanceof HTMLInputElement && document.activeElement.type === "range" && sliding) return;
   const all = state.shown?.layers ?? [];
-  const hasRadarPower = [...stage.clouds.values()].some(({ layer, object }) => layer.sensor === "radar" && (object.set.values.has("power") || object.set.values.has("rcs_dbsm")));
+  const hasRadarPower = [...stage.clouds.values()].some(({ layer, object }) => layer.sensor === "radar" && (object.set.values.has("power_db") || object.set.values.has("rcs_dbsm")));
   const top = left.scrollTop;
   fill(left,
     heading("Layers"), ...all.filter((layer) => layer.kind !== "bfs").map((layer) => layerRow(stage, layer)),
     sweeps(),
-    hasRadarPower ? slider("power ≥", state.powerGate, 0, 1, 0.02, (value) => { state.powerGate = value; changed("looks"); }, (value) => `${(value * 100).toFixed(0)} %`) : null,
+    hasRadarPower ? slider("strongest", 1 - (state.powerGate ?? 0.9), 0.01, 1, 0.01, (value) => { state.powerGate = 1 - value; changed("looks"); }, (value) => (state.powerGate === null ? "auto" : `${(value * 100).toFixed(0)} %`), "power") : null,
     ...colourPart(stage), ...boxPart(), ...filterPart(), refreshInference());
   left.scrollTop = top;
 }

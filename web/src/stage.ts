@@ -163,16 +163,16 @@ export class Stage {
   look(name: string, layer: Layer, row: number): Look {
     const radar = layer.sensor === "radar";
     const fields = this.clouds.get(name)?.object.set.values;
-    const power = ["power", "rcs_dbsm"].find((field) => fields?.has(field)) ?? null;
+    const power = ["power_db", "rcs_dbsm"].find((field) => fields?.has(field)) ?? null;
     const own = radar && power !== null && ["height", "intensity", "ring", "lag_s", "age_s"].includes(state.colour);
     return {
       mode: own ? power : state.colour,
-      window: own ? null : state.window,
+      window: own ? powerWindow(this.clouds.get(name)!.object.set, power) : state.window,
       size: state.pointSize * (radar ? 2.2 : 1),
       grow: state.grow ? 1 : 0,
       opacity: lookOf(name, layer.kind).opacity,
       flat: PATTERN_COLOURS[row % PATTERN_COLOURS.length]!,
-      gate: radar && power && state.powerGate > 0 ? { name: power, least: gateOf(this.clouds.get(name)?.object.set, power) } : null,
+      gate: radar && power ? { name: power, least: gateOf(this.clouds.get(name)!.object.set, power) } : null,
       keep: state.filters.range,
     };
   }
@@ -229,12 +229,17 @@ export class Stage {
     this.renderer.render(scene, camera);
   }
 
-  /** Draw everything now and count the main view's distinct colours: a blank canvas has one. */
-  coloursNow(): number {
+  /** Draw everything now. */
+  whole(): void {
     window.clearTimeout(this.settle);
     this.moving = false;
     this.dirty = { main: true, close: true, lines: true };
     this.render();
+  }
+
+  /** Draw everything now and count the canvas's distinct colours: a blank one has one. */
+  coloursNow(): number {
+    this.whole();
     const gl = this.renderer.getContext();
     const bytes = new Uint8Array(this.canvas.width * this.canvas.height * 4);
     gl.readPixels(0, 0, this.canvas.width, this.canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
@@ -243,7 +248,7 @@ export class Stage {
 
   /** The page's picture (points and lines) as a PNG of the main view. */
   async picture(): Promise<Blob> {
-    this.coloursNow();
+    this.whole();
     const box = byId("main").getBoundingClientRect();
     const ratio = this.canvas.width / window.innerWidth;
     const out = new OffscreenCanvas(Math.round(box.width * ratio), Math.round(box.height * ratio));
@@ -261,7 +266,23 @@ function place(object: { matrixAutoUpdate: boolean; matrix: Matrix4; matrixWorld
   object.matrixWorldNeedsUpdate = true;
 }
 
-function gateOf(set: PointSet | undefined, name: string): number {
-  const field = set?.values.get(name);
-  return field ? field.low + state.powerGate * (field.high - field.low) : 0;
+/** The weakest shown point is not black. */
+function powerWindow(set: PointSet, name: string): [number, number] {
+  const low = gateOf(set, name);
+  const high = set.values.get(name)!.high;
+  return [low - 0.35 * (high - low), high];
+}
+
+const FEW = 9000;
+
+/** The byte below which a radar's points are left out, in physical units; memorised with the points. */
+function gateOf(set: PointSet, name: string): number {
+  const field = set.values.get(name)!;
+  const share = state.powerGate ?? Math.max(0, 1 - FEW / Math.max(1, set.count));
+  const counts = new Uint32Array(256);
+  for (const value of field.rows) counts[value]! += 1;
+  let left = share * set.count;
+  let byte = 0;
+  while (byte < 255 && (left -= counts[byte]!) > 0) byte += 1;
+  return field.low + (byte / 255) * (field.high - field.low);
 }

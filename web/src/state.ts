@@ -42,7 +42,7 @@ export const state = {
   pointSize: 1.5,
   grow: true,
   sweeps: 1,
-  powerGate: 0,
+  powerGate: null as number | null, // share of a radar's points left out, the weakest first; null: as many as make 9,000 remain
   showTruth: true,
   showMissed: true,
   showTrails: true,

@@ -23,9 +23,34 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
     const found = stage.panes()[pane]!;
     return new Projector(found.camera, found.rect).point(p);
   };
+  const fence = (): void => {
+    const gl = stage.renderer.getContext();
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  };
+  /** Milliseconds of whole renders, each waited for. */
+  const fenced = (times: number): number[] =>
+    Array.from({ length: times }, () => {
+      const started = performance.now();
+      stage.whole();
+      fence();
+      return performance.now() - started;
+    });
+  /** Milliseconds from the next key to the frame that it asks for, drawn. */
+  const keyToFrame = (): Promise<number> =>
+    new Promise((resolve) => {
+      window.addEventListener("keydown", () => {
+        const started = performance.now();
+        const before = state.frame;
+        const look = (): void => {
+          if (state.frame !== before && stage.drawn.frame === state.frame) fence(), resolve(performance.now() - started);
+          else setTimeout(look, 1);
+        };
+        setTimeout(look, 0);
+      }, { once: true, capture: true });
+    });
   Object.assign(window, {
     farfieldTest: {
-      state, stage, waitIdle, project, fitTimes,
+      state, stage, waitIdle, project, fitTimes, fenced, keyToFrame,
       drawn: () => ({ ...stage.drawn }),
       colours: () => stage.coloursNow(),
       closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),

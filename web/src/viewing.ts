@@ -21,11 +21,11 @@ export function colours(): string[] {
 }
 
 export const COLOUR_TITLES: Record<string, string> = {
-  height: "height", range: "range", pattern: "pattern (layer)", intensity: "intensity", ring: "ring", lag_s: "age", age_s: "age", power: "power",
+  height: "height", range: "range", pattern: "pattern (layer)", intensity: "intensity", ring: "ring", lag_s: "age", age_s: "age", power_db: "power",
   doppler_m_s: "Doppler", rcs_dbsm: "cross-section", doppler_compensated_m_s: "Doppler over ground",
 };
 
-export const COLOUR_UNITS: Record<string, string> = { height: "m", range: "m", lag_s: "s", age_s: "s", doppler_m_s: "m/s", rcs_dbsm: "dBsm", power: "" };
+export const COLOUR_UNITS: Record<string, string> = { height: "m", range: "m", lag_s: "s", age_s: "s", doppler_m_s: "m/s", rcs_dbsm: "dBsm", power_db: "dB" };
 
 export function setColour(name: string): void {
   state.colour = name;

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int16, Shaped, UInt8
 
 from farfield.frame import Cloud
+from farfield.radar.projections import decibel
 
 _MAGIC = b"FFP1"
 _FINEST_M = 1 / 128
@@ -31,11 +32,10 @@ def encode_cloud(cloud: Cloud, facts: Mapping[str, Any]) -> bytes:
     places, scale_m = _places(cloud)
     arrays: dict[str, tuple[np.ndarray, dict[str, Any]]] = {"place": (places, {})}
     for name in cloud.columns[3:]:
-        column = cloud.intensity if name == "intensity" else cloud.extra[name]
-        values = _ages_s(column) if name == "time_ns" else np.asarray(column)
+        shown, values = _shown(name, np.asarray(cloud.intensity if name == "intensity" else cloud.extra[name]))
         if values.ndim == 1 and values.dtype.kind in "fiub":
             rows, low, high = as_bytes(values.astype(np.float64), *_span(name, values))
-            arrays["age_s" if name == "time_ns" else name] = rows, {"low": low, "high": high}
+            arrays[shown] = rows, {"low": low, "high": high}
     return _packed({**facts, "count": len(cloud), "scale_m": scale_m, "offset_m": [0.0, 0.0, 0.0]}, arrays)
 
 
@@ -89,6 +89,15 @@ def _span(name: str, values: Shaped[np.ndarray, " n"]) -> tuple[float, float]:
         return 0.0, 255.0
     known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     return (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+
+
+def _shown(name: str, column: Shaped[np.ndarray, " n ..."]) -> tuple[str, Shaped[np.ndarray, " n ..."]]:
+    """A column's name and values on the page: times as ages, a radar's power in dB, for it spans six decades."""
+    if name == "time_ns":
+        return "age_s", _ages_s(column)
+    if name == "power" and column.ndim == 1 and column.dtype.kind == "f":
+        return "power_db", decibel(np.maximum(column, 0), unit=1.0)
+    return name, column
 
 
 def _ages_s(time_ns: Shaped[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
