@@ -1,5 +1,6 @@
 """Edits of annotations: a journal of lines, the state that they add up to, and where the journal stands."""
 
+from farfield.datasets.edits.edited import Edited
 from farfield.datasets.edits.places import FOLDER, JOURNAL, journal_folder
 from farfield.datasets.edits.reading import Replay, read_journal
 from farfield.datasets.edits.records import Cell, Change, Record, box_cell, decode, encode, track_cell
@@ -11,6 +12,7 @@ __all__ = [
     "JOURNAL",
     "Cell",
     "Change",
+    "Edited",
     "Record",
     "Replay",
     "Standing",
