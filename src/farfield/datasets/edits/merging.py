@@ -70,12 +70,13 @@ class _Rows:
 
     def __init__(self, boxes: Boxes) -> None:
         self._table = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+        self._track = boxes.track_id
         self._free = np.ones(len(boxes), dtype=bool)
 
     def take(self, key: Key, written: Sequence[Mapping[str, Any] | None]) -> int | None:
         for value in written:
             if value is not None and value.get("state", "accepted") in _STANDING:
-                found = self._find(np.array(value["box"], dtype=np.float64))
+                found = self._find(np.array(value["box"], dtype=np.float64), str(value.get("track", "")))
                 if found is not None:
                     self._free[found] = False
                     return found
@@ -87,11 +88,13 @@ class _Rows:
             )
         return None
 
-    def _find(self, box: Float[np.ndarray, " 7"]) -> int | None:
+    def _find(self, box: Float[np.ndarray, " 7"], track: str) -> int | None:
+        """The row of a box; of two alike that of its track."""
         off = self._table - box
         off[:, 6] = wrap_angle_rad(off[:, 6])
-        found = np.flatnonzero(self._free & (np.abs(off) < ALIKE).all(axis=1))
-        return int(found[0]) if len(found) else None
+        found = np.flatnonzero(self._free & (np.abs(off) < ALIKE).all(axis=1)).tolist()
+        named = [row for row in found if self._track is not None and str(self._track[row]) == track]
+        return next(iter([*named, *found]), None)
 
 
 _Source = tuple[int | None, BoxLabel | None]
