@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-_THIN_M = 0.12  # denser clouds are thinned to one point a cell before neighbours are sought
+_CELLS = 4.0  # cells to a step: denser clouds are thinned to one point a cell before neighbours are sought
 
 
 def link_radius_m(range_m: float, *, small: bool) -> float:
@@ -28,8 +28,13 @@ def cluster_at(
     """
     if len(points_m) == 0:
         return np.zeros(0, dtype=np.bool_)
-    cell, member = np.unique(np.floor(points_m / _THIN_M).astype(np.int64), axis=0, return_inverse=True)
-    pairs = cKDTree((cell + 0.5) * _THIN_M).query_pairs(radius_m, output_type="ndarray")
+    cell_m = radius_m / _CELLS
+    whole = np.floor(points_m / cell_m).astype(np.int64)
+    whole -= whole.min(axis=0)
+    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    _, first, member = np.unique(code, return_index=True, return_inverse=True)
+    cell = whole[first]
+    pairs = cKDTree((cell + 0.5) * cell_m).query_pairs(radius_m, output_type="ndarray")
     links = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
     _, component = connected_components(links, directed=False)
     nearest = int(np.argmin(np.hypot(points_m[:, 0] - at_m[0], points_m[:, 1] - at_m[1])))
