@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 from farfield.datasets.base import Dataset
 from farfield.studio.samples import open_samples
 from farfield.studio.serving import run
-from farfield.studio.session.settings import StudioSettings
+from farfield.studio.settings import StudioSettings
 
 _NAMES = itertools.count(1)
 

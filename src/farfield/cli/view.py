@@ -46,7 +46,7 @@ def run(
     """
     from farfield.cli._words import names
     from farfield.studio.serving.run import serve
-    from farfield.studio.session.settings import StudioSettings
+    from farfield.studio.settings import StudioSettings
     from farfield.studio.starting import Opening
 
     opening = Opening(data, labels=labels, reference=reference)

@@ -17,7 +17,8 @@ from farfield.studio.serving.entry import Entry
 from farfield.studio.serving.guard import App, Guard
 from farfield.studio.serving.late import Late
 from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
-from farfield.studio.session.settings import StudioSettings
+from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
 
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
@@ -112,7 +113,7 @@ async def serving(
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             if server.desk is not None:
-                await server.desk.close()
+                await _closed(server.desk)
 
 
 def _config(app: App) -> uvicorn.Config:
@@ -151,6 +152,19 @@ async def _open(server: _Server, late: Late, open_data: "Callable[[], Dataset]",
     late.take(app)
     await desk.in_thread(lambda: desk.open(open_data()))
     desk.let_in()
+    if desk.annotating is not None:
+        from farfield.studio.session.editing import autosave
+
+        desk.aside(Window(id="", annotator=""), None, autosave(desk))
+
+
+async def _closed(desk: "Desk") -> None:
+    """Save what is to be saved and end."""
+    from farfield.studio.session.editing import save_now
+
+    if desk.ready:
+        await save_now(desk)
+    await desk.close()
 
 
 def _made(settings: StudioSettings) -> "tuple[Desk, App]":

@@ -11,8 +11,8 @@ from farfield.metrics import PROTOCOLS
 from farfield.studio.messages.replies import FrameState
 from farfield.studio.messages.rows import BoxRow, PredictedFrame, Trail
 from farfield.studio.session.bookmarks import Bookmarks
-from farfield.studio.session.settings import StudioSettings
 from farfield.studio.session.trails import trails
+from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import Opened
 from farfield.studio.showing.predictions import Predictions, read_set
 from farfield.studio.showing.rows import annotated_rows, frame_info
@@ -24,7 +24,7 @@ class Book:
     """Frames of a data set.
 
     Args:
-        data: The data set.
+        opened: The open data set.
         settings: What the studio was started with.
         rows: Gives the boxes of a frame where they are edited; those of the data set without it.
 
@@ -32,8 +32,9 @@ class Book:
         FarfieldError: If predictions cannot be read or belong to other frames, or the protocol is unknown.
     """
 
-    def __init__(self, data: Dataset, settings: StudioSettings, rows: Rows | None = None) -> None:
-        self.data, self.opened, self.rows = data, Opened(data), rows
+    def __init__(self, opened: Opened, settings: StudioSettings, rows: Rows | None = None) -> None:
+        data = opened.data
+        self.data, self.opened, self.rows = data, opened, rows
         self.protocol = settings.protocol or data.protocol
         _ = PROTOCOLS[self.protocol]
         self.drives = data.drives()

@@ -12,13 +12,13 @@ from farfield.errors import FarfieldError
 from farfield.studio.exporting.exports import Exports
 from farfield.studio.messages.replies import Bye, Refused, Reply, Windows
 from farfield.studio.session.book import Book
-from farfield.studio.session.settings import StudioSettings
 from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import Opened, plain_error
 
 if TYPE_CHECKING:
+    from farfield.studio.annotating.annotation import Annotating
     from farfield.studio.inferring.jobs import Jobs
-    from farfield.studio.session.annotating import Annotating
 
 T = TypeVar("T")
 Handler = Callable[["Desk", Window, Any], Awaitable[None]]
@@ -41,6 +41,7 @@ class Desk:
         self.data: Dataset | None = None
         self.annotating: Annotating | None = None
         self.jobs: Jobs | None = None
+        self.checking: set[int] = set()
         self._ready = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -61,13 +62,12 @@ class Desk:
             FarfieldError: If predictions or edits cannot be read or do not belong to it.
         """
         self.data = data
+        opened = Opened(data)
         if self.settings.mode == "annotate":
-            from farfield.studio.session.annotating import Annotating
+            from farfield.studio.annotating.annotation import Annotating
 
-            self.annotating = Annotating(data, self.settings)
-        self.book = Book(data, self.settings, None if self.annotating is None else self.annotating.rows)
-        if self.annotating is not None:
-            self.annotating.opened = self.book.opened
+            self.annotating = Annotating(opened, self.settings)
+        self.book = Book(opened, self.settings, None if self.annotating is None else self.annotating.rows)
 
     def let_in(self) -> None:
         """Let the windows in that wait."""

@@ -13,8 +13,9 @@ from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Job, Predicted
 from farfield.studio.messages.rows import DetectorRow, PredictionSet
 from farfield.studio.session.desk import Desk
-from farfield.studio.session.settings import StudioSettings
+from farfield.studio.session.editing import propose
 from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import plain_error
 from farfield.studio.showing.predictions import Predictions, colour
 
@@ -146,7 +147,7 @@ class _Found:
         known = sorted({*found.about.classes, *map(str, set(boxes.label.tolist()))})
         found.about = replace(found.about, frames=len(found.boxes), classes=tuple(known))
         if job.propose and desk.annotating is not None:
-            await desk.annotating.propose(desk, job, index, boxes)
+            await propose(desk, job, index, boxes)
         for window in list(desk.windows.values()):
             if window.frame == index:
                 await self._show(window, found, index)

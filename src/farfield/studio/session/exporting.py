@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from farfield.errors import ConfigError
+from farfield.studio.annotating.saves import FORMATS, pack
 from farfield.studio.exporting.exports import Made
 from farfield.studio.exporting.films import write_film
 from farfield.studio.exporting.pages import MOST_FRAMES, standalone
@@ -83,4 +84,8 @@ def _body(book: Book, state: FrameState, layer: Layer) -> bytes:
 def _labels(desk: Desk, window: Window, request: asked.Export) -> tuple[str, Made]:
     if desk.annotating is None:
         raise ConfigError("export: labels are exported in `farfield annotate`; `farfield convert` converts data sets")
-    return desk.annotating.export(desk, window, request)
+    del window
+    name, made = desk.exports.new(request.name, ".zip")
+    format = request.format or FORMATS[0]
+    pack(desk.annotating.store, format, request.frames, desk.exports.folder / name, made.path)
+    return name, made

@@ -3,11 +3,12 @@
 from farfield import __version__
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages import requests as asked
-from farfield.studio.messages.replies import Bookmarks, Previewed, Welcome
+from farfield.studio.messages.replies import Bookmarks, Changed, Previewed, Welcome
 from farfield.studio.session.desk import Desk
 from farfield.studio.session.detecting import detect_shown, offered
+from farfield.studio.session.editing import check_soon
 from farfield.studio.session.window import Window
-from farfield.studio.showing.classes import classes_of, with_others
+from farfield.studio.showing.classes import shown_classes, with_others
 
 _MOST_LABELS = 20_000
 
@@ -18,7 +19,7 @@ def welcome(desk: Desk, window: Window) -> Welcome:
     labels = tuple(f"{sequence}/{frame}" for sequence, frame in data.keys) if len(data) <= _MOST_LABELS else ()
     predicted = {name for each in book.sets.values() for name in each.about.classes}
     annotating = desk.annotating
-    classes = classes_of(data.name, settings.classes) if annotating is None else annotating.classes
+    classes = shown_classes(data.name, settings.classes) if annotating is None else annotating.classes
     return Welcome(
         farfield=__version__,
         mode=settings.mode,
@@ -32,7 +33,7 @@ def welcome(desk: Desk, window: Window) -> Welcome:
         detectors=offered(settings),
         protocols=tuple(PROTOCOLS),
         bookmarks=book.bookmarks.rows(),
-        tracks=() if annotating is None else annotating.tracks(),
+        tracks=() if annotating is None else annotating.tracks(book.first),
         annotator=window.annotator,
         window=window.id,
         windows=len(desk.windows),
@@ -58,7 +59,23 @@ async def _show(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
     window.send(state)
     detect_shown(desk, window, request.frame)
     if desk.annotating is not None:
-        await desk.annotating.send_checks(desk, window, request.frame, state.boxes)
+        await _show_tracks(desk, window, request.frame)
+        check_soon(desk, request.frame)
+
+
+async def _show_tracks(desk: Desk, window: Window, frame: int) -> None:
+    """The tracks of a drive, when a window comes to it."""
+    known = desk.annotating
+    assert known is not None  # only where boxes are edited
+    drive = known.drive_of(frame)
+    if window.drive == drive:
+        return
+    first, window.drive = window.drive is None, drive
+    if first and drive == known.drive_of(desk.book.first):
+        return  # the welcome had them
+    tracks = await desk.in_thread(lambda: known.tracks(frame))
+    able = {"undo": known.can(window.annotator, "undo"), "redo": known.can(window.annotator, "redo")}
+    window.send(Changed(seq=known.seq, id="", by="", window="", tracks=tracks, **able))
 
 
 async def preview(desk: Desk, window: Window, request: asked.Preview) -> None:

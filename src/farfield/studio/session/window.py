@@ -20,6 +20,7 @@ class Window:
     annotator: str
     room: int = 5000
     frame: int | None = None
+    drive: str | None = None
     threshold: float = 0.0
     sweeps: int = 1
     replies: "asyncio.Queue[Reply | str]" = field(default_factory=asyncio.Queue)

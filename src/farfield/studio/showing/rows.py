@@ -9,6 +9,7 @@ from jaxtyping import Int
 from farfield.frame import Annotation, Boxes, Frame
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.studio.messages.rows import BoxRow, FrameInfo, PredictedRow
+from farfield.studio.showing.classes import our_class
 from farfield.studio.showing.layers import matrix
 
 
@@ -71,7 +72,7 @@ def counted(frame: Frame, boxes: Boxes, kind: str) -> Int[np.ndarray, " n"] | No
 
 
 def boxes_of(rows: Sequence[BoxRow]) -> Boxes:
-    """Rows as boxes, in their order; a size that is not positive becomes a millimetre."""
+    """Rows as boxes with classes in Cirrus's words, in their order; a size that is not positive becomes 1 mm."""
     if not rows:
         return Boxes.empty()
     values = np.array([row.box for row in rows], dtype=np.float64)
@@ -79,7 +80,7 @@ def boxes_of(rows: Sequence[BoxRow]) -> Boxes:
         centre_m=values[:, :3],
         size_m=np.maximum(values[:, 3:6], 1e-3),
         yaw_rad=values[:, 6],
-        label=[row.class_name for row in rows],
+        label=[our_class(row.class_name) for row in rows],
         track_id=np.array([-1 if row.track is None else row.track for row in rows], dtype=np.int64),
     )
 
