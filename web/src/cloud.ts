@@ -1,9 +1,11 @@
 // One cloud on the GPU: int16 places in a fixed shuffle, so that any prefix is a fair sample of the whole.
 
-import { BufferAttribute, BufferGeometry, DataTexture, GLSL3, LinearFilter, Points, RGBAFormat, ShaderMaterial, Vector2, Vector3 } from "three";
+import { BufferAttribute, BufferGeometry, DataTexture, GLSL3, LinearFilter, Points, RGBAFormat, ShaderMaterial, Sphere, Vector2, Vector3 } from "three";
 import { SCALE_ROWS, table, type Scale } from "./colours";
 import { MODES, POINTS_FRAGMENT, POINTS_VERTEX } from "./shaders";
 import { shuffled, type Field, type Numbers, type Payload } from "./wire";
+
+const EVERYWHERE = new Sphere(new Vector3(), 1000); // never culled, and never computed
 
 let shared: DataTexture | null = null;
 
@@ -68,6 +70,7 @@ export class CloudObject {
 
   constructor(readonly set: PointSet) {
     this.geometry.setAttribute("position", new BufferAttribute(set.places, 4));
+    this.geometry.boundingSphere = EVERYWHERE;
     this.points = new Points(this.geometry, pointMaterial());
     this.points.frustumCulled = false;
     const { uniforms } = this.points.material;

@@ -146,10 +146,23 @@ function draw(stage: Stage): void {
 }
 
 let sliding = false;
+let drawnFor = "";
+
+/** What of a frame the column shows: while playing it is built anew only when this changes. */
+function signature(): string {
+  const fields = colours().join();
+  const words = [...new Set(state.boxes.map((row) => row.visibility))].sort().join();
+  return `${state.playing} ${fields} ${words} ${(state.shown?.layers ?? []).map((layer) => `${layer.kind} ${layer.title} ${layer.placed}`).join()}`;
+}
 
 export function layersPanel(stage: Stage): void {
   const left = byId("left");
   left.addEventListener("pointerdown", () => (sliding = true));
   window.addEventListener("pointerup", () => { sliding = false; });
-  on(["welcome", "frame", "looks", "filters", "jobs", "connection"], () => draw(stage));
+  on(["welcome", "looks", "filters", "jobs", "connection", "tool"], () => draw(stage));
+  on("frame", () => {
+    const now = signature();
+    if (now !== drawnFor || !state.playing) draw(stage);
+    drawnFor = now;
+  });
 }

@@ -75,7 +75,7 @@ export function groundNear(stage: Stage, x = 0, y = 0, reach = 25): number {
   for (const { layer, object } of stage.clouds.values()) {
     if (layer.sensor === "radar") continue;
     const { places, scale, offset, count } = object.set;
-    const step = 4 * Math.max(1, Math.floor(count / 30000));
+    const step = 4 * Math.max(1, Math.floor(count / (reach < 10 ? 200_000 : 8000)));
     for (let k = 0; k < count * 4; k += step)
       if (Math.abs(places[k]! * scale + offset[0] - x) < reach && Math.abs(places[k + 1]! * scale + offset[1] - y) < reach)
         heights.push(places[k + 2]! * scale + offset[2]);

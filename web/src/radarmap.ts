@@ -1,6 +1,6 @@
 // The radar seen from above (BEV-2D): power over range and azimuth, looked up for every pixel of a plane on the ground.
 
-import { BufferAttribute, BufferGeometry, DataTexture, GLSL3, LinearFilter, Mesh, RedFormat, ShaderMaterial, Vector2 } from "three";
+import { BufferAttribute, BufferGeometry, CustomBlending, DataTexture, GLSL3, LinearFilter, Mesh, OneMinusSrcAlphaFactor, RedFormat, ShaderMaterial, SrcAlphaFactor, Vector2 } from "three";
 import { colourTable, scaleRow } from "./cloud";
 import type { Layer } from "./protocol";
 import { POLAR_FRAGMENT, POLAR_VERTEX } from "./shaders";
@@ -90,7 +90,9 @@ function material(): ShaderMaterial {
     glslVersion: GLSL3,
     vertexShader: POLAR_VERTEX,
     fragmentShader: POLAR_FRAGMENT,
-    transparent: true,
+    blending: CustomBlending, // with "transparent" off it is drawn before the points, which then stand on it
+    blendSrc: SrcAlphaFactor,
+    blendDst: OneMinusSrcAlphaFactor,
     depthWrite: false,
     depthTest: false,
     uniforms: {

@@ -71,10 +71,30 @@ export function stride(n: number): number {
 
 /** The rows of an array of `items` numbers each, in the order of the fixed stride. */
 export function shuffled<T extends Numbers>(rows: T, items: number): T {
-  const n = rows.length / items;
-  const out = rows.slice() as T;
-  const step = stride(n);
-  for (let i = 0, from = 0; i < n; i += 1, from = (from + step) % n)
-    for (let k = 0; k < items; k += 1) out[i * items + k] = rows[from * items + k]!;
+  const out = new (rows.constructor as new (length: number) => T)(rows.length);
+  const bytes = items * rows.BYTES_PER_ELEMENT;
+  if (items === 1) walk(rows, out, 1);
+  else if (bytes % 4 === 0 && rows.byteOffset % 4 === 0)
+    walk(new Int32Array(rows.buffer, rows.byteOffset, rows.byteLength / 4), new Int32Array(out.buffer), bytes / 4);
+  else walk(rows, out, items);
   return out;
+}
+
+function walk(rows: Numbers, out: Numbers, items: number): void {
+  const n = rows.length / items;
+  const step = stride(n);
+  if (items === 1) {
+    for (let i = 0, from = 0; i < n; i += 1) {
+      out[i] = rows[from]!;
+      from += step;
+      if (from >= n) from -= n;
+    }
+    return;
+  }
+  for (let to = 0, from = 0; to < out.length; to += items) {
+    const at = from * items;
+    for (let k = 0; k < items; k += 1) out[to + k] = rows[at + k]!;
+    from += step;
+    if (from >= n) from -= n;
+  }
 }
