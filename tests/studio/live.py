@@ -120,7 +120,9 @@ class Client:
 
 
 @contextlib.contextmanager
-def studio(open_data: Callable[[], Dataset] = open_samples, **settings: Any) -> Iterator[Live]:
+def studio(
+    open_data: Callable[[], Dataset] = open_samples, *, browser: bool = False, **settings: Any
+) -> Iterator[Live]:
     """Run a studio on a free port; its windows can enter when this gives it."""
     settings.setdefault("notes", Path("/nonexistent"))
     lines, failed = list[str](), list[BaseException]()
@@ -131,7 +133,7 @@ def studio(open_data: Callable[[], Dataset] = open_samples, **settings: Any) -> 
 
     def work() -> None:
         try:
-            asyncio.run(_until_stopped(open_data, StudioSettings(**settings), port, lines, stop))
+            asyncio.run(_until_stopped(open_data, StudioSettings(**settings), port, lines, stop, browser))
         except BaseException as error:  # shown by the test that started it
             failed.append(error)
 
@@ -144,7 +146,8 @@ def studio(open_data: Callable[[], Dataset] = open_samples, **settings: Any) -> 
         yield live
     finally:
         for each in stop:
-            each()
+            with contextlib.suppress(RuntimeError):  # it ended by itself
+                each()
         thread.join(20)
         if failed:
             raise failed[0]
@@ -157,19 +160,22 @@ async def _until_stopped(
     port: int,
     lines: list[str],
     stop: list[Callable[[], None]],
+    browser: bool,
 ) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     stop.append(lambda: loop.call_soon_threadsafe(ended.set))
     with contextlib.closing(run.listening(port)) as listener:
-        await run.serving(listener, open_data, settings, browser=False, say=lines.append, ended=ended)
+        await run.serving(listener, open_data, settings, browser=browser, say=lines.append, ended=ended)
 
 
 def _wait(live: Live, failed: list[BaseException]) -> None:
     until = time.monotonic() + 60
-    while time.monotonic() < until and not failed:
+    while time.monotonic() < until:
+        if failed:
+            raise failed.pop()
         with contextlib.suppress(OSError):
             if json.loads(live.request("GET", "/health")[2])["ready"]:
                 return
         time.sleep(0.02)
-    raise AssertionError(f"the studio did not start: {failed}")
+    raise AssertionError("the studio did not start")

@@ -97,20 +97,22 @@ class Worker:
         return self._connection
 
     def _ended(self) -> int | None:
-        self._process.join(5)
-        code: int | None = self._process.exitcode
+        process, code = self._process, None
+        if process is not None:
+            process.join(5)
+            code = process.exitcode
         self.stop()
         return code
 
     def stop(self) -> None:
         """End the process."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
-        if self._process is not None:
-            self._process.terminate()
-            self._process.join(5)
-            if self._process.is_alive():
-                os.kill(self._process.pid, 9)
-                self._process.join(5)
-            self._process = None
+        connection, self._connection = self._connection, None
+        process, self._process = self._process, None  # two threads may come here: who asks, and who ends the studio
+        if connection is not None:
+            connection.close()
+        if process is not None:
+            process.terminate()
+            process.join(5)
+            if process.is_alive():
+                os.kill(process.pid, 9)
+                process.join(5)

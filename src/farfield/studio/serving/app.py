@@ -159,7 +159,7 @@ def _metres(request: Request, name: str, usual: float) -> float:
 
 async def _refused(request: Request, error: Exception) -> Response:
     data = request.app.state.desk.data
-    return PlainTextResponse(plain_error(error, data), 404)
+    return PlainTextResponse(plain_error(error, data), 404 if request.method == "GET" else 400)
 
 
 async def _failed(request: Request, error: Exception) -> Response:

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.studio.annotating.saves import FORMATS, pack
 from farfield.studio.exporting.exports import Made
 from farfield.studio.exporting.films import write_film
@@ -35,8 +35,11 @@ async def _made(desk: Desk, window: Window, request: asked.Export, work: Work) -
     window.send(job)
     try:
         name, made = await desk.in_thread(lambda: work(desk, window, request))
-    except Exception as error:
+    except FarfieldError as error:
         window.send(replace(job, state="failed", message=plain_error(error, desk.data)))
+        return
+    except Exception:
+        window.send(replace(job, state="failed", message="the studio met an error of its own"))
         raise
     size = made.path.stat().st_size / 1e6
     message = f"{made.name}: {size:.1f} MB"
