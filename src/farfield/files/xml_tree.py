@@ -57,7 +57,7 @@ class _Builder:
     def characters(self, text: str) -> None:
         self.words.append(text)
 
-    def refuse(self, *arguments: Any) -> None:
+    def refuse(self, *arguments: Any) -> int:
         del arguments
         raise _RefusedError("a declared entity")
 

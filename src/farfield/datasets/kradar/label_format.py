@@ -6,6 +6,7 @@ degrees turned to radians and back differ in the last digit of 10,086, and 4,173
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -151,7 +152,8 @@ def _name(label: str) -> str:
     return KRADAR_FROM_CIRRUS.get(label, label)
 
 
-class _Writing(NamedTuple):
+@dataclass(frozen=True)
+class _Writing:
     """Writes the line of one object."""
 
     path: Path
