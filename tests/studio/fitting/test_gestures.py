@@ -67,6 +67,7 @@ def test_few_points_far_away_follow_the_lane(rng: np.random.Generator) -> None:
     found = fit_click(points, (52.7, 3.0), replace(PRIOR, lane_rad=0.05))
     assert (found.criterion, found.heading) == ("lane", "lane")
     assert overlap(found, (55.0, 3.0), 0.05) > 0.7
+    assert len(found.candidates) == 3  # the L-shape's first, for a car that crosses
 
 
 def test_whole_bodies_grow_away_from_the_sensor_and_visible_parts_do_not(rng: np.random.Generator) -> None:

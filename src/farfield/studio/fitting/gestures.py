@@ -82,16 +82,18 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fi
     linked = scene.points_m[
         cluster_at(scene.points_m, at, link_radius_m(_range_m(at, prior), small=not prior.anchored))
     ]
-    sparse = len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M
-    if prior.lane_rad is not None and (len(linked) < 2 or (sparse and prior.anchored)):
-        return _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
     if len(linked) < 2:
-        return _searched(scene, at, 0.0, prior, criterion="drawn", drawn_rad=None, begun=begun)
+        yaw, criterion = (0.0, "drawn") if prior.lane_rad is None else (prior.lane_rad, "lane")
+        return _searched(scene, at, yaw, prior, criterion=criterion, drawn_rad=None, begun=begun)
     yaw, criterion = best_yaw(linked[:, :2])
     yaw, source = headed(along_length(linked[:, :2], yaw, prior), prior)
     box = stood_on(footprint(linked[:, :2], yaw, prior), linked, scene.ground, prior)
-    others = () if prior.lane_rad is None else _along(scene, at, prior.lane_rad, prior)
-    return _fit(scene, box, others, criterion, source, begun)
+    if prior.lane_rad is None:
+        return _fit(scene, box, (), criterion, source, begun)
+    if prior.anchored and len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
+        found = _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
+        return replace(found, candidates=(Candidate(box=box, score=0.0), *found.candidates))
+    return _fit(scene, box, _along(scene, at, prior.lane_rad, prior), criterion, source, begun)
 
 
 def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior, *, keep_size: bool = False) -> Fit:
