@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from _report import ROOT, header
-from _studio_scenes import write_folder
 
 sys.path.insert(0, str(ROOT / "tests"))
 from studio.browser.browsing import Screen, screen
 from studio.browser.conftest import chromium_path
+from studio.browser.studio_scenes import write_folder
 from studio.live import studio
 
 from farfield.datasets import open_dataset

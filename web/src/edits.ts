@@ -1,6 +1,7 @@
 // Edits: shown at once, sent one after the other for each box, kept in the browser until the server has them on its disk.
 
 import { report } from "./bar";
+import { show } from "./frames";
 import { states } from "./loader";
 import type { Ack, BoxAdd, BoxDelete, BoxRow, BoxSet, BoxValue, Changed, Conflict, TrackInterpolate, TrackMerge, TrackPropagate, TrackRow, TrackSet, TrackSplit } from "./protocol";
 import { newId, onReply, send, windowName } from "./socket";
@@ -205,7 +206,20 @@ onReply("conflict", (message: Conflict) => {
   pump();
 });
 
+/** For tests: leave what other windows did unread, as a slow line would. */
+export const late = { held: [] as Changed[], on: false };
+
 onReply("changed", (message: Changed) => {
+  if (late.on) late.held.push(message);
+  else take(message);
+});
+
+export function hold(on: boolean): void {
+  late.on = on;
+  if (!on) late.held.splice(0).forEach(take);
+}
+
+function take(message: Changed): void {
   state.undo = message.undo;
   state.redo = message.redo;
   const mine = finished(message.id);
@@ -214,9 +228,13 @@ onReply("changed", (message: Changed) => {
   for (const { frame, id } of message.removed) put(frame, rows(frame).filter((row) => row.id !== id));
   for (const track of message.tracks) setTrack(track);
   if (message.sentence) report("info", message.sentence);
+  if (message.show !== null) {
+    state.takenBack += 1;
+    if (message.show !== state.frame) show(message.show);
+  }
   changed("saved", "tracks", "boxes");
   pump();
-});
+}
 
 function setTrack(track: TrackRow): void {
   if (track.frames.length === 0) state.tracks.delete(track.track);

@@ -16,9 +16,10 @@ export function onShown(draw: (frame: number) => void): void {
   whenShown = draw;
 }
 
-function ask(frame: number): void {
-  if (asked.has(frame)) return;
-  if (send({ op: "frame.open", frame, threshold: 0, sweeps: state.sweeps })) asked.add(frame);
+/** Ask for a frame's state; what is asked ahead of its time leaves the server's idea of where this window is. */
+function ask(frame: number, purpose: "show" | "ahead" | "here" = "show"): void {
+  if (purpose === "ahead" && asked.has(frame)) return;
+  if (send({ op: "frame.open", frame, threshold: 0, sweeps: state.sweeps, purpose }) && purpose !== "here") asked.add(frame);
 }
 
 export function neededLayers(found: FrameState): Layer[] {
@@ -36,8 +37,8 @@ export function show(frame: number): void {
   tidy(new Set([wanted, ...ahead]));
   changed("play");
   const known = states.get(wanted);
+  ask(wanted, known ? "here" : asked.has(wanted) ? "here" : "show");
   if (known) void arrive(known);
-  else ask(wanted);
 }
 
 /** Ask the server for the frame's state anew. */
@@ -69,7 +70,7 @@ async function arrive(found: FrameState): Promise<void> {
   for (const next of upcoming()) {
     const known = states.get(next);
     if (known) prefetch(next, neededLayers(known));
-    else ask(next);
+    else ask(next, "ahead");
   }
 }
 

@@ -11,12 +11,13 @@ export interface Hello {
   version?: number;
 }
 
-/** Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent. */
+/** Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent. ``purpose`` ahead: only the state, the window still shows another frame; here: the page has the state already. */
 export interface FrameOpen {
   op: "frame.open";
   frame: number;
   threshold?: number;
   sweeps?: number;
+  purpose?: "show" | "ahead" | "here";
 }
 
 /** What a person decides about a box. */

@@ -64,6 +64,7 @@ export const state = {
   savedAt: "",
   undo: false,
   redo: false,
+  takenBack: 0, // undos and redos that the server did for this window
   tape: [] as [number, number, number][],
 };
 

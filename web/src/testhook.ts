@@ -3,6 +3,7 @@
 import { fitTimes } from "./annotate";
 import type { Vec3 } from "./boxes";
 import type { CloseUps } from "./closeups";
+import { hold } from "./edits";
 import { cached } from "./loader";
 import { Projector } from "./project";
 import type { Stage } from "./stage";
@@ -56,7 +57,7 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
       closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),
       closePoints: () => closeUps.count,
       look: (target: Vec3, distance: number, top: boolean) => { stage.eye.frame(target, distance); stage.eye.top = top; stage.eye.azimuth = Math.PI; stage.touch(); },
-      cached,
+      cached, hold,
     },
   });
 }

@@ -33,12 +33,16 @@ class Hello:
 
 @message
 class FrameOpen:
-    """Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent."""
+    """Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent.
+
+    ``purpose`` ahead: only the state, the window still shows another frame; here: the page has the state already.
+    """
 
     op: Literal["frame.open"] = "frame.open"
     frame: Index
     threshold: Part = 0.0
     sweeps: Annotated[int, Field(ge=1, le=20)] = 1
+    purpose: Literal["show", "ahead", "here"] = "show"
 
 
 @message

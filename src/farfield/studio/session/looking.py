@@ -49,14 +49,18 @@ def welcome(desk: Desk, window: Window) -> Welcome:
 
 async def open_frame(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
     """Show a frame; a window that asks for another meanwhile gets both."""
-    window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
+    if request.purpose != "ahead":
+        window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
     desk.aside(window, None, _show(desk, window, request))
 
 
 async def _show(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
     desk.opened.check(request.frame)
-    state = await desk.in_thread(lambda: desk.book.state(request.frame, request.threshold, request.sweeps))
-    window.send(state)
+    if request.purpose != "here":
+        state = await desk.in_thread(lambda: desk.book.state(request.frame, request.threshold, request.sweeps))
+        window.send(state)
+    if request.purpose == "ahead":
+        return
     detect_shown(desk, window, request.frame)
     if desk.annotating is not None:
         await _show_tracks(desk, window, request.frame)

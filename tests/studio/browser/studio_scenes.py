@@ -1,4 +1,4 @@
-"""Folders of clouds of a wanted size for the studio's benchmarks: a road, walls, twenty moving vehicles, boxes."""
+"""Folders of clouds of a wanted size for tests and benchmarks of the page: a road, walls, moving vehicles, boxes."""
 
 import json
 from pathlib import Path
