@@ -54,7 +54,7 @@ def _held(hint: Any) -> Iterator[type]:
 def _interface(cls: type, *, optional: bool) -> str:
     hints = get_type_hints(cls, include_extras=True)
     words = " ".join((cls.__doc__ or "").split())
-    rows = [f"  {_name(each, optional)}: {_type(hints[each.name])};" for each in fields(cls)]  # type: ignore[arg-type]
+    rows = [f"  {_name(each, optional)}: {_type(hints[each.name])};" for each in fields(cls)]
     return "\n".join([f"/** {words} */", f"export interface {cls.__name__} {{", *rows, "}", ""])
 
 

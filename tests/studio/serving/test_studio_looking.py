@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from studio.showing.test_studio_wire import decode
 
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.studio.samples import open_samples
+from farfield.vocabulary.studio import STUDIO_PORT, studio_link
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +162,14 @@ def test_a_link_to_a_frame_by_name_leads_to_its_number(live: Live):
     assert (status, headers["location"]) == (303, "/?frame=1&test=1")
     assert live.get("/?frame=no%2Fframe")[1]["location"] == "/?frame=0"
     assert live.get("/?frame=1")[0] in (200, 404)
+
+
+def test_a_report_links_to_its_frame(live: Live):
+    link = studio_link("kradar-1", "00006_00001")
+    path = link.removeprefix(f"http://127.0.0.1:{STUDIO_PORT}")
+    told = {"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate", "sec_fetch_dest": "document"}
+    bounced = re.search(rb'url=([^"]+)"', live.get(path, cookie="", **told)[2])[1].decode()
+    assert live.get(bounced)[1]["location"] == "/?frame=1"
 
 
 def test_the_page_is_served_with_its_kinds(live: Live):

@@ -17,8 +17,8 @@ from studio.live import studio
 from farfield.errors import ConfigError, FarfieldError
 from farfield.studio.serving import run
 from farfield.studio.serving.entry import Entry
-from farfield.studio.serving.limits import PORT
 from farfield.studio.starting import Opening
+from farfield.vocabulary.studio import STUDIO_PORT
 
 
 def test_a_port_that_is_taken_is_named_and_without_one_the_next_is_taken():
@@ -28,7 +28,7 @@ def test_a_port_that_is_taken_is_named_and_without_one_the_next_is_taken():
         with pytest.raises(ConfigError, match=f"port {port} is taken.*--port"):
             run.listening(port)
     with contextlib.closing(run.listening(None)) as first, contextlib.closing(run.listening(None)) as second:
-        assert PORT <= first.getsockname()[1] < second.getsockname()[1]
+        assert STUDIO_PORT <= first.getsockname()[1] < second.getsockname()[1]
 
 
 def test_the_terminal_shows_a_link_and_over_ssh_the_tunnel(monkeypatch: pytest.MonkeyPatch):

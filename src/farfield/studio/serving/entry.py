@@ -102,7 +102,7 @@ def refusal(method: str, headers: Mapping[str, list[str]], *, socket: bool = Fal
     hosts = headers.get("host", [])
     if len(hosts) != 1 or not host_allowed(hosts[0]):
         return 421, "This server answers on 127.0.0.1, localhost and [::1] only."
-    origin = headers.get("origin", [None])[0]  # type: ignore[list-item]
+    origin = headers.get("origin", [None])[0]
     if (socket or method not in ("GET", "HEAD") or origin is not None) and not origin_allowed(origin, hosts[0]):
         return 403, "This request comes from another page than the studio's own."
     site = headers.get("sec-fetch-site", ["none"])[0]

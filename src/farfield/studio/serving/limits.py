@@ -1,8 +1,5 @@
 """How much the server takes."""
 
-PORT = 8877
-"""Tried first."""
-
 MESSAGE_BYTES = 1 << 20
 """Longest message of a WebSocket."""
 BODY_BYTES = 8 << 20

@@ -16,9 +16,10 @@ from farfield.errors import ConfigError
 from farfield.studio.serving.entry import Entry
 from farfield.studio.serving.guard import App, Guard
 from farfield.studio.serving.late import Late
-from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S, PORT
+from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S
 from farfield.studio.session.window import Window
 from farfield.studio.settings import StudioSettings
+from farfield.vocabulary.studio import STUDIO_PORT
 
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
@@ -34,7 +35,7 @@ def listening(port: int | None) -> socket.socket:
     Raises:
         ConfigError: If the port that was asked for is taken, or all tried are.
     """
-    wanted = [port] if port is not None else range(PORT, PORT + _TRIED)
+    wanted = [port] if port is not None else range(STUDIO_PORT, STUDIO_PORT + _TRIED)
     for each in wanted:
         found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -45,7 +46,9 @@ def listening(port: int | None) -> socket.socket:
             found.close()
             continue
         return found
-    named = f"port {port} is taken" if port is not None else f"ports {PORT} to {PORT + _TRIED - 1} are taken"
+    named = (
+        f"port {port} is taken" if port is not None else f"ports {STUDIO_PORT} to {STUDIO_PORT + _TRIED - 1} are taken"
+    )
     raise ConfigError(f"{named}: choose another with --port, or end what listens there")
 
 
