@@ -19,9 +19,9 @@ from farfield.studio.showing.pictures import picture
 from farfield.studio.showing.radar import RadarPower
 from farfield.studio.showing.wire import encode_cloud, encode_map
 
-_FRAMES = 6
+_FRAMES = 5
 """Frames whose clouds stay in memory, for fits and counts."""
-_POWERS = 4
+_POWERS = 2
 CACHE_BYTES = 512 << 20
 STATIC = Path(__file__).resolve().parent.parent / "static"
 """The built page."""
