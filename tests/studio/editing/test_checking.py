@@ -21,7 +21,6 @@ from farfield.studio.editing.checking import (
     View,
     check,
 )
-from farfield.studio.editing.checking.scene import beyond_m, ground_m, in_box_axes
 
 KEY = ("a", "0005")
 CAR = BoxLabel(id="1", label="car", box=(20.0, 3.0, -1.0, 4.6, 1.9, 1.6, 0.0), track="7")
@@ -143,9 +142,10 @@ def test_ground_beside_a_box_on_a_slope() -> None:
     ground = rng.uniform([10, -8, 0], [30, 12, 0], (4000, 3))
     ground[:, 2] = -1.8 + 0.03 * (ground[:, 0] - 20)
     bush = rng.uniform([18, 5, -1.8], [22, 7, 1.0], (500, 3))
-    local = in_box_axes(np.concatenate([ground, bush]), CAR.box)
-    found = ground_m(local, beyond_m(local, CAR.box))
-    assert found == pytest.approx(-0.8, abs=0.12)
+    around = Surroundings(np.concatenate([ground, bush]).astype(np.float32))
+    assert around.ground_m(CAR.box) == pytest.approx(-1.8, abs=0.1)
+    few = rng.uniform([10, -8, 0.5], [30, 12, 3.0], (40, 3)).astype(np.float32)
+    assert Surroundings(few).ground_m(CAR.box) is None
 
 
 def test_quick(drive: CheckedDrive) -> None:

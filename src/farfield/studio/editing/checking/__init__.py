@@ -12,6 +12,7 @@ from farfield.studio.editing.checking.contract import (
 )
 from farfield.studio.editing.checking.running import CHECKS, check
 from farfield.studio.editing.checking.scene import Surroundings
+from farfield.studio.editing.checking.statistics import size_ranges
 
 __all__ = [
     "CHECKS",
@@ -25,4 +26,5 @@ __all__ = [
     "Surroundings",
     "View",
     "check",
+    "size_ranges",
 ]

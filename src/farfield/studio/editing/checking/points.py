@@ -7,19 +7,12 @@ from jaxtyping import Float
 
 from farfield.datasets.labels import BoxLabel
 from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Finding, Scene
-from farfield.studio.editing.checking.scene import (
-    GROUND_REACH_M,
-    Points,
-    Surroundings,
-    beyond_m,
-    ground_m,
-    in_box_axes,
-)
+from farfield.studio.editing.checking.scene import Points, Surroundings, beyond_m, in_box_axes
 from farfield.studio.editing.checking.shapes import finding
 
 ABOVE_GROUND_M = 0.25
 FEWEST_OF_OBJECT, FEWEST_OUTSIDE = 10, 5
-MARGIN_M = 0.05
+REACH_M, MARGIN_M = 1.0, 0.05
 FACE_M = 0.1
 """So near a face, points are its own: range noise and a careful hand leave as much."""
 
@@ -31,7 +24,8 @@ def points(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Find
     for label in boxes:
         local = _near(label, scene.around)
         beyond = beyond_m(local, label.box)
-        ground = ground_m(local, beyond)
+        height = scene.around.ground_m(label.box)
+        ground = None if height is None else height - label.box[2]
         yield from _standing(label, ground, scene, settings)
         near = local[beyond <= settings.ring_m]
         beyond = beyond[beyond <= settings.ring_m]
@@ -44,7 +38,7 @@ def points(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Find
 
 
 def _near(label: BoxLabel, around: Surroundings) -> Points:
-    reach_m = float(np.hypot(*label.box[3:5])) / 2 + GROUND_REACH_M
+    reach_m = float(np.hypot(*label.box[3:5])) / 2 + REACH_M
     return in_box_axes(around.near(label.box[0], label.box[1], reach_m), label.box)
 
 

@@ -4,36 +4,37 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.labels import Numbers
+from farfield.studio.fitting.ground import fit_ground
 
 CELL_M = 4.0
 GROUND_CELL_M = 1.0
-BESIDE_M = 0.3
-GROUND_REACH_M = 4.0
-GROUND_QUANTILE = 0.3
-FEWEST_CELLS = 5
+GROUND_LOOK_M, BESIDE_M = 15.0, 0.5
+SUPPORT_M, OFF_PLANE_M, FEWEST_CELLS = 8.0, 0.2, 8
+"""The ground beside a box is known where so many square metres within 8 m lie within 0.2 m of the plane."""
 Points = Float[np.ndarray, "n 3"]
 
 
-class Surroundings:
-    """LiDAR points of a frame by cells of 4 m.
+class _Cells:
+    """Points sorted by cells, so that those near a place lie together.
 
     Args:
-        points_m: Points in the frame's coordinates, shape (n, 3).
+        points_m: Finite points, shape (n, 3).
+        cell_m: Length of a cell.
     """
 
-    def __init__(self, points_m: Float[np.ndarray, "n 3"]) -> None:
-        points = points_m[np.isfinite(points_m).all(axis=1)]
-        cells = np.floor(points[:, :2] / CELL_M).astype(np.int32)
+    def __init__(self, points_m: Float[np.ndarray, "n 3"], cell_m: float) -> None:
+        self._cell_m = cell_m
+        cells = np.floor(points_m[:, :2] / cell_m).astype(np.int32)
         self._low = cells.min(axis=0) if len(cells) else np.zeros(2, np.int32)
         self._counts = cells.max(axis=0) - self._low + 1 if len(cells) else np.zeros(2, np.int32)
         flat = (cells[:, 0] - self._low[0]).astype(np.int64) * int(self._counts[1]) + (cells[:, 1] - self._low[1])
         order = np.argsort(flat, kind="stable")
-        self._points, self._flat = points[order], flat[order]
+        self._points, self._flat = points_m[order], flat[order]
 
     def near(self, x: float, y: float, reach_m: float) -> Points:
         """Points of the cells that a square around a place touches, shape (k, 3)."""
-        low = np.floor((np.array([x, y]) - reach_m) / CELL_M).astype(np.int64) - self._low
-        high = np.floor((np.array([x, y]) + reach_m) / CELL_M).astype(np.int64) - self._low
+        low = np.floor((np.array([x, y]) - reach_m) / self._cell_m).astype(np.int64) - self._low
+        high = np.floor((np.array([x, y]) + reach_m) / self._cell_m).astype(np.int64) - self._low
         low, high = np.maximum(low, 0), np.minimum(high, self._counts - 1)
         if (low > high).any():
             return self._points[:0]
@@ -41,6 +42,48 @@ class Surroundings:
         starts = np.searchsorted(self._flat, columns + low[1], side="left")
         stops = np.searchsorted(self._flat, columns + high[1], side="right")
         return np.concatenate([self._points[start:stop] for start, stop in zip(starts, stops, strict=True)])
+
+
+class Surroundings:
+    """LiDAR points of a frame, to be looked up by place; made once a frame.
+
+    Args:
+        points_m: Points in the frame's coordinates, shape (n, 3); what is not finite is left out.
+    """
+
+    def __init__(self, points_m: Float[np.ndarray, "n 3"]) -> None:
+        points = points_m[np.isfinite(points_m).all(axis=1)]
+        self._points = _Cells(points, CELL_M)
+        self._lowest = _Cells(_lowest(points), GROUND_LOOK_M)
+
+    def near(self, x: float, y: float, reach_m: float) -> Points:
+        """Points within a square around a place, and some more, shape (k, 3)."""
+        return self._points.near(x, y, reach_m)
+
+    def ground_m(self, box: Numbers) -> float | None:
+        """Height of the ground under a box, in the frame's z; None where too little is seen of it.
+
+        A plane through the lowest points of square metres within 15 m: beside a box alone, walls and parked cars may
+        hide the ground wholly.
+        """
+        lowest = self._lowest.near(box[0], box[1], GROUND_LOOK_M)
+        ground = fit_ground(lowest, (box[0], box[1]))
+        close = lowest[np.abs(lowest[:, :2] - np.array(box[:2])).max(axis=1) <= SUPPORT_M]
+        beside = beyond_m(in_box_axes(close, box), box) > BESIDE_M
+        heights = ground.heights_m(close[beside].astype(np.float64))
+        known = int((np.abs(heights) <= OFF_PLANE_M).sum())
+        return ground.z_m(box[0], box[1]) if known >= FEWEST_CELLS else None
+
+
+def _lowest(points: Points) -> Float[np.ndarray, "m 3"]:
+    """The lowest point of each square metre."""
+    if not len(points):
+        return points
+    cells = np.floor(points[:, :2] / GROUND_CELL_M).astype(np.int32)
+    cells -= cells.min(axis=0)
+    flat = cells[:, 0].astype(np.int64) * (int(cells[:, 1].max()) + 1) + cells[:, 1]
+    order = np.lexsort((points[:, 2], flat))
+    return points[order[np.flatnonzero(np.diff(flat[order], prepend=-1))]]
 
 
 def in_box_axes(points_m: Points, box: Numbers) -> Points:
@@ -55,25 +98,3 @@ def in_box_axes(points_m: Points, box: Numbers) -> Points:
 def beyond_m(local_m: Points, box: Numbers) -> Float[np.ndarray, " n"]:
     """How far points, in the box's axes, stand outside its outline seen from above; negative inside."""
     return np.maximum(np.abs(local_m[:, 0]) - box[3] / 2, np.abs(local_m[:, 1]) - box[4] / 2)
-
-
-def ground_m(local_m: Points, beyond: Float[np.ndarray, " n"]) -> float | None:
-    """Height of the ground beside a box, in the box's axes (its centre is 0); None where too little is seen of it.
-
-    The lowest point of each square metre within 4 m of the outline; of those the 30 % quantile, as other objects hide
-    the ground of some.
-
-    Args:
-        local_m: Points in the box's axes, shape (n, 3).
-        beyond: How far each stands outside, see :func:`beyond_m`.
-    """
-    points = local_m[(beyond > BESIDE_M) & (beyond <= GROUND_REACH_M)]
-    if len(points) < FEWEST_CELLS:
-        return None
-    cells = np.floor(points[:, :2] / GROUND_CELL_M).astype(np.int64)
-    flat = (cells[:, 0] << 20) + cells[:, 1]
-    order = np.argsort(flat, kind="stable")
-    ordered = flat[order]
-    starts = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))
-    lowest = np.minimum.reduceat(points[order, 2], starts)
-    return None if len(lowest) < FEWEST_CELLS else float(np.quantile(lowest, GROUND_QUANTILE))
