@@ -14,6 +14,7 @@ _OF_READER = {
     "cirrus": "farfield.datasets.cirrus.label_format:CirrusLabelFormat",
     "kitti": "farfield.datasets.kitti.label_format:KittiLabelFormat",
     "sustechpoints": "farfield.datasets.sustechpoints:label_format",
+    "cvat": "farfield.datasets.cvat:label_format",
 }
 """Imported when asked: readers know this room, and not the other way round."""
 _IN_A_FOLDER = {
