@@ -172,7 +172,7 @@ SUSTECHPOINTS = Format(
 )
 CVAT = Format(
     name="cvat",
-    looked_for="[<task>/]annotations/*.json with point_clouds/, ann/ with pointcloud/, or tracklet_labels.xml (KITTI raw)",
+    looked_for="[<task>/]annotations/*.json with point_clouds/, ann/ with pointcloud/, or tracklet_labels.xml",
     recognises=is_cvat,
     reader="farfield.datasets.cvat:Cvat",
 )
