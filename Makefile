@@ -3,8 +3,6 @@
 #   make demo          simulate, detect, score and report; ends with the report's path
 #   make test          format, lint, types, import contract and the quick tests
 #   make test-slow     the tests that take minutes
-#   make test-browser  the studio's page in Chromium, which is fetched where there is none
-#   make page          build the studio's page from web/ (needs node 20 or newer)
 #   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
 #   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py
@@ -77,20 +75,6 @@ test-browser: $(STAMP)
 		chromium="$$($(BIN)/python -c 'from playwright.sync_api import sync_playwright as s; p = s().start(); print(p.chromium.executable_path); p.stop()')"; \
 	fi; \
 	FARFIELD_CHROMIUM="$$chromium" $(ONE_THREAD) $(BIN)/python -m pytest -q -m "slow or not slow" $(SHAPES) $(PYTEST_FLAGS) tests/studio/browser
-
-page:
-	cd web && npm ci && npm run build
-
-# Playwright's own Chromium is taken where neither FARFIELD_CHROMIUM nor the system has one.
-OWN_CHROMIUM := from playwright.sync_api import sync_playwright as p; print(p().start().chromium.executable_path)
-
-test-browser: $(STAMP)
-	@found=$${FARFIELD_CHROMIUM:-$$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}; \
-	if test -z "$$found"; then \
-		$(BIN)/python -m playwright install chromium; \
-		found=$$($(BIN)/python -c '$(OWN_CHROMIUM)'); \
-	fi; \
-	FARFIELD_CHROMIUM=$$found $(ONE_THREAD) $(BIN)/python -m pytest -q $(SHAPES) $(PYTEST_FLAGS) tests/studio/browser
 
 page:
 	cd web && npm ci && npm run build

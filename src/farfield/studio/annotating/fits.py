@@ -91,7 +91,7 @@ class Fitter:
         posed = there.world_T_frame is not None and here.world_T_frame is not None
         yaw = from_world(to_world(box.label.box, there), here)[6] if posed else box.label.box[6]
         sizes = np.median([each.label.box[3:6] for _, _, each in known], axis=0)
-        return float(yaw), size or tuple(map(float, sizes)), bool(value.get("locked"))  # type: ignore[return-value]
+        return float(yaw), size or tuple(map(float, sizes)), bool(value.get("locked"))
 
     def _moment(self, key: Key) -> Moment:
         return Moment(key, self.store.drives.time_s(key), self.store.drives.pose(key))

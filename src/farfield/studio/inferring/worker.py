@@ -83,7 +83,7 @@ class Worker:
             ) from None
         if kind == "failed":
             raise FarfieldError(value)
-        return value  # type: ignore[no-any-return]
+        return value
 
     def _started(self) -> Connection:
         if self._connection is None or not self._process.is_alive():

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -65,16 +66,25 @@ async def _greeted(connection: WebSocket, desk: Desk) -> Window | None:
     try:
         hello = read_request(await asyncio.wait_for(connection.receive_text(), _HELLO_S))
     except (FarfieldError, TimeoutError, KeyError):
-        return await _sent_away(connection, "expected hello as the first message")
+        hello = None
     except WebSocketDisconnect:
         return None
-    if not isinstance(hello, Hello):
-        return await _sent_away(connection, "expected hello as the first message")
-    if hello.version != VERSION:
-        return await _sent_away(connection, "the page is of another version of the studio: reload it")
-    if len(desk.windows) >= WINDOWS:
-        return await _sent_away(connection, f"{WINDOWS} windows are open, and no more are served: close one")
+    reason = _why_not(hello, desk)
+    if reason:
+        await _sent_away(connection, reason)
+        return None
     return Window(id=desk.name_of(hello.window), annotator=hello.annotator or desk.annotator, room=_WAITING)
+
+
+def _why_not(hello: Any, desk: Desk) -> str:
+    """Why a window is sent away; empty if it is not."""
+    if not isinstance(hello, Hello):
+        return "expected hello as the first message"
+    if hello.version != VERSION:
+        return "the page is of another version of the studio: reload it"
+    if len(desk.windows) >= WINDOWS:
+        return f"{WINDOWS} windows are open, and no more are served: close one"
+    return ""
 
 
 async def _sent_away(connection: WebSocket, reason: str) -> None:

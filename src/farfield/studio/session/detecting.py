@@ -144,7 +144,7 @@ class _Found:
             boxes = boxes[boxes.score >= min(desk.settings.threshold, job.threshold or 1.0)]
         found = predictions_of(desk, job.detector)
         found.boxes[desk.book.data.keys[index]] = boxes
-        known = sorted({*found.about.classes, *map(str, set(boxes.label.tolist()))})
+        known = sorted({*found.about.classes, *map(str, boxes.label)})
         found.about = replace(found.about, frames=len(found.boxes), classes=tuple(known))
         if job.propose and desk.annotating is not None:
             await propose(desk, job, index, boxes)

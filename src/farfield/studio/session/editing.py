@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from farfield.errors import ConfigError, FarfieldError
@@ -97,18 +98,16 @@ def _conflict(known: Annotating, name: str, error: ConflictError) -> Conflict:
 
 
 async def _saved(desk: Desk, window: Window, name: str, done: Done) -> None:
+    """Once an edit is on the disk: acknowledge it, tell the others, and check the frames that are shown."""
     await asyncio.wrap_future(done.saved)
-    saved_ns = time.time_ns()
+    saved_ns = str(time.time_ns())
     known, record = annotating(desk), done.record
     placed, removed, tracks = await desk.in_thread(lambda: known.changed(record))
-    able = {"undo": known.can(window.annotator, UNDO), "redo": known.can(window.annotator, REDO)}
     own = next((each.row for each in placed), None) if len(record.changes) == 1 else None
-    window.send(Ack(id=name, seq=record.seq, version=record.seq, saved_ns=str(saved_ns), row=own, **able))
+    undo, redo = _able(known, window)
+    window.send(Ack(id=name, seq=record.seq, version=record.seq, saved_ns=saved_ns, row=own, undo=undo, redo=redo))
     if done.repeated:
         return
-    steps = record.op in (UNDO, REDO)
-    message = str((record.data or {}).get("message", ""))
-    frames = [each.frame for each in (*placed, *removed)]
     changed = Changed(
         seq=record.seq,
         id=name,
@@ -117,17 +116,29 @@ async def _saved(desk: Desk, window: Window, name: str, done: Done) -> None:
         rows=tuple(placed),
         removed=tuple(removed),
         tracks=tuple(tracks),
-        show=min(frames, key=lambda frame: abs(frame - (window.frame or 0)), default=None) if steps else None,
-        sentence=message,
-        **able,
+        sentence=str((record.data or {}).get("message", "")),
     )
+    _spread(desk, window, changed, steps=record.op in (UNDO, REDO), alone=len(record.changes) == 1)
+
+
+def _able(known: Annotating, window: Window) -> tuple[bool, bool]:
+    """Whether a window's annotator can undo and redo."""
+    return known.can(window.annotator, UNDO), known.can(window.annotator, REDO)
+
+
+def _spread(desk: Desk, window: Window, changed: Changed, *, steps: bool, alone: bool) -> None:
+    """Tell the other windows of an edit, and its own of what the tool did beyond the box that it sent."""
+    known = annotating(desk)
+    frames = [*(each.frame for each in changed.rows), *(each.frame for each in changed.removed)]
+    nearest = min(frames, key=lambda frame: abs(frame - (window.frame or 0)), default=None) if steps else None
     for other in list(desk.windows.values()):
-        if other is window and (steps or len(record.changes) != 1 or tracks or message):
-            other.send(changed)
-        elif other is not window:
-            mine = {"undo": known.can(other.annotator, UNDO), "redo": known.can(other.annotator, REDO)}
-            other.send(Changed(**{**vars(changed), **mine, "show": None}))
-    for frame in {other.frame for other in desk.windows.values()} & set(frames):
+        undo, redo = _able(known, other)
+        if other is not window:
+            other.send(replace(changed, undo=undo, redo=redo))
+        elif steps or not alone or changed.tracks or changed.sentence:
+            other.send(replace(changed, undo=undo, redo=redo, show=nearest))
+    shown = {other.frame for other in desk.windows.values() if other.frame is not None}
+    for frame in shown & set(frames):
         check_soon(desk, frame)
 
 
@@ -159,14 +170,13 @@ def checks_of(desk: Desk, frame: int) -> Checks:
 
 async def check_list(desk: Desk, window: Window, request: asked.CheckList) -> None:
     """Findings of a frame, or of all."""
-    known = annotating(desk)
+    annotating(desk)
     if request.frame is None:
         desk.aside(window, None, _check_all(desk, window))
         return
     desk.opened.check(request.frame)
     frame = request.frame
     window.send(await desk.in_thread(lambda: checks_of(desk, frame)))
-    del known
 
 
 async def _check_all(desk: Desk, window: Window) -> None:

@@ -78,8 +78,8 @@ async def _show_tracks(desk: Desk, window: Window, frame: int) -> None:
     if first and drive == known.drive_of(desk.book.first):
         return  # the welcome had them
     tracks = await desk.in_thread(lambda: known.tracks(frame))
-    able = {"undo": known.can(window.annotator, "undo"), "redo": known.can(window.annotator, "redo")}
-    window.send(Changed(seq=known.seq, id="", by="", window="", tracks=tracks, **able))
+    undo, redo = (known.can(window.annotator, what) for what in ("undo", "redo"))
+    window.send(Changed(seq=known.seq, id="", by="", window="", tracks=tracks, undo=undo, redo=redo))
 
 
 async def preview(desk: Desk, window: Window, request: asked.Preview) -> None:
