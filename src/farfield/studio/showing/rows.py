@@ -38,7 +38,7 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
             box=numbers(boxes, row),
             version=0,
             state="accepted",
-            source="radar" if seen is not None and seen[row] == "R" else "lidar",
+            source="lidar",
             attributes=_attributes(annotation, row),
             points=None if lidar is None or lidar[row] < 0 else int(lidar[row]),
             radar_points=None if radar is None else int(radar[row]),
