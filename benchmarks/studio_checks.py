@@ -174,7 +174,7 @@ def short(at: Spot) -> None:
 
 
 def ground(at: Spot) -> None:
-    at.drawn[at.row][at.track] = moved(at.label, z=float(at.rng.choice([-1, 1]) * at.rng.uniform(0.5, 1.5)))
+    at.drawn[at.row][at.track] = moved(at.label, z=float(at.rng.choice([-1, 1]) * at.rng.uniform(0.6, 1.5)))
 
 
 def empty(at: Spot) -> None:

@@ -5,7 +5,13 @@ from typing import Any
 
 from farfield.datasets.labels.contract import BoxLabel, Numbers
 
-_PLAIN = (("track", ""), ("state", "accepted"), ("source", ""), ("attributes", {}), ("score", None))
+_PLAIN: tuple[tuple[str, Any], ...] = (
+    ("track", ""),
+    ("state", "accepted"),
+    ("source", ""),
+    ("attributes", {}),
+    ("score", None),
+)
 
 
 def value_of(label: BoxLabel, proposal: Numbers | None = None) -> dict[str, Any]:

@@ -93,8 +93,7 @@ def schema_of(
 ) -> Schema:
     """A schema from usual sizes by class and attributes with their values (none: any text)."""
     classes = {
-        name: ClassSettings(size_m=tuple(map(float, size)), fastest_m_s=fastest(name))  # type: ignore[arg-type]
-        for name, size in sizes_m.items()
+        name: ClassSettings(size_m=tuple(map(float, size)), fastest_m_s=fastest(name)) for name, size in sizes_m.items()
     }
     known = {name: AttributeSettings(values=tuple(values)) for name, values in (attributes or {}).items()}
     return Schema(extent=extent, classes=classes, attributes=known)

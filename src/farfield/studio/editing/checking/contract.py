@@ -100,13 +100,13 @@ class Course(NamedTuple):
 
     Args:
         steps: Boxes of the frames around, in the order of time, one a frame.
-        count: In how many frames the track is.
+        frames: In how many frames the track is.
         posed: Whether the boxes stand in the world.
         locked: Whether its size is locked.
     """
 
     steps: Sequence[Step]
-    count: int
+    frames: int
     posed: bool = False
     locked: bool = False
 

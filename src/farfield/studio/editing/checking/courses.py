@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.studio.editing.angles import turn
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Course, Finding, Scene, Step
+from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Course, Finding, Scene, Severity, Step
 from farfield.studio.editing.checking.shapes import finding
 
 FRAME_S = 0.1
@@ -22,8 +22,8 @@ def courses(boxes: Boxes, scene: Scene, tracks: Courses, settings: CheckSettings
         place = None if course is None else _place(course.steps, scene.row)
         if course is None or place is None:
             continue
-        if course.count < settings.shortest_track:
-            sentence = f"{label.label} {label.track} is in {course.count} frames only."
+        if course.frames < settings.shortest_track:
+            sentence = f"{label.label} {label.track} is in {course.frames} frames only."
             yield finding(scene, label, "short", "info", sentence)
         yield from _jump(label, course, place, scene, settings)
         if place > 0:
@@ -43,7 +43,7 @@ def _since(label: BoxLabel, course: Course, place: int, scene: Scene, settings: 
         yield finding(scene, label, "gap", "warning", f"{name} {words}.")
     change = max(abs(a / b - 1) for a, b in zip(now.box[3:6], before.box[3:6], strict=True))
     if change > settings.track_size and not course.locked:
-        severity = "warning" if change > settings.track_size_far else "info"
+        severity: Severity = "warning" if change > settings.track_size_far else "info"
         yield finding(scene, label, "track_size", severity, f"{name} changes its size by {change:.0%}; lock it?")
     time_s = max(now.time_s - before.time_s, 1e-3)
     turned = abs(turn(before.box[6], now.box[6]))
@@ -71,7 +71,7 @@ def _jump(label: BoxLabel, course: Course, place: int, scene: Scene, settings: C
     around = [_bend(steps, other) for other in (place - 1, place + 1) if 1 <= other <= len(steps) - 2]
     if any(other is not None and other > off for other in around):
         return
-    severity = "error" if off > settings.jump_far_m else "warning"
+    severity: Severity = "error" if off > settings.jump_far_m else "warning"
     sentence = f"{label.label} {label.track} jumps: {off:.1f} m off an even motion over three frames."
     yield finding(scene, label, "jump", severity, sentence)
 

@@ -9,8 +9,9 @@ from farfield.studio.fitting.ground import fit_ground
 CELL_M = 4.0
 GROUND_CELL_M = 1.0
 GROUND_LOOK_M, BESIDE_M = 15.0, 0.5
-SUPPORT_M, OFF_PLANE_M, FEWEST_CELLS = 8.0, 0.2, 8
-"""The ground beside a box is known where so many square metres within 8 m lie within 0.2 m of the plane."""
+SUPPORT_M, OFF_PLANE_M, FEWEST_CELLS, SHARE = 8.0, 0.2, 8, 0.6
+"""The ground beside a box is known where so many square metres within 8 m, and so large a share of those with points,
+lie within 0.2 m of the plane."""
 Points = Float[np.ndarray, "n 3"]
 
 
@@ -72,7 +73,7 @@ class Surroundings:
         beside = beyond_m(in_box_axes(close, box), box) > BESIDE_M
         heights = ground.heights_m(close[beside].astype(np.float64))
         known = int((np.abs(heights) <= OFF_PLANE_M).sum())
-        return ground.z_m(box[0], box[1]) if known >= FEWEST_CELLS else None
+        return ground.z_m(box[0], box[1]) if known >= max(FEWEST_CELLS, SHARE * len(heights)) else None
 
 
 def _lowest(points: Points) -> Float[np.ndarray, "m 3"]:
