@@ -37,8 +37,7 @@ class Book:
         self.data, self.opened, self.rows = data, opened, rows
         self.protocol = settings.protocol or data.protocol
         _ = PROTOCOLS[self.protocol]
-        self.drives = data.drives()
-        self._drive_of = {int(index): drive for drive in self.drives for index in drive.indices}
+        self._drive_of = {index: drive for drive in opened.drives for index in drive.indices.tolist()}
         self.bookmarks = Bookmarks(data.root, data.keys, settings.notes)
         self.simulated = is_simulated(data.root)
         self.first = first_of(settings.first, data)

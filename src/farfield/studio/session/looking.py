@@ -9,14 +9,13 @@ from farfield.studio.session.detecting import detect_shown, offered
 from farfield.studio.session.editing import check_soon
 from farfield.studio.session.window import Window
 from farfield.studio.showing.classes import shown_classes, with_others
-
-_MOST_LABELS = 20_000
+from farfield.studio.showing.opened import MOST_NAMED
 
 
 def welcome(desk: Desk, window: Window) -> Welcome:
     """What is open, for a window that says hello."""
     book, data, settings = desk.book, desk.book.data, desk.settings
-    labels = tuple(f"{sequence}/{frame}" for sequence, frame in data.keys) if len(data) <= _MOST_LABELS else ()
+    labels = tuple(f"{sequence}/{frame}" for sequence, frame in data.keys) if len(data) <= MOST_NAMED else ()
     predicted = {name for each in book.sets.values() for name in each.about.classes}
     annotating = desk.annotating
     classes = shown_classes(data.name, settings.classes) if annotating is None else annotating.classes
@@ -26,7 +25,7 @@ def welcome(desk: Desk, window: Window) -> Welcome:
         data=data.name,
         title=settings.title or data.root.name,
         frames=len(data),
-        drives=book.opened.drives,
+        drives=book.opened.drive_rows,
         labels=labels,
         classes=with_others(classes, sorted(predicted)) if annotating is None else classes,
         predictions=tuple(each.about for each in book.sets.values()),

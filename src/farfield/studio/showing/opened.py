@@ -11,7 +11,7 @@ from typing import Any
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps import Sweeps
 from farfield.errors import ConfigError, FarfieldError
-from farfield.frame import Frame
+from farfield.frame import Drive, Frame
 from farfield.studio.messages.rows import DriveRow, Layer
 from farfield.studio.showing.cache import Cache
 from farfield.studio.showing.layers import layers_of
@@ -22,6 +22,8 @@ from farfield.studio.showing.wire import encode_cloud, encode_map
 _FRAMES = 5
 """Frames whose clouds stay in memory, for fits and counts."""
 _POWERS = 2
+MOST_NAMED = 20_000
+"""Frames up to which a window gets the name and time of each."""
 CACHE_BYTES = 512 << 20
 STATIC = Path(__file__).resolve().parent.parent / "static"
 """The built page."""
@@ -104,15 +106,21 @@ class Opened:
             raise ConfigError(f"frame: expected a number from 0 to {len(self.data) - 1}, got {index}")
 
     @cached_property
-    def drives(self) -> tuple[DriveRow, ...]:
-        """Which frames belong together, in the order of time."""
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives of the data set."""
+        return self.data.drives()
+
+    @cached_property
+    def drive_rows(self) -> tuple[DriveRow, ...]:
+        """Which frames belong together, in the order of time; of large data sets without the times."""
+        small = len(self.data) <= MOST_NAMED
         return tuple(
             DriveRow(
                 name=drive.name,
-                frames=tuple(map(int, drive.indices)),
-                times_ns=None if drive.times_ns is None else tuple(str(int(t)) for t in drive.times_ns),
+                frames=tuple(drive.indices.tolist()),
+                times_ns=tuple(map(str, drive.times_ns.tolist())) if small and drive.times_ns is not None else None,
             )
-            for drive in self.data.drives()
+            for drive in self.drives
         )
 
     def frame(self, index: int, sweeps: int = 1) -> Frame:
