@@ -219,11 +219,15 @@ DEFECTS: dict[str, Callable[[Spot], None]] = {
 def planted(drives: list[Annotated], name: str, settings: CheckSettings, rng: Rng, count: int) -> int:
     """How many of planted defects are found."""
     hits = 0
-    for _ in range(count):
-        drive = drives[int(rng.integers(len(drives)))]
-        row = int(rng.integers(6, len(drive.drawn) - 2))
-        tracks = [track for track, label in drive.drawn[row].items() if _can_be(name, drive, row, label)]
-        track = str(rng.choice(tracks))
+    spots = [
+        (drive, row, track)
+        for drive in drives
+        for row in range(6, len(drive.drawn) - 2)
+        for track, label in drive.drawn[row].items()
+        if _can_be(name, drive, row, label)
+    ]
+    for chosen in rng.choice(len(spots), count, replace=False).tolist():
+        drive, row, track = spots[chosen]
         drawn = {other: dict(labels) for other, labels in drive.drawn.items()}
         DEFECTS[name](Spot(drive, drawn, row, track, rng))
         box = "twin" if "twin" in drawn[row] else f"b{track}"
