@@ -22,7 +22,7 @@ def write_folder(folder: Path, frames: int, points: int, seed: int = 0) -> Path:
         rows = rows[np.argsort(np.arctan2(rows[:, 1], rows[:, 0]), kind="stable")]
         cloud.write_bytes(rows.astype("<f4").tobytes())
         entries = [
-            {"label": "car", "centre_m": box[:3], "size_m": box[3:6], "yaw_rad": box[6], "track_id": place + 1}
+            {"label": "vehicle", "centre_m": box[:3], "size_m": box[3:6], "yaw_rad": box[6], "track_id": place + 1}
             for place, box in enumerate(boxes)
         ]
         (folder / f"{frame:06d}.json").write_text(json.dumps({"boxes": entries}))
