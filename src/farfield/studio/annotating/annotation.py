@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 from farfield.datasets.edits import Change, Record
@@ -28,6 +27,7 @@ from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.classes import our_class, spec_of
 from farfield.studio.showing.opened import Opened
 from farfield.studio.showing.rows import boxes_of, numbers
+from farfield.studio.threads import Threads
 
 _SAME_IOU = 0.1
 """A detection that overlaps a box so much is not proposed beside it."""
@@ -48,7 +48,7 @@ class Annotating:
         self.points = Points(opened.frame)
         self.shown = Presenter(self.store, self.numbers, self.points)
         self.fitter = Fitter(self.store, opened.frame, self.numbers)
-        self.editor = ThreadPoolExecutor(1, thread_name_prefix="studio-edit")
+        self.editor = Threads(1, "edit")
         self.saved_seq = self.store.state.seq
 
     @property
@@ -187,7 +187,7 @@ class Annotating:
 
     def close(self) -> None:
         """Let the journal go."""
-        self.editor.shutdown(wait=True)
+        self.editor.end(wait=True)
         self.store.close()
 
 

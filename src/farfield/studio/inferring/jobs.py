@@ -4,13 +4,14 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes
 from farfield.studio.inferring.worker import Worker
 from farfield.studio.messages.replies import Job
+from farfield.studio.threads import Threads
 
 Found = Callable[["InferJob", int, Boxes], Awaitable[None]]
 _TOLD_S = 0.2
@@ -76,7 +77,7 @@ class Jobs:
         self.jobs: dict[str, InferJob] = {}
         self._waiting: deque[InferJob] = deque()
         self._wake = asyncio.Event()
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-detect")
+        self._thread = Threads(1, "detect")
         self._task: asyncio.Task[None] | None = None
 
     def add(self, job: InferJob) -> None:
@@ -106,7 +107,7 @@ class Jobs:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
         self.worker.stop()
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._thread.end()
 
     async def _run(self) -> None:
         while True:
@@ -122,9 +123,8 @@ class Jobs:
 
     async def _next(self, job: InferJob) -> None:
         job.state, index, started = "running", job.frames.popleft(), time.monotonic()
-        loop = asyncio.get_running_loop()
         try:
-            boxes = await loop.run_in_executor(self._thread, self.worker.ask, job.detector, index)
+            boxes = await self._thread.do(partial(self.worker.ask, job.detector, index))
         except FarfieldError as error:
             job.message = str(error)
             self._end(job, "failed")

@@ -1,8 +1,6 @@
 """The routes: the page, layers, pictures, radar maps, health, the WebSocket."""
 
-import asyncio
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -19,6 +17,7 @@ from farfield.studio.serving.socket import socket
 from farfield.studio.session.book import first_of
 from farfield.studio.session.desk import Desk
 from farfield.studio.showing.opened import STATIC, Payload, plain_error
+from farfield.studio.threads import Threads
 
 _KINDS = {
     ".html": "text/html; charset=utf-8",
@@ -51,7 +50,7 @@ def make_app(desk: Desk, *, static: Path = STATIC) -> App:
         Route("/{name:str}", _static),
     ]
     app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
-    app.state.desk, app.state.readers = desk, ThreadPoolExecutor(4, thread_name_prefix="studio-read")
+    app.state.desk, app.state.readers = desk, Threads(4, "read")
     app.state.files = _files(static)
     return app
 
@@ -141,7 +140,7 @@ def _answer(request: Request, payload: Payload) -> Response:
 
 async def in_thread(request: Request, work: Callable[[], Any]) -> Any:
     """Run what reads files beside the event loop."""
-    return await asyncio.get_running_loop().run_in_executor(request.app.state.readers, work)
+    return await request.app.state.readers.do(work)
 
 
 def _number(request: Request, name: str, usual: int, low: int, high: int) -> int:

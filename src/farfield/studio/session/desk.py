@@ -4,7 +4,6 @@ import asyncio
 import sys
 import traceback
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from farfield.datasets.base import Dataset
@@ -15,6 +14,7 @@ from farfield.studio.session.book import Book
 from farfield.studio.session.window import Window
 from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import Opened, plain_error
+from farfield.studio.threads import Threads
 
 if TYPE_CHECKING:
     from farfield.studio.annotating.annotation import Annotating
@@ -36,7 +36,7 @@ class Desk:
         self.settings, self.handlers = settings, handlers
         self.annotator = settings.annotator
         self.windows: dict[str, Window] = {}
-        self.threads = ThreadPoolExecutor(3, thread_name_prefix="studio-desk")
+        self.threads = Threads(3, "desk")
         self.exports = Exports()
         self.data: Dataset | None = None
         self.annotating: Annotating | None = None
@@ -75,7 +75,7 @@ class Desk:
 
     async def in_thread(self, work: Callable[[], T]) -> T:
         """Run what reads files or computes beside the event loop."""
-        return await asyncio.get_running_loop().run_in_executor(self.threads, work)
+        return await self.threads.do(work)
 
     def aside(self, window: Window, name: str | None, work: Awaitable[None]) -> None:
         """Let something go on beside further messages; what goes wrong is told to the window."""
@@ -153,7 +153,7 @@ class Desk:
             await self.jobs.close()
         if self.annotating is not None:
             await self.in_thread(self.annotating.close)
-        self.threads.shutdown(wait=False, cancel_futures=True)
+        self.threads.end()
         self.exports.close()
 
 

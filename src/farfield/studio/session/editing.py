@@ -77,7 +77,7 @@ async def _taken(desk: Desk, window: Window, name: str, work: Callable[[], Done]
     """Edits are taken in the order in which they come; that they are on the disk is waited for beside them."""
     known = annotating(desk)
     try:
-        done = await asyncio.get_running_loop().run_in_executor(known.editor, work)
+        done = await known.editor.do(work)
     except ConflictError as error:
         window.send(await desk.in_thread(partial(_conflict, known, name, error)))
         return
@@ -218,7 +218,7 @@ async def timing(desk: Desk, window: Window, request: asked.Timing) -> None:
     desk.opened.check(request.frame)
     key, name = known.store.keys[request.frame], f"time-{window.id}-{time.time_ns()}"[:64]
     note = partial(notes.worked, known.store, author, name, key, request.box, request.seconds, request.edits)
-    await asyncio.get_running_loop().run_in_executor(known.editor, note)
+    await known.editor.do(note)
 
 
 async def save(desk: Desk, window: Window, request: asked.Save) -> None:
@@ -250,7 +250,7 @@ async def propose(desk: Desk, job: InferJob, index: int, boxes: Boxes) -> None:
     """Add what a detector found in a frame as proposals."""
     known, author = annotating(desk), Author(job.by, job.window)
     work = partial(known.propose, author, f"{job.id or job.name}-{index}"[-64:], index, boxes, job.id or job.name)
-    done = await asyncio.get_running_loop().run_in_executor(known.editor, work)
+    done = await known.editor.do(work)
     if done is not None:
         await _saved(desk, Window(id=job.window, annotator=job.by), done.record.id, done)
 
