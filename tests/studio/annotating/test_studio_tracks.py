@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio.live import studio
+from studio.showing.test_studio_wire import decode
 
 from farfield import open_dataset
 from farfield.datasets.cirrus.writer import CirrusWriter
@@ -160,3 +161,18 @@ def test_checks_of_all_frames_and_one_let_stand(live):
         client.send(op="timing", frame=0, box="empty-1", seconds=12.5, edits=2)
         client.send(op="check.list", frame=0)
         assert client.until("checks", "refused")["op"] == "checks"
+
+
+def test_several_sweeps_are_one_cloud_with_its_ages(live):
+    with live.window() as client:
+        alone = client.open(1)["layers"][0]
+        several = client.open(1, sweeps=2)["layers"][0]
+        lacking = client.open(3, sweeps=2)
+    assert (several["sweeps"], several["url"]) == (2, alone["url"] + "?sweeps=2")
+    (one, _), (two, arrays) = (decode(live.get("/" + layer["url"])[2]) for layer in (alone, several))
+    assert two["count"] == 2 * one["count"]
+    field = next(each for each in two["fields"] if each["name"] == "lag_s")
+    assert (round(field["low"], 3), round(field["high"], 3)) == (0.0, 0.1)
+    assert len(np.unique(arrays["lag_s"])) == 2
+    assert lacking["layers"][0]["sweeps"] == 1
+    assert any("pose" in note for note in lacking["notes"])  # only frames with labels have one in this layout
