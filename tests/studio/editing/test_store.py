@@ -98,6 +98,10 @@ def test_a_message_sent_again_is_recognised_also_after_a_restart(tmp_path: Path)
         ({"attributes": {"moving": "perhaps"}}, "attribute"),
         ({"attributes": {"note": 3.0}}, "attribute"),
         ({"speed": 3}, "value"),
+        ({"score": float("nan")}, "score"),
+        ({"score": "high"}, "score"),
+        ({"attributes": ["moving"]}, "attribute"),
+        ({"proposal": [1.0, 2.0]}, "box"),
     ],
 )
 def test_what_is_not_possible_is_refused(tmp_path: Path, value: Any, code: str) -> None:

@@ -131,6 +131,7 @@ def sound(store: Store, value: Value, old: Value | None) -> dict[str, Any]:
     if old is None or list(value["box"]) != old["box"]:
         new["box"] = _box(value["box"])
     _words(store, new, old or {})
+    _kinds(new)
     if new.get("state") == "accepted":
         del new["state"]
     for name, given in dict(new.get("attributes", {})).items():
@@ -153,6 +154,17 @@ def _box(box: Any) -> list[float]:
     if not all(abs(place) <= FARTHEST_M for place in (x, y, z)):
         raise RefusedError("place", f"expected a centre within {FARTHEST_M:g} m, got {x}, {y}, {z}")
     return [x, y, z, length, width, height, wrapped(yaw)]
+
+
+def _kinds(new: Value) -> None:
+    """What is kept beside the box must be readable again: a damaged value would shut its frame."""
+    score, attributes = new.get("score", 0.0), new.get("attributes", {})
+    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
+        raise RefusedError("score", f"expected a finite number as score, got {str(score)[:40]!r}")
+    if not isinstance(attributes, Mapping) or not all(isinstance(name, str) for name in attributes):
+        raise RefusedError("attribute", f"expected attributes by name, got {str(attributes)[:40]!r}")
+    if "proposal" in new:
+        _box(new["proposal"])
 
 
 def _words(store: Store, new: Value, old: Value) -> None:

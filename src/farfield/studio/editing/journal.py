@@ -140,7 +140,9 @@ class Journal:
             if seq in waiting:
                 return waiting[seq]
             start, end = self._starts[seq - 1], self._starts[seq] if seq < len(self._starts) else self._end
-        return decode(os.pread(self._file, end - start, start))
+        with self.path.open("rb") as handle:
+            handle.seek(start)
+            return decode(handle.read(end - start))
 
     def pending(self, seq: int) -> "Future[Record]":
         """A future that is done when the edit is on the disk, also long after."""

@@ -27,11 +27,11 @@ def hold(folder: Path) -> int:
     try:
         _lock(handle, folder)
     except BlockingIOError:
-        pid = os.pread(handle, 32, 0).decode("ascii", "replace").strip()
+        pid = os.read(handle, 32).decode("ascii", "replace").strip()
         os.close(handle)
         raise JournalHeldError(str(folder), int(pid) if pid.isdigit() else 0) from None
     os.ftruncate(handle, 0)
-    os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
+    os.write(handle, f"{os.getpid()}\n".encode())
     return handle
 
 
