@@ -3,11 +3,15 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio.live import studio
+
+from farfield.studio.samples import open_samples
+from farfield.studio.showing.radar import RadarPower
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +132,21 @@ def test_a_save_stays_beside_the_journal(live, name):
     with live.window() as client:
         client.send(op="save", id="s", folder=name)
         assert "folder" in client.until("refused")["sentence"]
+
+
+def test_an_object_that_only_the_radar_sees_stands_behind_its_peak(live):
+    radar = open_samples()[1]
+    power = RadarPower.read(radar.radar)
+    pose = radar.sensors["cells"].frame_T_sensor
+    peak = power.peak_near((40.0, 0.0), reach_m=15.0)
+    here = pose @ np.array([*peak, 0.0, 1.0])
+    with live.window() as client:
+        client.open(1)
+        at = [float(here[0]) + 0.4, float(here[1]) - 0.4]  # a hand's noise, within a metre and a half
+        client.send(op="fit", id="r", frame=1, kind="peak", at=at, class_name="vehicle")
+        found = client.until("fitted")
+    assert found["source"] == "radar"
+    x, y, _, length, width, _, yaw = found["box"]
+    back = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ (here[:2] - [x, y])
+    assert np.abs(np.abs(back) / [length / 2, width / 2]).max() == pytest.approx(1.0, abs=0.01)  # on a face
+    assert np.hypot(*here[:2]) < np.hypot(x, y)  # the near one

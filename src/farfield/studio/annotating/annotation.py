@@ -47,7 +47,7 @@ class Annotating:
         self.numbers = TrackNumbers()
         self.points = Points(opened.frame)
         self.shown = Presenter(self.store, self.numbers, self.points)
-        self.fitter = Fitter(self.store, opened.frame, self.numbers)
+        self.fitter = Fitter(self.store, opened, self.numbers)
         self.editor = Threads(1, "edit")
         self.saved_seq = self.store.state.seq
 

@@ -1,7 +1,8 @@
 """Gestures of the page as fits on the frame's original points, with what the track and the class tell beforehand."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +10,7 @@ from jaxtyping import Float
 from farfield.datasets.edits import track_cell
 from farfield.errors import ConfigError
 from farfield.frame import Frame, Key
+from farfield.geometry.poses import invert
 from farfield.studio.annotating.counting import cloud_name
 from farfield.studio.annotating.numbering import TrackNumbers
 from farfield.studio.editing.motion import Found, Moment, from_world, to_world
@@ -18,6 +20,8 @@ from farfield.studio.fitting.gestures import fit_rectangle
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Candidate, Fitted
 from farfield.studio.showing.classes import our_class
+from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.radar import product_of
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
 _NUMBERS = {"click": 2, "drag": 4, "rectangle": 8, "refit": 0, "peak": 2}
@@ -28,12 +32,12 @@ class Fitter:
 
     Args:
         store: The annotation.
-        frame: Gives a frame by its number.
+        opened: The open data set.
         numbers: Numbers of tracks.
     """
 
-    def __init__(self, store: Store, frame: Callable[[int], Frame], numbers: TrackNumbers) -> None:
-        self.store, self.frame, self.numbers = store, frame, numbers
+    def __init__(self, store: Store, opened: Opened, numbers: TrackNumbers) -> None:
+        self.store, self.opened, self.frame, self.numbers = store, opened, opened.frame, numbers
 
     def fit(self, request: asked.Fit) -> Fitted:
         """Find the box that a gesture means.
@@ -45,6 +49,8 @@ class Fitter:
             raise ConfigError(f"fit: a {request.kind} needs {_NUMBERS[request.kind] or 'a box and no'} numbers")
         frame = self.frame(request.frame)
         prior = self.prior(request, frame)
+        if request.kind == "peak":
+            request = replace(request, at=self._snapped(request, frame))
         try:
             found = _gesture(request, _points(frame), prior)
         except ValueError as error:
@@ -59,6 +65,19 @@ class Fitter:
             sentence=found.note,
             source="radar" if request.kind == "peak" else "lidar",
         )
+
+    def _snapped(self, request: asked.Fit, frame: Frame) -> tuple[float, ...]:
+        """The radar's peak nearest to a press, in the frame's coordinates; the press itself where there is none."""
+        product = product_of(frame.radar)
+        pose = None if product is None else frame.sensors[product].frame_T_sensor
+        if pose is None:
+            return request.at
+        there = invert(pose) @ np.array([request.at[0], request.at[1], pose[2, 3], 1.0])
+        peak = self.opened.radar_power(request.frame).peak_near((float(there[0]), float(there[1])))
+        if peak is None:
+            return request.at
+        here = pose @ np.array([*peak, 0.0, 1.0])
+        return float(here[0]), float(here[1])
 
     def prior(self, request: asked.Fit, frame: Frame) -> Prior:
         """What class, type, track and extent tell."""

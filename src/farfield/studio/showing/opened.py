@@ -195,9 +195,17 @@ class Opened:
         return self._payloads.get(key, lambda: self._map(index, kind, low_m, high_m))
 
     def _map(self, index: int, kind: str, low_m: float, high_m: float) -> Payload:
-        power = self._powers.get(index, lambda: self._power(index))
+        power = self.radar_power(index)
         level = power.from_above() if kind == "bev" else power.from_front(low_m, high_m)
         return Payload.of(encode_map(level, {"frame": index, "layer": kind, "version": 1}), "application/octet-stream")
+
+    def radar_power(self, index: int) -> RadarPower:
+        """A radar's power on all its cells.
+
+        Raises:
+            ConfigError: If the frame has no radar product.
+        """
+        return self._powers.get(index, lambda: self._power(index))
 
     def _power(self, index: int) -> RadarPower:
         try:

@@ -11,6 +11,7 @@ from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE
 from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
+from farfield.studio.fitting.radar_snap import peak_near
 from farfield.studio.messages.rows import Grid, LayerKind, Polar
 from farfield.vocabulary.kradar import REGIONS_M
 
@@ -96,6 +97,18 @@ class RadarPower:
         if self.polar:
             return decibel(polar_views(self.power[part], "max").front, unit=1.0)
         return decibel(bfs_2d(np.ascontiguousarray(self.power[:, :, part]), "max").front)
+
+    def peak_near(self, at_xy: tuple[float, float], *, reach_m: float = 1.5) -> tuple[float, float] | None:
+        """The strongest echo within reach of a place, both in the radar's own axes; None where there is none."""
+        if self.polar:
+            return peak_near(self.power.max(axis=2), at_xy, KRADAR_AXES, reach_m=reach_m)
+        level = self.power.max(axis=0)
+        y, x = np.meshgrid(CUBE_Y_M, CUBE_X_M, indexing="ij")
+        near = (level > 0) & (np.hypot(x - at_xy[0], y - at_xy[1]) <= reach_m)
+        if not near.any():
+            return None
+        row, column = np.unravel_index(int(np.argmax(np.where(near, level, OUTSIDE))), level.shape)
+        return float(CUBE_X_M[column]), float(CUBE_Y_M[row])
 
 
 def _cube(cells: RadarCells) -> Float[np.ndarray, "150 400 250"]:
