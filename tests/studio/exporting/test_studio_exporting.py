@@ -18,6 +18,7 @@ from PIL import Image
 from studio.live import studio
 from studio.showing.test_studio_wire import decode
 
+from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError
 from farfield.studio.exporting.films import write_film
 from farfield.studio.exporting.pages import standalone
@@ -130,3 +131,16 @@ def test_labels_are_not_exported_from_a_view(live):
         failed = export(client, kind="labels")
     assert failed["state"] == "failed"
     assert "farfield annotate" in failed["message"]
+
+
+@pytest.mark.skipif(not (STATIC / "index.html").is_file(), reason="the page is not built: npm run build in web/")
+def test_the_verb_writes_a_page_without_a_browser(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    target = tmp_path / "two.html"
+    assert main(["view", "--html", str(target), "--frame", "1,0"]) == 0
+    assert f"written: {target}" in capsys.readouterr().out
+    held = json.loads(re.search(r'id="farfield-data">(.*?)</script>', target.read_text(), re.DOTALL)[1])
+    assert [frame["frame"]["index"] for frame in held["frames"]] == [1, 0]
+    assert held["welcome"]["first"] == 1
+    assert main(["view", "--html", str(target), "--frame", "9"]) == 1
+    assert "expected a number below 2" in capsys.readouterr().err

@@ -1,10 +1,13 @@
 """Exports on demand: films of pictures that the page sent, one HTML file of some frames, labels in a format."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
+from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
+from farfield.files.atomic import write_text
 from farfield.studio.annotating.saves import FORMATS, pack
 from farfield.studio.exporting.exports import Made
 from farfield.studio.exporting.films import write_film
@@ -12,10 +15,11 @@ from farfield.studio.exporting.pages import MOST_FRAMES, standalone
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
-from farfield.studio.session.book import Book
+from farfield.studio.session.book import Book, first_of
 from farfield.studio.session.desk import Desk
 from farfield.studio.session.looking import welcome
 from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import STATIC, plain_error
 
 _NUMBERS = itertools.count(1)
@@ -73,6 +77,28 @@ def page_of(desk: Desk, window: Window, frames: tuple[int, ...]) -> str:
     first = states[0].frame.index if states else 0
     hello = replace(welcome(desk, window), mode="view", detectors=(), first=first, saves_to="", bookmarks=())
     return standalone(STATIC, hello, states, payloads)
+
+
+def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], path: Path) -> None:
+    """Write the HTML file of some frames without a browser.
+
+    Args:
+        data: The data set.
+        settings: As of a studio.
+        frames: Numbers of the frames, or ``sequence/frame``; the first one where there are none.
+        path: The file.
+
+    Raises:
+        FarfieldError: If there is no such frame, there are too many, or the page is not built.
+    """
+    desk = Desk(settings, {})
+    try:
+        desk.open(data)
+        chosen = tuple(first_of(frame, data) for frame in frames or ("",))
+        write_text(path, page_of(desk, Window(id="file", annotator="", threshold=settings.threshold), chosen))
+    finally:
+        desk.threads.end()
+        desk.exports.close()
 
 
 def _body(book: Book, state: FrameState, layer: Layer) -> bytes:
