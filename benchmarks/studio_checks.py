@@ -174,7 +174,8 @@ def short(at: Spot) -> None:
 
 
 def ground(at: Spot) -> None:
-    at.drawn[at.row][at.track] = moved(at.label, z=float(at.rng.choice([-1, 1]) * at.rng.uniform(0.6, 1.5)))
+    far = at.rng.uniform(0.6, 1.5) + 0.1 * max(at.label.box[5] - 1.5, 0.0)  # tall boxes are drawn with more room
+    at.drawn[at.row][at.track] = moved(at.label, z=float(at.rng.choice([-1, 1]) * far))
 
 
 def empty(at: Spot) -> None:

@@ -13,6 +13,8 @@ from farfield.studio.editing.checking.shapes import finding
 ABOVE_GROUND_M = 0.25
 FEWEST_OF_OBJECT, FEWEST_OUTSIDE = 10, 5
 REACH_M, MARGIN_M = 1.0, 0.05
+TALLER, TALL_M = 0.1, 1.5
+"""Boxes of tall objects are drawn with more room: a tenth of what they are taller than 1.5 m is let stand."""
 FACE_M = 0.1
 """So near a face, points are its own: range noise and a careful hand leave as much."""
 
@@ -46,11 +48,12 @@ def _standing(label: BoxLabel, ground: float | None, scene: Scene, settings: Che
     if ground is None:
         return
     bottom = -label.box[5] / 2
+    most_m = settings.ground_m + TALLER * max(label.box[5] - TALL_M, 0.0)
     if ground > 0:
         yield finding(scene, label, "ground", "error", f"{label.label}: more than half of it is in the ground.")
-    elif ground - bottom > settings.ground_m:
+    elif ground - bottom > most_m:
         yield finding(scene, label, "ground", "warning", f"{label.label}: {ground - bottom:.1f} m in the ground.")
-    elif bottom - ground > settings.ground_m:
+    elif bottom - ground > most_m:
         yield finding(scene, label, "ground", "warning", f"{label.label}: {bottom - ground:.1f} m above the ground.")
 
 

@@ -1,5 +1,7 @@
 """The points of a frame, sorted once so that those near a box are found quickly, and the ground beside it."""
 
+from functools import cached_property
+
 import numpy as np
 from jaxtyping import Float
 
@@ -53,9 +55,13 @@ class Surroundings:
     """
 
     def __init__(self, points_m: Float[np.ndarray, "n 3"]) -> None:
-        points = points_m[np.isfinite(points_m).all(axis=1)]
-        self._points = _Cells(points, CELL_M)
-        self._lowest = _Cells(_lowest(points), GROUND_LOOK_M)
+        self._finite = points_m[np.isfinite(points_m).all(axis=1)]
+        self._points = _Cells(self._finite, CELL_M)
+
+    @cached_property
+    def _lowest(self) -> _Cells:
+        """Made where ground is asked for: counting points needs none."""
+        return _Cells(_lowest(self._finite), GROUND_LOOK_M)
 
     def near(self, x: float, y: float, reach_m: float) -> Points:
         """Points within a square around a place, and some more, shape (k, 3)."""
