@@ -91,6 +91,10 @@ class Annotating:
         """The boxes of a frame."""
         return self.shown.boxes(index)
 
+    def centres(self, index: int) -> list[tuple[int, float, float, float]]:
+        """Track number, x, y, z of the boxes of a frame."""
+        return self.shown.centres(index)
+
     def drive_of(self, index: int) -> str:
         """The drive of a frame."""
         return self.store.drives.place(self.store.keys[index]).drive

@@ -29,6 +29,12 @@ class Presenter:
         """The boxes of a frame."""
         return tuple(self.box(index, row) for row in self.store.rows(self.store.keys[index]))
 
+    def centres(self, index: int) -> list[tuple[int, float, float, float]]:
+        """Number of the track and centre of each box that has a track; no point is counted."""
+        labels = [row.label for row in self.store.rows(self.store.keys[index])]
+        found = [(self.numbers.number(label.track), label.box) for label in labels]
+        return [(track, float(box[0]), float(box[1]), float(box[2])) for track, box in found if track is not None]
+
     def box(self, index: int, row: Row) -> BoxRow:
         """One box."""
         label = row.label

@@ -18,6 +18,7 @@ from farfield.studio.showing.predictions import Predictions, read_set
 from farfield.studio.showing.rows import annotated_rows, frame_info
 
 Rows = Callable[[int], tuple[BoxRow, ...]]
+Centres = Callable[[int], list[tuple[int, float, float, float]]]
 
 
 class Book:
@@ -27,14 +28,17 @@ class Book:
         opened: The open data set.
         settings: What the studio was started with.
         rows: Gives the boxes of a frame where they are edited; those of the data set without it.
+        centres: Gives number, x, y and z of their tracks, likewise.
 
     Raises:
         FarfieldError: If predictions cannot be read or belong to other frames, or the protocol is unknown.
     """
 
-    def __init__(self, opened: Opened, settings: StudioSettings, rows: Rows | None = None) -> None:
+    def __init__(
+        self, opened: Opened, settings: StudioSettings, rows: Rows | None = None, centres: Centres | None = None
+    ) -> None:
         data = opened.data
-        self.data, self.opened, self.rows = data, opened, rows
+        self.data, self.opened, self.rows, self.centres = data, opened, rows, centres
         self.protocol = settings.protocol or data.protocol
         _ = PROTOCOLS[self.protocol]
         self._drive_of = {index: drive for drive in opened.drives for index in drive.indices.tolist()}
@@ -89,8 +93,8 @@ class Book:
         return (*found, *(trail for each in list(self.sets.values()) for trail in self._predicted(each, drive, index)))
 
     def _annotated(self, index: int) -> list[tuple[int, float, float, float]]:
-        if self.rows is not None:
-            return [(row.track, *row.box[:3]) for row in self.rows(index) if row.track is not None]
+        if self.centres is not None:
+            return self.centres(index)
         annotation = self.data.annotation(index)
         return [] if annotation is None else _centres(annotation.boxes)
 

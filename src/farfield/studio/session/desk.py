@@ -67,7 +67,9 @@ class Desk:
             from farfield.studio.annotating.annotation import Annotating
 
             self.annotating = Annotating(opened, self.settings)
-        self.book = Book(opened, self.settings, None if self.annotating is None else self.annotating.rows)
+        edited = self.annotating
+        given = () if edited is None else (edited.rows, edited.centres)
+        self.book = Book(opened, self.settings, *given)
 
     def let_in(self) -> None:
         """Let the windows in that wait."""
