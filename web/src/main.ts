@@ -8,7 +8,7 @@ import { CloseUps } from "./closeups";
 import type { PointSet } from "./cloud";
 import { byId, fill, h } from "./dom";
 import { open } from "./edits";
-import { neededLayers, onShown, show } from "./frames";
+import { neededLayers, onShown, refresh, show } from "./frames";
 import { header } from "./header";
 import { bindHelp, close } from "./help";
 import { inspectorPanel } from "./inspector";
@@ -112,7 +112,8 @@ function welcomed(message: Welcome): void {
   void open(message.data);
   changed("welcome", "tool", "connection", "tracks", "bookmarks");
   if (message.frames === 0) fill(byId("main"), h("div", { class: "empty-state" }, "This data set has no frames. Open another folder: farfield view PATH"));
-  else states.clear(), show(state.frame);
+  else if (again) refresh();
+  else show(state.frame);
 }
 
 function cancelled(): boolean {
