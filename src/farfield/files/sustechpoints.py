@@ -14,6 +14,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import Cuboid, Placed, checked, word, wrapped, xyz
 from farfield.files.json_text import append, parse_json
@@ -79,3 +82,9 @@ def with_new(text: str, cuboid: Cuboid) -> str:
 def format_sustechpoints(cuboids: Sequence[Cuboid]) -> str:
     """A new file's text."""
     return json.dumps([entry_of(cuboid) for cuboid in cuboids], indent=1) + "\n"
+
+
+def format_calibration(camera_T_lidar: Float[np.ndarray, "4 4"], matrix: Float[np.ndarray, "3 3"]) -> str:
+    """A camera's calibration, ``calib/camera/<name>.json``: both matrices row by row; distortion has no place."""
+    content = {"extrinsic": camera_T_lidar.ravel().tolist(), "intrinsic": matrix.ravel().tolist()}
+    return json.dumps(content, indent=1) + "\n"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from fitting_scenes import road
 
-from farfield.studio.fitting import fit_radar_peak, prior_of
+from farfield.radar.axes import KRADAR_AXES
+from farfield.studio.fitting import fit_radar_peak, peak_near, prior_of
 
 
 @pytest.mark.parametrize(("peak", "middle"), [((40.0, 0.0), (42.305, 0.0)), ((0.0, 40.0), (0.0, 41.09))])
@@ -35,3 +36,28 @@ def test_yaw_of_the_track_else_the_line_of_sight() -> None:
     assert moved.box[:2] == pytest.approx((32.305, 5.0))
     with pytest.raises(ValueError, match="away from the radar"):
         fit_radar_peak(nothing, (0.0, 0.0), prior_of("Sedan"))
+
+
+def bump(range_m: float, azimuth_deg: float, power: float = 1.0) -> np.ndarray:
+    """The response of one point, half a cell wide, on the radar's own axes."""
+    across = (KRADAR_AXES.azimuth_deg[None] - azimuth_deg) / 1.2
+    along = (KRADAR_AXES.range_m[:, None] - range_m) / 0.5
+    return power * np.exp(-(along**2) - across**2)
+
+
+@pytest.mark.parametrize(("range_m", "azimuth_deg"), [(30.1, 4.3), (62.0, -20.6), (12.25, 0.5)])
+def test_a_press_snaps_to_the_peak_between_the_cells(range_m: float, azimuth_deg: float) -> None:
+    place = range_m * np.array([np.cos(np.deg2rad(azimuth_deg)), np.sin(np.deg2rad(azimuth_deg))])
+    power = bump(range_m, azimuth_deg) + bump(range_m + 4, azimuth_deg, 100.0)  # a stronger one beyond reach
+    found = peak_near(power, np.add(place, [0.3, -0.4]))
+    assert found is not None
+    assert np.hypot(*(np.array(found) - place)) < 0.1
+
+
+def test_no_peak_within_reach_and_peaks_at_the_edge() -> None:
+    power = bump(30.0, 0.0)
+    assert peak_near(power, (35.0, 0.0)) is None
+    assert peak_near(np.full_like(power, -1.0), (30.0, 0.0)) is None
+    edge = peak_near(bump(40.0, 53.0), 40 * np.array([np.cos(np.deg2rad(53)), np.sin(np.deg2rad(53))]))
+    assert edge is not None
+    assert np.rad2deg(np.arctan2(edge[1], edge[0])) == pytest.approx(53.0)

@@ -7,6 +7,7 @@ coordinates in which boxes are kept, and gives a :class:`Fit`. None keeps anythi
 from farfield.studio.fitting.contract import Box, Candidate, Extent, Fit, Prior, prior_of
 from farfield.studio.fitting.gestures import drop_to_ground, fit_click, fit_drag, fit_rectangle, refit
 from farfield.studio.fitting.radar_peak import fit_radar_peak
+from farfield.studio.fitting.radar_snap import peak_near
 
 __all__ = [
     "Box",
@@ -19,6 +20,7 @@ __all__ = [
     "fit_drag",
     "fit_radar_peak",
     "fit_rectangle",
+    "peak_near",
     "prior_of",
     "refit",
 ]
