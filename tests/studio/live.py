@@ -102,7 +102,7 @@ class Client:
         """Send a message."""
         self.socket.send(json.dumps(message))
 
-    def receive(self, timeout: float = 20.0) -> dict[str, Any]:
+    def receive(self, timeout: float = 60.0) -> dict[str, Any]:
         """The next message."""
         return json.loads(self.socket.recv(timeout=timeout))
 

@@ -1,10 +1,12 @@
 """The process that detects: it gets a detector's name and a frame's number, and gives boxes or what went wrong."""
 
-import multiprocessing
+import contextlib
 import os
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
-from multiprocessing.connection import Connection
-from typing import Any
+from typing import IO, Any
 
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
@@ -20,37 +22,63 @@ def load(name: str) -> Any:
     return load_detector(name)
 
 
-def work(connection: Connection, data: Dataset, loader: Load) -> None:
-    """Answer until the other end closes.
+class Pipe:
+    """Objects over a pair of byte streams, between this process and one that it started itself.
 
     Args:
-        connection: Gives ``(name, index)``, takes ``("boxes", Boxes)`` or ``("failed", sentence)``.
-        data: The data set; boxes are given in its coordinates.
-        loader: Gives a detector by its name.
+        source: Where they come from.
+        target: Where they go.
     """
-    from farfield.detection import search
 
+    def __init__(self, source: IO[bytes], target: IO[bytes]) -> None:
+        self.source, self.target = source, target
+
+    def send(self, value: Any) -> None:
+        """Send something that pickles."""
+        data = pickle.dumps(value)
+        self.target.write(len(data).to_bytes(8, "little") + data)
+        self.target.flush()
+
+    def receive(self) -> Any:
+        """The next object.
+
+        Raises:
+            EOFError: If the other end is gone.
+        """
+        size = int.from_bytes(self._exactly(8), "little")
+        return pickle.loads(self._exactly(size))  # noqa: S301
+
+    def _exactly(self, size: int) -> bytes:
+        data = self.source.read(size)
+        if len(data) < size:
+            raise EOFError
+        return data
+
+
+def work(pipe: Pipe) -> None:
+    """Answer until the other end closes: first come data set and loader, then ``(name, index)`` again and again.
+
+    Answers are ``("boxes", Boxes)``, in the data set's coordinates, or ``("failed", sentence)``.
+    """
+    data, loader = pipe.receive()
     loaded: dict[str, Any] = {}
     while True:
-        try:
-            name, index = connection.recv()
-        except (EOFError, OSError, KeyboardInterrupt):
-            return
-        try:
-            if name not in loaded:
-                loaded[name] = loader(name)
-            found = next(iter(search(loaded[name], data.select([index]), in_own=True).found({})))
-            answer: tuple[str, Any] = ("boxes", Boxes.empty(scored=True) if found is None else found.boxes)
-        except FarfieldError as error:
-            answer = ("failed", str(error))
-        except KeyboardInterrupt:
-            return
-        except Exception as error:  # noqa: BLE001
-            answer = ("failed", f"{type(error).__name__}: {str(error)[:300]}")
-        try:
-            connection.send(answer)
-        except OSError:
-            return
+        name, index = pipe.receive()
+        pipe.send(_answer(data, loader, loaded, name, index))
+
+
+def _answer(data: Dataset, loader: Load, loaded: dict[str, Any], name: str, index: int) -> tuple[str, Any]:
+    from farfield.detection import search
+
+    try:
+        if name not in loaded:
+            loaded[name] = loader(name)
+        found = next(iter(search(loaded[name], data.select([index]), in_own=True).found({})))
+        return "boxes", Boxes.empty(scored=True) if found is None else found.boxes
+    except FarfieldError as error:
+        return "failed", str(error)
+    except Exception as error:  # noqa: BLE001
+        return "failed", f"{type(error).__name__}: {str(error)[:300]}"
 
 
 class Worker:
@@ -63,8 +91,7 @@ class Worker:
 
     def __init__(self, data: Dataset, loader: Load = load) -> None:
         self.data, self.loader = data, loader
-        self._process: Any = None
-        self._connection: Connection | None = None
+        self._process: subprocess.Popen[bytes] | None = None
 
     def ask(self, name: str, index: int) -> Boxes:
         """Detect in one frame; waits.
@@ -72,47 +99,69 @@ class Worker:
         Raises:
             FarfieldError: With what went wrong.
         """
-        connection = self._started()
         try:
-            connection.send((name, index))
-            kind, value = connection.recv()
-        except (EOFError, OSError):
+            pipe = self._started()
+            pipe.send((name, index))
+            kind, value = pipe.receive()
+        except (EOFError, OSError, ValueError):
             code = self._ended()
             raise FarfieldError(
                 f"the process that detects ended (status {code}), perhaps for want of memory; ask again to start anew"
             ) from None
         if kind == "failed":
             raise FarfieldError(value)
-        return value
+        boxes: Boxes = value
+        return boxes
 
-    def _started(self) -> Connection:
-        if self._connection is None or not self._process.is_alive():
+    def _started(self) -> Pipe:
+        process = self._process
+        if process is None or process.poll() is not None:
             self.stop()
-            context = multiprocessing.get_context("spawn")
-            here, there = context.Pipe()
-            self._process = context.Process(target=work, args=(there, self.data, self.loader), daemon=True)
-            self._process.start()
-            there.close()
-            self._connection = here
-        return self._connection
+            command = [sys.executable, "-m", __name__]
+            environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+            process = subprocess.Popen(  # noqa: S603
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+            )
+            self._process = process
+            pipe = _pipe_of(process)
+            pipe.send((self.data, self.loader))
+            return pipe
+        return _pipe_of(process)
 
     def _ended(self) -> int | None:
         process, code = self._process, None
         if process is not None:
-            process.join(5)
-            code = process.exitcode
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = process.wait(5)
         self.stop()
         return code
 
     def stop(self) -> None:
         """End the process."""
-        connection, self._connection = self._connection, None
         process, self._process = self._process, None  # two threads may come here: who asks, and who ends the studio
-        if connection is not None:
-            connection.close()
-        if process is not None:
-            process.terminate()
-            process.join(5)
-            if process.is_alive():
-                os.kill(process.pid, 9)
-                process.join(5)
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):
+                if stream is not None:
+                    stream.close()
+
+
+def _pipe_of(process: "subprocess.Popen[bytes]") -> Pipe:
+    assert process.stdin is not None  # both were asked for
+    assert process.stdout is not None
+    return Pipe(process.stdout, process.stdin)
+
+
+def main() -> None:
+    """Serve the process that started this one; what libraries print goes to the terminal."""
+    own = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
+        work(Pipe(sys.stdin.buffer, own))
+
+
+if __name__ == "__main__":
+    main()
