@@ -33,16 +33,18 @@ class LabelFiles:
         files: The format, bound to its data set.
         keys: The data set's frames.
         folder: The journal's folder.
+        root: The data set's folder: names of label files are relative to it, where all stand in it.
     """
 
-    def __init__(self, files: LabelFormat, keys: Sequence[Key], folder: Path) -> None:
+    def __init__(self, files: LabelFormat, keys: Sequence[Key], folder: Path, root: Path) -> None:
         self.format, self.folder = files, folder
         self.path_of: dict[Key, Path] = {key: files.path(key) for key in keys}
         self.keys_of: dict[Path, list[Key]] = {}
         for key, path in self.path_of.items():
             self.keys_of.setdefault(path, []).append(key)
-        folders = {str(path.parent) for path in self.keys_of}
-        self.root = Path(os.path.commonpath(folders)) if folders else Path()
+        self.root = root
+        if not all(path.is_relative_to(root) for path in self.keys_of):
+            self.root = Path(os.path.commonpath({str(path.parent) for path in self.keys_of}))
         self._known: dict[str, list[str]] = {}
         self._labels: dict[Key, tuple[BoxLabel, ...]] = {}
 

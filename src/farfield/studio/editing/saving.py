@@ -177,13 +177,13 @@ def save_place(store: Store) -> Path | None:
     """Where saves go unless something else was said: None for the label files themselves.
 
     Those are written only where none stood before the first edit; else the labels are somebody's, and saves go beside
-    them, into ``<folder>-edited``.
+    the data set, into ``<folder>-edited``, or beside the journal where that cannot be written.
     """
     if store.files.missing():
         return None
     root = store.files.root
     beside = root.with_name(f"{root.name}-edited")
-    inside = store.folder.parent == root.resolve()
+    inside = store.folder.parent == root.resolve() and os.access(root.resolve().parent, os.W_OK)
     return beside if inside else store.folder / "saved"
 
 

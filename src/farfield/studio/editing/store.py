@@ -81,7 +81,7 @@ class Store:
         self.keys = data.keys
         self.index_of = {key: index for index, key in enumerate(self.keys)}
         self.drives = DriveTable(data)
-        self.files = LabelFiles(labels, self.keys, folder)
+        self.files = LabelFiles(labels, self.keys, folder, data.root)
         self.state, self.history = State(), History()
         self.tracks = TrackIndex(self.rows, self.drives)
         self.lock, self.saving = threading.RLock(), threading.Lock()
