@@ -115,6 +115,15 @@ def test_a_second_process_is_refused_with_the_first_ones_number(tmp_path: Path) 
     Journal(tmp_path, _ignored).close()
 
 
+def test_a_network_file_system_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mounts = tmp_path / "mounts"
+    mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/x {tmp_path.resolve()}/far\\040away nfs4 rw 0 0\n")
+    monkeypatch.setattr("farfield.studio.editing.locking.MOUNTS", mounts)
+    Journal(tmp_path / "near", _ignored).close()
+    with pytest.warns(UserWarning, match="nfs4"):
+        Journal(tmp_path / "far away", _ignored).close()
+
+
 def test_a_full_disk_is_said_and_acknowledged_edits_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Journal(tmp_path, _ignored) as journal:
         first, done = _append(journal, "a")
