@@ -13,7 +13,7 @@ except ImportError:  # Windows
 
 LOCK = "lock"
 MOUNTS = Path("/proc/self/mounts")
-NETWORK = ("nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "9p")
+NETWORK = ("nfs", "nfs4", "cifs", "smb3", "fuse.sshfs")
 
 
 def hold(folder: Path) -> int:
