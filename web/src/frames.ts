@@ -37,7 +37,8 @@ export function show(frame: number): void {
   tidy(new Set([wanted, ...ahead]));
   changed("play");
   const known = states.get(wanted);
-  ask(wanted, known ? "here" : asked.has(wanted) ? "here" : "show");
+  if (!state.playing) ask(wanted, known || asked.has(wanted) ? "here" : "show");
+  else if (!known) ask(wanted, "ahead"); // no checks of frames that fly past
   if (known) void arrive(known);
 }
 

@@ -27,6 +27,7 @@ export interface SmallView {
 
 const NO_POINTS: PointSet = { count: 0, places: new Int16Array(4), scale: 1, offset: [0, 0, 0], values: new Map() };
 const SETTLE_MS = 120;
+const HELD_MS = 700; // while a button is held: a slow machine must not draw the whole cloud between two movements
 const BACKGROUND = 0x0e1217;
 
 export class Stage {
@@ -47,6 +48,7 @@ export class Stage {
   private scheduled = 0;
   private settle = 0;
   private moving = false;
+  private held = false;
 
   constructor() {
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
@@ -60,6 +62,12 @@ export class Stage {
       report("warning", "The graphics driver dropped the page's picture.", "It is drawn again as soon as the driver is back.");
     });
     this.canvas.addEventListener("webglcontextrestored", () => this.request("all"));
+    window.addEventListener("pointerdown", () => (this.held = true), true);
+    for (const end of ["pointerup", "pointercancel"])
+      window.addEventListener(end, () => {
+        this.held = false;
+        if (this.moving) this.rest(SETTLE_MS);
+      }, true);
     new ResizeObserver(() => this.resize()).observe(document.documentElement);
     new ResizeObserver(() => this.request("all")).observe(byId("main"));
     this.scene.add(new CloudObject(NO_POINTS).points); // keeps the compiled program when a frame's clouds go
@@ -98,12 +106,16 @@ export class Stage {
   /** The main view moves: a sample now, the whole cloud when it rests. */
   touch(): void {
     this.moving = true;
+    this.rest(this.held ? HELD_MS : SETTLE_MS);
+    this.request("main");
+  }
+
+  private rest(after: number): void {
     window.clearTimeout(this.settle);
     this.settle = window.setTimeout(() => {
       this.moving = false;
       this.request("main");
-    }, SETTLE_MS);
-    this.request("main");
+    }, after);
   }
 
   get idle(): boolean {

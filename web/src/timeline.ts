@@ -13,8 +13,10 @@ let timer = 0;
 let due = 0;
 
 function setPlaying(playing: boolean): void {
+  const ends = state.playing && !playing;
   state.playing = playing;
   window.clearTimeout(timer);
+  if (ends) show(state.frame);
   if (playing) {
     state.direction = 1;
     due = performance.now();
