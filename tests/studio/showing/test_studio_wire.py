@@ -116,6 +116,7 @@ def test_the_cache_keeps_what_was_used_last_up_to_its_bytes():
         ("/data/set: expected", "the data set: expected"),
         ("cannot open '/opt/me/x/y.txt' or /opt/z/q.", "cannot open '…/y.txt' or …/q."),
         ("3/4 of a/b", "3/4 of a/b"),
+        ("", ""),
     ],
 )
 def test_errors_are_shown_without_absolute_paths(text, shown):

@@ -123,6 +123,8 @@ class Jobs:
 
     async def _next(self, job: InferJob) -> None:
         job.state, index, started = "running", job.frames.popleft(), time.monotonic()
+        if not job.done:
+            self.tell(job)
         try:
             boxes = await self._thread.do(partial(self.worker.ask, job.detector, index))
         except FarfieldError as error:

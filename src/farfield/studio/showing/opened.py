@@ -229,7 +229,7 @@ def _missing(layers: tuple[Layer, ...], frame: Frame) -> tuple[str, ...]:
 
 def plain_error(error: BaseException | str, data: Any = None) -> str:
     """A message without absolute paths: what the page may show."""
-    text = str(error) or type(error).__name__
+    text = error if isinstance(error, str) else str(error) or type(error).__name__
     root = str(getattr(data, "root", "")) if data is not None else ""
     if root and root != ".":
         text = text.replace(root + "/", "").replace(root, "the data set")
