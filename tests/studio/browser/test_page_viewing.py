@@ -197,6 +197,24 @@ def test_cameras_show_points_and_boxes(page: Screen):
     assert shown > 500
 
 
+def test_a_larger_camera_does_not_hide_the_points(page: Screen):
+    from io import BytesIO
+
+    from PIL import Image
+
+    page.page.wait_for_selector(".camera canvas")
+    page.page.locator(".camera canvas").first.click()
+    page.settled()
+    page.page.wait_for_timeout(800)
+    page.page.evaluate("document.getElementById('lines').style.visibility = 'hidden'")
+    box = page.page.locator("#main").bounding_box()
+    picture = Image.open(BytesIO(page.page.screenshot(clip={**box, "y": box["y"] + 30, "height": box["height"] - 40})))
+    page.page.evaluate("document.getElementById('lines').style.visibility = ''")
+    page.page.locator(".camera canvas").first.click()
+    page.settled()
+    assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 60
+
+
 def test_a_bookmark_is_kept(chromium, live, page: Screen):
     page.press("k")
     page.until("state.bookmarks.length === 1")
