@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _fuzz_exchange import exchange_targets
 from _fuzz_radar import radar_targets
 from _fuzz_time import time_targets
 from PIL import Image
@@ -171,6 +172,7 @@ def targets(folder: Path) -> dict[str, Target]:
     calib = "P2: " + " ".join(["7.2e+02"] * 12) + "\nR0_rect: " + " ".join(["1.0"] * 9) + "\n"
     detection = "0,2,296.7,161.8,452.3,292.9,12.2,1.51,1.69,4.09,-5.85,1.77,13.02,-1.6,-1.2"
     table = "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score\n" + "a,000001,vehicle,1.5,2,3,4,2,1.5,-0.3,0.9\n" * 8
+    more = exchange_targets() | radar_targets(folder) | time_targets(folder)
     return {
         "xyz": Target(".xyz", xyz.read_xyz, xyz_seeds(folder, rows), finite_rows, xyz_seeds(folder, many)),
         "pcd": Target(".pcd", pcd.read_pcd, pcd_seeds(folder, rows), equal_lengths, pcd_seeds(folder, many)),
@@ -187,7 +189,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
         **{
             name: Target(suffix, read, seeds, valid, hostile=hostile)
-            for name, (suffix, read, seeds, valid, hostile) in (radar_targets(folder) | time_targets(folder)).items()
+            for name, (suffix, read, seeds, valid, hostile) in more.items()
         },
     }
 

@@ -235,6 +235,8 @@ def test_only_bulk_starts_workers() -> None:
         "testing/processes.py",  # two processes of one training step
         "files/mat_stream.py",  # one thread that reads ahead within a file
         "datasets/kradar/tesseract.py",  # one that makes a table meanwhile
+        "studio/threads.py",  # some beside the server's event loop
+        "studio/inferring/worker.py",  # a process that holds networks and is asked frame by frame
     }
     assert {name for name, text in sources().items() if words.search(text)} == known
 

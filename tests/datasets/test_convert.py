@@ -64,7 +64,7 @@ def test_a_changed_source_is_converted_again(street_root, tmp_path):
     assert "trailer" in read_boxes_csv(tmp_path / "out/segment_00.csv").label
 
 
-@pytest.mark.parametrize("to", ["kitti", "cirrus", "boxes-csv"])
+@pytest.mark.parametrize("to", ["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat"])
 def test_what_was_written_can_be_verified_byte_by_byte(to, street_root, tmp_path, capsys):
     command = ["convert", str(street_root), str(tmp_path / to), "--to", to]
     assert main([*command, "--workers", "1"]) == 0

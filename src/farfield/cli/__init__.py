@@ -12,6 +12,8 @@ VERBS = {
     "doctor": "say what a data set holds, what is missing and how to mend it",
     "stats": "count a data set: frames by condition, boxes by class, range, visibility",
     "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
+    "view": "look at a data set in the browser, with detections beside the truth",
+    "annotate": "draw and mend boxes and tracks in the browser",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",

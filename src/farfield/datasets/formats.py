@@ -87,6 +87,20 @@ def is_bags(root: Path) -> bool:
     return is_bag(root) or any(_has(root, f"*{suffix}") for suffix in SUFFIXES) or inside
 
 
+def is_sustechpoints(root: Path) -> bool:
+    """Whether a folder is a scene of SUSTechPOINTS or holds some."""
+    from farfield.datasets.sustechpoints import scenes
+
+    return bool(scenes(root))
+
+
+def is_cvat(root: Path) -> bool:
+    """Whether a folder is a point cloud task of CVAT or holds some."""
+    from farfield.datasets.cvat import tasks
+
+    return bool(tasks(root))
+
+
 def is_folder(root: Path) -> bool:
     """Whether clouds lie directly in a folder."""
     from farfield.datasets.cloud_files import CLOUD_SUFFIXES
@@ -150,6 +164,18 @@ BAGS = Format(
     recognises=is_bags,
     reader="farfield.datasets.bags.reader:Bags",
 )
+SUSTECHPOINTS = Format(
+    name="sustechpoints",
+    looked_for="[<scene>/]lidar/*.pcd, with label/ or calib/ beside it",
+    recognises=is_sustechpoints,
+    reader="farfield.datasets.sustechpoints:SustechPoints",
+)
+CVAT = Format(
+    name="cvat",
+    looked_for="[<task>/]annotations/*.json with point_clouds/, ann/ with pointcloud/, or tracklet_labels.xml",
+    recognises=is_cvat,
+    reader="farfield.datasets.cvat:Cvat",
+)
 FOLDER = Format(
     name="folder",
     looked_for="*.pcd, *.bin, *.npy, *.xyz or *.ffcloud, directly in the folder",
@@ -171,6 +197,8 @@ DATASETS: Registry[Format] = Registry(
             "kradar",
             "radiate",
             "bags",
+            "sustechpoints",
+            "cvat",
             "folder",
         )
     },

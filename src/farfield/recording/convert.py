@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -16,14 +16,15 @@ from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, wr
 from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.writer import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
+from farfield.datasets.labels.tool_labels import file_name
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.frame import Boxes, Frame, Key
+from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of
 
-TARGETS = ("kitti", "cirrus", "boxes-csv", "cache", "radar-store")
-Target = Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"]
-BoxSource = Literal["boxes", "full_boxes"]
+Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
+TARGETS: tuple[str, ...] = get_args(Target)
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
 _PAUSE_NS = 10_000_000_000
 
@@ -44,9 +45,10 @@ def convert(
     Args:
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
-        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
+        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``, ``"cvat"``, ``"cache"``
+            or, of K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
-        cloud: Which cloud KITTI's velodyne and Cirrus's Gaussian files get; None takes the first.
+        cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.
         store: What a radar store keeps.
         bulk: How: workers, engine, progress.
@@ -123,13 +125,17 @@ def _kradar(dataset: Dataset) -> Dataset:
 
 def _work(
     dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
-) -> "_ToKitti | _ToCirrus | _ToCsv":
+) -> "_ToKitti | _ToCirrus | _ToCsv | ToTool":
     if to == "kitti":
         return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "cirrus":
         return _ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "boxes-csv" and target.suffix != ".csv":
         return _ToCsv(dataset, target, boxes)
+    tool: AnnotationTool
+    for tool in get_args(AnnotationTool):
+        if to == tool:
+            return ToTool(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
     expected = f"expected to to be one of {', '.join(TARGETS)}"
     raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
 
@@ -187,14 +193,6 @@ class _Cache:
         return Done(files=(path,))
 
 
-def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
-    if source == "boxes" or frame.annotation is None:
-        return frame.boxes
-    if frame.annotation.full_boxes is None:
-        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
-    return frame.annotation.full_boxes
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Frames:
     """Writes frames of a data set in another layout; the unit's parameters are the frame's index.
@@ -233,7 +231,7 @@ class _ToKitti(_Frames):
 
     def __call__(self, unit: Unit) -> Done:
         index, frame = unit.parameters, self.dataset[unit.parameters]
-        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=_boxes_of(frame, self.boxes))
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
         return Done(files=tuple(paths.values()))
 
 
@@ -317,7 +315,7 @@ class _ToCsv:
             Unit(
                 name,
                 tuple(dict.fromkeys(file for index in indices for file in files(index))),
-                (f"{_file_name(name)}.csv", indices),
+                (f"{file_name(name)}.csv", indices),
             )
             for name, indices in groups.items()
         ]
@@ -325,12 +323,8 @@ class _ToCsv:
     def __call__(self, unit: Unit) -> Done:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
-        write_boxes_csv(self.target / name, box_rows((frame.key, _boxes_of(frame, self.boxes)) for frame in frames))
+        write_boxes_csv(self.target / name, box_rows((frame.key, boxes_of(frame, self.boxes)) for frame in frames))
         return Done(files=(self.target / name,))
-
-
-def _file_name(sequence: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in sequence).lstrip(".") or "_"
 
 
 def box_rows(frames: Iterable[tuple[Key, Boxes | None]]) -> BoxRows:

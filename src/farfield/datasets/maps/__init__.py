@@ -35,6 +35,7 @@ MAPS: Registry[Any] = Registry(
     "map of frames",
     {
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
+        "edited": "farfield.datasets.edits.edited:Edited",
         "labels_at": "farfield.datasets.maps.labels_at:LabelsAt",
         "move": "farfield.datasets.maps.move:Move",
         "posed": "farfield.datasets.maps.posed:Posed",
