@@ -12,7 +12,6 @@ import contextlib
 import gzip
 import os
 import statistics
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,14 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from _report import ROOT, header
+from _studio_process import started
+from _studio_scenes import write_folder
+from _studio_screen import Screen, chromium_path, screen
 
-sys.path.insert(0, str(ROOT / "tests"))
-from studio.browser.browsing import Screen, screen
-from studio.browser.conftest import chromium_path
-from studio.browser.studio_scenes import write_folder
-from studio.live import studio
-
-from farfield.datasets import open_dataset
 from farfield.files.atomic import write_text
 
 SIZES = {"131k": 131_072, "262k": 262_144, "500k": 500_000}
@@ -53,9 +48,9 @@ class Table:
 
 
 @contextlib.contextmanager
-def opened(chromium: Any, folder: Path, **settings: Any) -> Iterator[Screen]:
+def opened(chromium: Any, verb: str, folder: Path, *arguments: str) -> Iterator[Screen]:
     """A window of a studio of a folder."""
-    with studio(lambda: open_dataset(folder), **settings) as live, screen(chromium, live) as page:
+    with started(verb, str(folder), *arguments) as live, screen(chromium, live) as page:
         yield page
 
 
@@ -224,7 +219,7 @@ def run(work: Path, seconds: float) -> Table:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
         launched = time.perf_counter() - began
         folder = write_folder(work / "131k", 80, SIZES["131k"])
-        with opened(chromium, folder, mode="annotate", edits=work / "edits") as page:
+        with opened(chromium, "annotate", folder, "--edits", str(work / "edits")) as page:
             whole = changes(table, page, "131k", (300, 150))
             play(table, page, whole, seconds)
             orbit(table, page, "131k", seconds, 1.5)
@@ -234,9 +229,9 @@ def run(work: Path, seconds: float) -> Table:
             table.add("requests to foreign hosts", str(len(page.foreign)), "0", not page.foreign)
             table.add("errors of the page", str(len(page.errors)), "0", not page.errors)
             table.add("browser launch", f"{launched:.1f} s", "said only", True)
-        with opened(chromium, write_folder(work / "262k", 60, SIZES["262k"])) as page:
+        with opened(chromium, "view", write_folder(work / "262k", 60, SIZES["262k"])) as page:
             changes(table, page, "262k", (550, 300))
-        with opened(chromium, write_folder(work / "500k", 2, SIZES["500k"])) as page:
+        with opened(chromium, "view", write_folder(work / "500k", 2, SIZES["500k"])) as page:
             orbit(table, page, "500k", seconds, 5.0)
         chromium.close()
     return table

@@ -1,7 +1,5 @@
 """One Chromium for all tests of the page; without one they are skipped, and say so."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,16 +9,12 @@ pytest.importorskip("playwright")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from _studio_screen import chromium_path
+
 NONE = (
     "no Chromium: the studio's page is not tested in a browser. Install one (Debian: apt install chromium), name it in "
     "FARFIELD_CHROMIUM, or run `make test-browser`"
 )
-
-
-def chromium_path() -> str | None:
-    """The browser: FARFIELD_CHROMIUM, or one of the system."""
-    named = os.environ.get("FARFIELD_CHROMIUM")
-    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @pytest.fixture(scope="session")

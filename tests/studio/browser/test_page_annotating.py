@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
-from studio.browser.browsing import Screen, screen
+from _studio_screen import Screen, screen
 from studio.live import studio
 
 

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 pytest.importorskip("starlette")
-from studio.browser.browsing import Screen, screen
+from _studio_screen import Screen, screen
 from studio.live import studio
 
 from farfield.studio.samples import open_samples

@@ -6,9 +6,9 @@ import math
 import pytest
 
 pytest.importorskip("starlette")
-from studio.browser.browsing import Screen, screen
+from _studio_scenes import vehicles, write_folder
+from _studio_screen import Screen, screen
 from studio.browser.cutting import Line
-from studio.browser.studio_scenes import vehicles, write_folder
 from studio.live import studio
 
 from farfield.datasets import open_dataset

@@ -6,7 +6,7 @@ import math
 import pytest
 
 pytest.importorskip("starlette")
-from studio.browser.browsing import Screen, screen
+from _studio_screen import Screen, screen
 from studio.live import studio
 
 VISIBLE = (

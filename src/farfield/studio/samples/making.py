@@ -20,6 +20,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.cirrus.writer import CirrusWriter
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame
+from farfield.frame.provenance import SIMULATION_FILE
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes, points_in_boxes
 from farfield.radar.cells import RadarCells
 
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
     writer.write(smaller(open_dataset(simulated_kradar)[0]))
     writer.finish()
     for source, name in ((simulated_cirrus, "cirrus"), (simulated_kradar, "kradar")):
-        shutil.copyfile(source / "simulation.json", out / name / "simulation.json")  # says that it is simulated
+        shutil.copyfile(source / SIMULATION_FILE, out / name / SIMULATION_FILE)  # says that it is simulated
     return 0
 
 

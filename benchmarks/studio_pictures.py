@@ -1,4 +1,4 @@
-"""Take the pictures of docs/studio.md in a browser:  python docs/make_studio_images.py NAME=DATA ...
+"""Take the pictures of docs/studio.md in a browser:  python benchmarks/studio_pictures.py NAME=DATA ...
 
 NAME is annotate, radar, patterns, camera or night; DATA a data set's folder, perhaps with the number of a frame
 (DATA:3). Needs the studio extra, Playwright and a Chromium, see `make test-browser`.
@@ -8,16 +8,10 @@ import sys
 from io import BytesIO
 from pathlib import Path
 
+from _report import ROOT
+from _studio_process import started
+from _studio_screen import Screen, chromium_path, screen
 from PIL import Image
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-from studio.browser.browsing import Screen, screen  # noqa: E402
-from studio.browser.conftest import chromium_path  # noqa: E402
-from studio.live import studio  # noqa: E402
-
-from farfield.datasets import open_dataset  # noqa: E402
-from farfield.studio.samples import open_samples  # noqa: E402
 
 
 def annotate(page: Screen) -> None:
@@ -63,10 +57,10 @@ def take(name: str, source: str) -> Path:
     place = ROOT / "docs" / "images" / f"studio_{name}.png"
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
-        opening = open_samples if folder == "samples" else lambda: open_dataset(folder)
-        edits = Path("data") / "studio-pictures" / name
+        edits = str(ROOT / "data" / "studio-pictures" / name)
+        more = ("--extent", "full", "--edits", edits) if mode == "annotate" else ()
         with (
-            studio(opening, mode=mode, extent="full", edits=edits, notes=edits) as live,
+            started(mode, *(() if folder == "samples" else (folder,)), *more) as live,
             screen(chromium, live, frame=int(frame or 0)) as page,
         ):
             SCENES[name](page)

@@ -1,13 +1,26 @@
 """A window of the studio in a real browser: clicks, drags and keys as a person makes them."""
 
 import contextlib
+import os
+import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-from studio.live import Live
+from typing import Any, Protocol
 
 SIZE = {"width": 1280, "height": 800}
+
+
+class Running(Protocol):
+    """A studio that can be entered."""
+
+    origin: str
+    cookie: str
+
+
+def chromium_path() -> str | None:
+    """The browser: FARFIELD_CHROMIUM, or one of the system."""
+    named = os.environ.get("FARFIELD_CHROMIUM")
+    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 class Screen:
@@ -101,7 +114,7 @@ class Screen:
 
 
 @contextlib.contextmanager
-def screen(chromium: Any, live: Live, *, frame: int = 0, downloads: Path | None = None) -> Iterator[Screen]:
+def screen(chromium: Any, live: Running, *, frame: int = 0, downloads: Path | None = None) -> Iterator[Screen]:
     """Open a window of a running studio with the cookie of its printed link."""
     name, _, value = live.cookie.partition("=")
     context = chromium.new_context(viewport=SIZE, accept_downloads=downloads is not None)
