@@ -172,7 +172,7 @@ class Sampler:
         scenes: Where plates belong.
         seed: Of all crops.
         soft: Plates no crisper than what is around them, sharpened pictures, and more plates away from vehicles: a
-            recipe against what drawn crops have and photographs have not. The shipped weights were trained without.
+            recipe against what drawn crops have and photographs have not. The shipped weights were trained with it.
     """
 
     def __init__(self, scenes: Sequence[Scene], seed: int, *, soft: bool = False) -> None:
