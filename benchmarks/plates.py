@@ -1,6 +1,6 @@
 """Number plates: the training of the network that the package ships, and what it finds.
 
-    python benchmarks/plates.py train --soft --steps 6000 --state runs/plates.pt --weights src/farfield/imaging/privacy/plates.safetensors
+    python benchmarks/plates.py train --soft --steps 6000 --state runs/plates.pt
     python benchmarks/plates.py calibrate
     python benchmarks/plates.py measure [--pictures 1000] [--output benchmarks/results/plates.txt]
 
