@@ -23,9 +23,10 @@ def cost(folder: Path) -> str:
         name: sum(line.get(name, 0.0) for line in lines) / 60 for name in ("processor_s", "training_s", "scoring_s")
     }
     peak = max(line.get("peak_memory_mb", 0.0) for line in lines)
+    minutes = {name: f"{value:.0f} min" for name, value in total.items()}
     return (
-        f"{total['processor_s']:.0f} min of processor in training, {total['scoring_s']:.0f} min by the clock in scoring "
-        f"({total['training_s']:.0f} min of training by it), peak {peak:,.0f} MB a process"
+        f"{minutes['processor_s']} of processor in training, {minutes['scoring_s']} by the clock in scoring "
+        f"({minutes['training_s']} of training by it), peak {peak:,.0f} MB a process"
     )
 
 
@@ -73,9 +74,8 @@ def main() -> None:
     for other, decision in (switching or {"gains": {}})["gains"].items():
         low, high = decision["difference"]["interval"]
         gain = f"{decision['difference']['estimate']:+.3f} [{low:+.3f}, {high:+.3f}]"
-        print(
-            f"     the rule that switches by {switching['by']} - always {other}: {gain}; it chose {switching['choices'][0]}"
-        )
+        print(f"     the rule that switches by {switching['by']} - always {other}: {gain}")
+        print(f"          it chose {switching['choices'][0]}")
 
 
 if __name__ == "__main__":
