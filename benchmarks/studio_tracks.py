@@ -80,7 +80,7 @@ def stretches(store: Store, drive: str) -> Iterator[tuple[str, Stretch]]:
 
 def errors(stretch: Stretch, step: int, *, world: bool) -> list[float]:
     """Distances of interpolated boxes from the published ones, metres."""
-    known = stretch if world else [(moment._replace(world_T_frame=None), box) for moment, box in stretch]
+    known = stretch if world else [(Moment(moment.key, moment.time_s, None), box) for moment, box in stretch]
     found = between(known[::step], [moment for moment, _ in known])
     truth = {moment.key: box for moment, box in known}
     return [math.dist(box[:2], truth[key][:2]) for key, box in found.items()]

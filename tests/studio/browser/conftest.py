@@ -17,7 +17,7 @@ NONE = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its loop must not outlive the tests of the page: others run loops of their own
 def chromium() -> Iterator[Any]:
     """A running browser."""
     path = chromium_path()
