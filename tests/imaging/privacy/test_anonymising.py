@@ -24,6 +24,7 @@ from farfield.imaging.privacy import Anonymising, Private, anonymise
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
 from farfield.imaging.privacy.hits import Hits, covered_share
+from farfield.imaging.privacy.looking import left_of
 from farfield.imaging.privacy.sources import pairs_of, side_by_side_of, sources_of
 
 
@@ -154,6 +155,18 @@ def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: P
     with pytest.raises(FileFormatError, match=r"04\.png"):
         anonymise(sources, tmp_path / "out")
     assert not list((tmp_path / "out").glob("*.png"))
+
+
+def test_weak_boxes_that_stay_seen_are_named() -> None:
+    """Two weak boxes: the one that lies under a cover is hidden, the other is left; the strongest first."""
+    seen = Hits.of("face", np.array([[0, 0, 10, 10], [50, 50, 60, 60], [80, 0, 90, 10.0]]), np.array([0.2, 0.15, 0.25]))
+    under = Hits.of("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
+    assert [(row["box_px"], row["score"]) for row in left_of(seen, under)] == [
+        ([80, 0, 90, 10], 0.25),
+        ([50, 50, 60, 60], 0.15),
+    ]
+    assert left_of(seen, seen) == ()
+    assert len(left_of(seen, Hits())) == 3
 
 
 def test_a_data_sets_images_are_covered_as_they_are_read() -> None:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from farfield.imaging.privacy.covering import covered, mask_of
 from farfield.imaging.privacy.films import FilmCovering, anonymise_films
 from farfield.imaging.privacy.hits import Hits
 from farfield.imaging.privacy.linking import Cover
-from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, rows_of
+from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, left_of, rows_of
 from farfield.imaging.privacy.partners import partners, side_by_side
 from farfield.imaging.privacy.sources import Series, Sources, holds_two_eyes
 
@@ -133,6 +133,7 @@ def anonymise(
         covers |= dict(zip(names, covers_of([found[name] for name in names], series.times_s, chosen), strict=True))
     secret = _secret(out)
     done = _covered(root, out, chosen, _tasks(folders, covers, pairs, both), covers, secret, cover)
+    done = [replace(each, left=left_of(found[each.file].hits, _hits(each))) for each in done]
     if films:
         done += anonymise_films(root, films, out, FilmCovering(chosen, secret), find=find, cover=cover)
     _write_log(out / LOG, done, chosen)
@@ -191,6 +192,10 @@ def _covered(
         rows = rows_of(Hits.from_rows(value["rows"]), covers[task.file])
         done.append(Covered(task.file, (width, height), float(value["share"]), rows))
     return done
+
+
+def _hits(each: Covered) -> Hits:
+    return Hits.from_rows([[*row["box_px"], row["score"], row["kind"]] for row in each.rows])
 
 
 def _sources(root: Path, task: _Task) -> tuple[Path, ...]:
