@@ -2,12 +2,12 @@
 
 import contextlib
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from typing import IO, Any
 
+from farfield.bulk.messages import receive, send
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
@@ -22,49 +22,16 @@ def load(name: str) -> Any:
     return load_detector(name)
 
 
-class Pipe:
-    """Objects over a pair of byte streams, between this process and one that it started itself.
-
-    Args:
-        source: Where they come from.
-        target: Where they go.
-    """
-
-    def __init__(self, source: IO[bytes], target: IO[bytes]) -> None:
-        self.source, self.target = source, target
-
-    def send(self, value: Any) -> None:
-        """Send something that pickles."""
-        data = pickle.dumps(value)
-        self.target.write(len(data).to_bytes(8, "little") + data)
-        self.target.flush()
-
-    def receive(self) -> Any:
-        """The next object.
-
-        Raises:
-            EOFError: If the other end is gone.
-        """
-        size = int.from_bytes(self._exactly(8), "little")
-        return pickle.loads(self._exactly(size))  # noqa: S301
-
-    def _exactly(self, size: int) -> bytes:
-        data = self.source.read(size)
-        if len(data) < size:
-            raise EOFError
-        return data
-
-
-def work(pipe: Pipe) -> None:
+def work(source: IO[bytes], target: IO[bytes]) -> None:
     """Answer until the other end closes: first come data set and loader, then ``(name, index)`` again and again.
 
     Answers are ``("boxes", Boxes)``, in the data set's coordinates, or ``("failed", sentence)``.
     """
-    data, loader = pipe.receive()
+    data, loader = receive(source)
     loaded: dict[str, Any] = {}
     while True:
-        name, index = pipe.receive()
-        pipe.send(_answer(data, loader, loaded, name, index))
+        name, index = receive(source)
+        send(target, _answer(data, loader, loaded, name, index))
 
 
 def _answer(data: Dataset, loader: Load, loaded: dict[str, Any], name: str, index: int) -> tuple[str, Any]:
@@ -100,9 +67,9 @@ class Worker:
             FarfieldError: With what went wrong.
         """
         try:
-            pipe = self._started()
-            pipe.send((name, index))
-            kind, value = pipe.receive()
+            process = self._started()
+            send(process.stdin, (name, index))
+            kind, value = receive(process.stdout)
         except (EOFError, OSError, ValueError):
             code = self._ended()
             raise FarfieldError(
@@ -113,7 +80,7 @@ class Worker:
         boxes: Boxes = value
         return boxes
 
-    def _started(self) -> Pipe:
+    def _started(self) -> "subprocess.Popen[bytes]":
         process = self._process
         if process is None or process.poll() is not None:
             self.stop()
@@ -123,10 +90,8 @@ class Worker:
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
             )
             self._process = process
-            pipe = _pipe_of(process)
-            pipe.send((self.data, self.loader))
-            return pipe
-        return _pipe_of(process)
+            send(process.stdin, (self.data, self.loader))
+        return process
 
     def _ended(self) -> int | None:
         process, code = self._process, None
@@ -149,18 +114,12 @@ class Worker:
                     stream.close()
 
 
-def _pipe_of(process: "subprocess.Popen[bytes]") -> Pipe:
-    assert process.stdin is not None  # both were asked for
-    assert process.stdout is not None
-    return Pipe(process.stdout, process.stdin)
-
-
 def main() -> None:
     """Serve the process that started this one; what libraries print goes to the terminal."""
     own = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
-        work(Pipe(sys.stdin.buffer, own))
+        work(sys.stdin.buffer, own)
 
 
 if __name__ == "__main__":
