@@ -84,6 +84,7 @@ def test_openlabel_with_euler_angles_and_numbered_frames() -> None:
     root = {"metadata": {}, "objects": {"7": {"type": "Car"}}, "frames": {"33": frame}}
     (found,) = parse_openlabel(json.dumps({"openlabel": root}).encode(), "labels.json")
     near(found.cuboid, replace(CAR, frame="33"))
+    assert found.cuboid.box[6] == YAW  # as it stands there: no quaternion between
 
 
 def test_objects_without_a_track_stay_apart() -> None:
@@ -94,6 +95,7 @@ def test_objects_without_a_track_stay_apart() -> None:
 def test_sustechpoints_comes_back() -> None:
     parked = replace(BUS, attributes={"obj_attr": "parked"})
     found = plain(parse_sustechpoints(format_sustechpoints([CAR, parked]).encode(), "a1.json"))
+    assert len(found) == 2
     near(found[0], replace(CAR, frame=""))
     near(found[1], replace(parked, frame=""))
 
@@ -122,6 +124,7 @@ def test_datumaro_comes_back() -> None:
 def test_supervisely_is_read() -> None:
     (found,) = parse_supervisely(json.dumps(SLY).encode(), "a1.pcd.json")
     near(found, replace(CAR, frame="", track="k1", attributes={"parked": "yes"}))
+    assert (found.track, found.attributes) == ("k1", {"parked": "yes"})
 
 
 def test_tracklets_stand_on_their_bottom() -> None:

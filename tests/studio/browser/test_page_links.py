@@ -28,6 +28,7 @@ def test_a_link_of_a_report_on_disk_opens_its_frame(chromium, live, tmp_path: Pa
     page.click("a")
     page.wait_for_url("**/?frame=1*", timeout=30_000)
     page.wait_for_selector("#header:has-text('kradar')", timeout=30_000)
+    assert "00006_00001" in page.inner_text("#header")
     context.close()
 
 

@@ -158,3 +158,4 @@ def test_a_locked_size_holds_in_all_frames(chromium, data, settings):
         page.press("ArrowRight")
         page.settled()
         page.until(f"state.boxes.find((one) => one.track === {track}).box[3] > 5.199")
+        assert [row["box"][3] for row in page.boxes if row["track"] == track] == [pytest.approx(5.2)]
