@@ -78,7 +78,7 @@ def _datumaro(data: bytes, path: Path) -> tuple[Cuboid, ...]:
 
 
 class Cvat(Dataset):
-    """Tasks of CVAT: cloud ``"lidar"`` and boxes with their tracks; each task is a sequence.
+    """Annotation tasks of CVAT: point cloud ``"lidar"``, boxes with track IDs; each task is a sequence.
 
     Args:
         root: A task, or a folder of tasks.
@@ -95,29 +95,29 @@ class Cvat(Dataset):
         if not self.tasks:
             looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
             raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
-        self.places = [(task, place) for task in self.tasks for place in range(len(task.clouds))]
-        self.sequences = tuple(task.folder.resolve().name for task, _ in self.places)
-        self.frame_ids = tuple(task.clouds[place].stem for task, place in self.places)
+        self.frames = [(task, place) for task in self.tasks for place in range(len(task.clouds))]
+        self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
+        self.frame_ids = tuple(task.clouds[place].stem for task, place in self.frames)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
-        task, place = self.places[index]
+        task, place = self.frames[index]
         label = task.label_file(place)
         return [task.clouds[place], *([] if label is None else [label])]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
-        task, place = self.places[index]
+        task, place = self.frames[index]
         return task.label_file(place) is not None
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
-        task, place = self.places[index]
+        task, place = self.frames[index]
         return _annotation(task, place) if self.has_annotation(index) else None
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
-        task, place = self.places[index]
+        task, place = self.frames[index]
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],

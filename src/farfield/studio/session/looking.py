@@ -47,7 +47,7 @@ def welcome(desk: Desk, window: Window) -> Welcome:
 
 
 async def open_frame(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
-    """Show a frame; a window that asks for another meanwhile gets both."""
+    """Send a frame's state; requests run concurrently, so an earlier one is answered even after a later one."""
     if request.purpose != "ahead":
         window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
     desk.aside(window, None, _show(desk, window, request))

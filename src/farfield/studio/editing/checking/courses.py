@@ -61,7 +61,7 @@ def _since(label: BoxLabel, course: Course, place: int, scene: Scene, settings: 
 
 
 def _jump(label: BoxLabel, course: Course, place: int, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
-    """How far the box stands from where the frames around it make it go evenly; said of the frame that is worst."""
+    """Distance of the box from constant velocity over its neighbouring frames; reported in the worst frame only."""
     steps = course.steps
     if len(steps) < 3:
         return

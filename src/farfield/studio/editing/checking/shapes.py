@@ -94,7 +94,7 @@ def as_set(boxes: Boxes) -> BoxSet:
 
 
 def twice(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
-    """One track and class on two boxes of the frame; said of all but the first."""
+    """Two boxes of one frame with the same track ID and class; reported for all but the first."""
     del settings
     counts: Counter[tuple[str, str]] = Counter()
     for label in boxes:
