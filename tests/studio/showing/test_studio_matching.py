@@ -46,6 +46,20 @@ def test_a_truth_is_found_once_or_missed(protocol, seed):
     assert (result.truth[result.verdict == FALSE] == -1).all()
 
 
+@pytest.mark.parametrize("protocol", ["dds", "nuscenes", "kradar", "kitti"])
+def test_a_class_that_is_not_annotated_has_false_detections(protocol):
+    found, truth = scene(0)
+    few = truth[truth.label == "vehicle"]
+    result = match_frame(protocol, found, Annotation(boxes=few), key=KEY, reference="radar")
+    assert result.note == ""
+    other = found.label != "vehicle"
+    assert other.any()
+    assert (result.truth[other] == -1).all()
+    assert (result.verdict[other] != MATCHED).all()
+    nothing = match_frame(protocol, found, Annotation(boxes=truth[:0]), key=KEY, reference="radar")
+    assert (nothing.truth == -1).all()
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_kradar_counts_as_many_true_positives(seed):
     found, truth = scene(seed, near=0.4)

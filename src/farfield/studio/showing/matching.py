@@ -66,7 +66,7 @@ def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key:
     try:
         for part in _parts(PROTOCOLS[protocol], found.counted()):
             rows, boxes = _places(part.predicted, _numbers(scored)), _places(part.annotated, _numbers(annotation.boxes))
-            verdict[rows], truth[rows] = part.verdict, np.where(part.truth >= 0, boxes[part.truth], -1)
+            verdict[rows], truth[rows] = part.verdict, np.append(boxes, -1)[part.truth]
             counts[boxes] |= part.counts
             missed[boxes] |= part.counts & ~np.isin(np.arange(len(boxes)), part.truth)
     except FarfieldError as error:
