@@ -83,6 +83,33 @@ def test_what_fails_is_told_without_paths(tmp_path: Path):
         assert "annotate" in client.until("refused")["sentence"]
 
 
+def test_a_detector_that_ships_runs_on_both_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(detecting, "Worker", Worker)
+    with studio(notes=tmp_path) as live, live.window() as client:
+        client.open(0)
+        client.send(op="infer.start", id="i", detector="pointpillars-cirrus-sim", first=0, last=1)
+        told = client.until("predicted")
+        assert told["predicted"]["rows"]
+        done = client.until("job", wanted=lambda job: job["state"] not in ("queued", "running"))
+        assert (done["state"], done["done"]) == ("done", 2)
+
+
+def test_an_error_of_ours_ends_the_job_and_not_those_behind_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    answers = iter([ZeroDivisionError("a fault"), 0])
+
+    async def found(self, job, index, boxes):
+        if isinstance(answer := next(answers), Exception):
+            raise answer
+
+    monkeypatch.setattr(detecting._Found, "__call__", found)
+    with studio(notes=tmp_path, detectors=("good",)) as live, live.window() as client:
+        for name, wanted in (("a", "failed"), ("b", "done")):
+            client.send(op="infer.start", id=name, detector="good", first=1, last=1)
+            ended = client.until("job", wanted=lambda job: job["state"] not in ("queued", "running"))
+            assert (ended["id"], ended["state"]) == (name, wanted)
+            assert ("error of its own" in ended["message"]) == (wanted == "failed")
+
+
 def test_detections_are_proposed_where_nothing_stands(tmp_path: Path):
     settings = {"mode": "annotate", "detectors": ("good",), "edits": tmp_path / "edits", "notes": tmp_path}
     with studio(**settings) as live, live.window() as client:

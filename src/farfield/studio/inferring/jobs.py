@@ -1,6 +1,7 @@
 """Detection as jobs with progress: frames that somebody looks at go before those of a whole sequence."""
 
 import asyncio
+import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -14,6 +15,7 @@ from farfield.studio.messages.replies import Job
 from farfield.studio.threads import Threads
 
 Found = Callable[["InferJob", int, Boxes], Awaitable[None]]
+_LOG = logging.getLogger(__name__)
 _TOLD_S = 0.2
 """Progress is told at most so often."""
 
@@ -119,7 +121,12 @@ class Jobs:
             if not job.frames:
                 self._end(job, "done")
                 continue
-            await self._next(job)
+            try:
+                await self._next(job)
+            except Exception:  # noqa: BLE001 - it ends this job, not those behind it
+                _LOG.exception("detecting with %s", job.detector)
+                job.message = "the studio met an error of its own; the terminal shows it"
+                self._end(job, "failed")
 
     async def _next(self, job: InferJob) -> None:
         job.state, index, started = "running", job.frames.popleft(), time.monotonic()
