@@ -11,8 +11,9 @@ from scipy import ndimage
 
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
-from farfield.imaging.depth import METHODS, depth_map
+from farfield.imaging.depth import METHODS, depth_map, mesh
 from farfield.imaging.depth.baselines import ip_basic, nearest_depth
+from farfield.imaging.depth.mesh import draw_mesh
 from farfield.imaging.depth.rings import ring_numbers
 from farfield.imaging.depth.sparse import seen, sparse_depth
 
@@ -250,3 +251,41 @@ def test_a_thinned_real_sweep_is_filled_better_than_by_the_baselines() -> None:
     error, doubt = np.abs(made.depth_m - truth)[both], made.uncertainty_m[both]
     sure = doubt <= np.quantile(doubt, 0.95)
     assert error[sure].mean() < 0.85 * error.mean()
+
+
+@pytest.mark.skipif(not NUMBA, reason="numba is not installed")
+@pytest.mark.parametrize("longest", [4.0, 30.0])
+def test_compiled_code_fills_the_same_triangles_as_numpy(longest: float) -> None:
+    random = np.random.default_rng(5)
+    sparse = np.where(random.random((60, 90)) < 0.02, random.uniform(2, 200, (60, 90)), np.inf)
+    one, other = (draw_mesh(sparse, max_edge_px=longest, compiled=compiled) for compiled in (False, True))
+    np.testing.assert_allclose(one.depth_m, other.depth_m, rtol=1e-9)
+    filled = np.isfinite(one.depth_m).mean()
+    assert (filled > 0.6) == (longest == 30.0)
+    assert filled > np.isfinite(sparse).mean()
+
+
+@pytest.mark.parametrize("compiled", HOW)
+def test_a_mesh_is_linear_in_inverse_depth_up_to_its_hull(compiled: bool) -> None:
+    sparse = np.full((40, 50), np.inf)
+    truth = 1 / (0.02 + 0.003 * np.arange(50)[None, :] + 0.001 * np.arange(40)[:, None])
+    for row, column in ((0, 0), (0, 49), (39, 0), (39, 49), (17, 23), (30, 8)):
+        sparse[row, column] = truth[row, column]
+    drawn = draw_mesh(sparse, max_edge_px=100.0, compiled=compiled)
+    np.testing.assert_allclose(drawn.depth_m, truth, rtol=1e-9)
+    assert drawn.doubt_m[17, 23] == pytest.approx(0)
+    assert drawn.doubt_m.max() > 1
+
+
+@pytest.mark.parametrize("library", [None, "cv2"])
+def test_meshes_of_both_libraries_are_alike(monkeypatch: pytest.MonkeyPatch, library: str | None) -> None:
+    """On points of which no four lie on a circle the mesh is one; without OpenCV Qhull makes it."""
+    sparse = np.full((60, 80), np.inf)
+    rows, columns = np.array([3, 5, 20, 31, 50, 57, 44, 12]), np.array([4, 70, 33, 8, 12, 75, 49, 52])
+    sparse[rows, columns] = np.linspace(5, 90, 8)
+    expected = draw_mesh(sparse, max_edge_px=1e3).depth_m
+    if library is None:
+        monkeypatch.setattr(mesh, "find_spec", lambda name: None)
+    made = draw_mesh(sparse, max_edge_px=1e3, compiled=False).depth_m
+    np.testing.assert_allclose(made, expected, rtol=1e-6)
+    assert 0.3 < np.isfinite(made).mean() < 1

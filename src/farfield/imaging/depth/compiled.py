@@ -166,3 +166,35 @@ def blend(channels, half, numbers, depth, doubt):
                 if weight < one:
                     away = sigma * np.sqrt(two * np.log(weight))
                 depth[i, j], doubt[i, j] = one / mean, line[3, j + 4] / weight + spread + hole * away
+
+
+@njit("void(int64[:, :, ::1], float64[:, ::1], float64, float64[:, ::1], float64[:, ::1])", cache=True)
+@no_type_check
+def fill(corners, sparse, longest, depth, doubt):
+    """Fill the triangles whose edges' squares are at most ``longest``; see ``mesh._fill``."""
+    for n in range(len(corners)):
+        (x0, y0), (x1, y1), (x2, y2) = corners[n, 0], corners[n, 1], corners[n, 2]
+        long = max((x1 - x0) ** 2 + (y1 - y0) ** 2, (x2 - x1) ** 2 + (y2 - y1) ** 2, (x0 - x2) ** 2 + (y0 - y2) ** 2)
+        if long > longest:
+            continue
+        if y0 > y1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        if y1 > y2:
+            x1, y1, x2, y2 = x2, y2, x1, y1
+        if y0 > y1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        area = float((x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0))
+        if area == 0:
+            continue
+        z0, z1, z2 = sparse[y0, x0], sparse[y1, x1], sparse[y2, x2]
+        spread = max(z0, z1, z2) - min(z0, z1, z2)
+        two_u, two_v, three_u, three_v = (y2 - y0) / area, (x0 - x2) / area, (y0 - y1) / area, (x1 - x0) / area
+        for y in range(y0, y2 + 1):
+            one = x0 + (x2 - x0) * (y - y0) / (y2 - y0)
+            other = x0 + (x1 - x0) * (y - y0) / (y1 - y0) if y < y1 else x1 + (x2 - x1) * (y - y1) / max(y2 - y1, 1)
+            for x in range(int(np.ceil(min(one, other) - 1e-6)), int(np.floor(max(one, other) + 1e-6)) + 1):
+                two = two_u * (x - x0) + two_v * (y - y0)
+                three = three_u * (x - x0) + three_v * (y - y0)
+                inverse = 1 / z0 + two * (1 / z1 - 1 / z0) + three * (1 / z2 - 1 / z0)
+                depth[y, x] = 1 / max(inverse, 1e-6)
+                doubt[y, x] = 1.5 * (1 - min(max(two, three, 1 - two - three), 1)) * spread

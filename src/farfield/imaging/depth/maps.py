@@ -159,7 +159,7 @@ def _from_pixels(
     if method == "sparse":
         return _whole(Raster(points, np.zeros(points.shape)), points, method)
     edge_px = float(np.tan(np.radians(max_gap_deg)) * camera.matrix[0, 0])
-    return _whole(blended(draw_mesh(points, max_edge_px=edge_px), compiled=compiled), points, method)
+    return _whole(blended(draw_mesh(points, max_edge_px=edge_px, compiled=compiled), compiled=compiled), points, method)
 
 
 def window_of(
