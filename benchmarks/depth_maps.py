@@ -76,7 +76,7 @@ METHODS: dict[str, Method] = {
     "delaunay": partial(ours, method="delaunay"),
     "rings": partial(ours, method="rings"),
 }
-BASELINES = tuple(METHODS)[:4]
+BASELINES, OURS = tuple(METHODS)[:4], tuple(METHODS)[4:]
 
 
 def real_scenes(real: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray, Camera]]:
@@ -171,14 +171,14 @@ def uncertainty(scenes: list[Scene]) -> list[str]:
     return lines
 
 
-def speed(scenes: list[Scene]) -> str:
-    """Median and best processor time of the rings' map, with numba and without."""
+def speed(scenes: list[Scene], method: str) -> str:
+    """Median and best processor time of a map, with numba and without."""
     words = []
     for name, compiled, limit in (("numba", True, 40), ("numpy", False, 150)):
         spent = []
         for scene in [scenes[0], *scenes]:
             began = time.process_time()
-            ours(scene, method="rings", compiled=compiled)
+            ours(scene, method=method, compiled=compiled)
             spent.append(1e3 * (time.process_time() - began))
         middle, least = np.median(spent[1:]), min(spent[1:])
         words.append(f"{name} median {middle:.0f}, best {least:.0f} (at most {limit})")
@@ -230,9 +230,9 @@ def main() -> None:
                 text += ["", f"{what}, {lines} lines of 64 as input, {pixels} true pixels", *rows]
                 text.append(verdict(figures, factor))
             text += ["", f"rings at {lines} lines, by uncertainty", *uncertainty(scenes)]
-            text.append(f"  cpu ms a frame at {lines} lines: {speed(scenes)}")
+            text += [f"  cpu ms a frame at {lines} lines, {name}: {speed(scenes, name)}" for name in OURS]
         full = [Scene(name, points, ring, camera, np.zeros((1, 1)), 1) for name, points, ring, camera in sweeps]
-        text.append(f"  cpu ms a frame at 64 lines: {speed(full)}")
+        text += [f"  cpu ms a frame at 64 lines, {name}: {speed(full, name)}" for name in OURS]
     for preset, cloud, camera in (
         ("kitti-sim", "lidar", "camera"),
         ("kradar-sim", "os2-64", "cam-front"),
