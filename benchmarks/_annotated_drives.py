@@ -127,14 +127,19 @@ def radiate(root: Path) -> Detections:
 
 
 def kradar(root: Path) -> Detections:
-    """K-Radar's annotations (v2.1) of all 58 sequences, in the os2-64's coordinates, by the stamps of their headers.
-
-    Objects without a track (-1), and those whose track stands in the frame already, are left out.
-    """
+    """K-Radar's annotations (v2.1) of all 58 sequences, in the os2-64's coordinates, by the stamps of their headers."""
     with tempfile.TemporaryDirectory() as folder:
         with tarfile.open(root / "kradar" / "labels_v2_1.tar.gz") as archive:
             archive.extractall(folder, filter="data")
-        table = open_dataset(Path(folder)).label_table()  # type: ignore[attr-defined]
+        return kradar_labels(Path(folder))
+
+
+def kradar_labels(folder: Path) -> Detections:
+    """The same of a folder of labels, of any version.
+
+    Objects without a track (-1), and those whose track stands in the frame already, are left out.
+    """
+    table = open_dataset(folder).label_table()  # type: ignore[attr-defined]
     cuts = np.searchsorted(table.frame, np.arange(len(table.stem) + 1))
     parts = []
     for sequence in dict.fromkeys(table.sequence.tolist()):

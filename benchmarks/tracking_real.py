@@ -23,6 +23,7 @@ from _annotated_drives import (
     detected,
     identities,
     kradar,
+    kradar_labels,
     radiate,
     simulated,
     split_identities,
@@ -172,7 +173,12 @@ def main() -> None:
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--only", nargs="*", choices=[*rows], default=[*rows])
-    chosen = parser.parse_args().only
+    parser.add_argument("--kradar", type=Path, help="a folder of K-Radar's labels of another version, as v2.0")
+    options = parser.parse_args()
+    chosen = options.only
+    if options.kradar is not None:
+        version = next(options.kradar.glob("kradar_revised_label_*"), options.kradar).name
+        rows["kradar"] = ("", partial(real, version, lambda _: kradar_labels(options.kradar), RADAR, NO_POSES))
     print(header())
     print(
         "all classes as one, all tracks; a match lies within 2 m, in the simulated roads within 4 m; per cent, counts"
