@@ -5,10 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import farfield as ff
 from farfield.api import open_dataset
-from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.cloud_files import CloudFiles, read_cloud
+from farfield.detection import detect
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.pcd import write_pcd
+from farfield.frame import Boxes, Cloud, Frame
 from farfield.inspection.doctor import examine
 
 
@@ -86,3 +89,30 @@ def test_pandasets_organised_sweep_opens(shared_real: Path) -> None:
     cloud = open_dataset(shared_real / "pandaset")[0].clouds["lidar"]
     assert len(cloud) + cloud.missing == 64 * 1856
     assert cloud.missing > 0
+
+
+def test_clouds_of_one_name_in_two_folders_stay_apart(tmp_path: Path) -> None:
+    for folder in ("morning", "evening"):
+        (tmp_path / folder).mkdir()
+        np.save(tmp_path / folder / "1.npy", rows_of(20)[:, :4])
+    files = [tmp_path / folder / "1.npy" for folder in ("morning", "evening")]
+    clouds = CloudFiles(files)
+    assert clouds.keys == (("morning", "1"), ("evening", "1"))
+    assert [frame.key for frame in clouds] == list(clouds.keys)
+    with pytest.raises(DatasetError, match="each cloud once"):
+        CloudFiles([*files, files[0]])
+
+
+def test_frames_of_one_name_are_not_scored_as_one() -> None:
+    rows = rows_of(20)
+    frames = [Frame.of(Cloud(rows[:, :3] + shift), boxes=Boxes.empty(), frame_id="1") for shift in (0, 1)]
+    with pytest.raises(DatasetError, match="each frame once"):
+        ff.evaluate({frames[0].key: Boxes.empty(scored=True)}, frames)
+    with pytest.raises(DatasetError, match="each frame once"):
+        detect(nothing_found, frames)
+
+
+def nothing_found(frame: Frame) -> Boxes:
+    """A detector that finds nothing."""
+    del frame
+    return Boxes.empty(scored=True)

@@ -5,6 +5,7 @@ fraction of the time of parsing text.
 """
 
 import tokenize
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,11 +33,22 @@ class CloudFiles(Sequence[Frame]):
     """Single clouds as frames, each read when it is asked for and not kept.
 
     Args:
-        paths: The files; a file's name is its frame's.
+        paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
+
+    Raises:
+        DatasetError: If a file is named twice, or two cannot be told apart.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = tuple(paths)
+        alone = len({path.stem for path in self.paths}) == len(self.paths)
+        self.keys: tuple[Key, ...] = tuple(
+            ("files" if alone else path.resolve().parent.name, path.stem) for path in self.paths
+        )
+        double = next((key for key, count in Counter(self.keys).items() if count > 1), None)
+        if double is not None:
+            same = ", ".join(str(path) for path, key in zip(self.paths, self.keys, strict=True) if key == double)
+            raise DatasetError(f"{same}: expected each cloud once, and names or folders that differ; both are {double}")
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -45,11 +57,6 @@ class CloudFiles(Sequence[Frame]):
         path = self.paths[index]
         sequence, frame_id = self.keys[index]
         return Frame.of(read_cloud(path), sequence=sequence, frame_id=frame_id)
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """(sequence, frame) of all frames."""
-        return tuple(("files", path.stem) for path in self.paths)
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""
