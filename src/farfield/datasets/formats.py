@@ -67,6 +67,13 @@ def is_kitti_tracking(root: Path) -> bool:
     return any(_has(base, pattern) for base in _parts(root) for pattern in patterns)
 
 
+def is_kitti_raw(root: Path) -> bool:
+    """Whether a folder holds drives of KITTI's raw data."""
+    from farfield.datasets.kitti.raw import drives_in
+
+    return bool(drives_in(root))
+
+
 def is_argoverse2(root: Path) -> bool:
     """Whether a folder holds logs of Argoverse 2."""
     patterns = ("sensors/lidar/*.feather", "annotations.feather", "annotations_with_ego.feather")
@@ -160,6 +167,12 @@ KITTI_TRACKING = Format(
     recognises=is_kitti_tracking,
     reader="farfield.datasets.kitti.tracking:KittiTracking",
 )
+KITTI_RAW = Format(
+    name="kitti_raw",
+    looked_for="[<date>/]<drive>/velodyne_points/data/*.bin with velodyne_points/timestamps.txt",
+    recognises=is_kitti_raw,
+    reader="farfield.datasets.kitti.raw:KittiRaw",
+)
 ARGOVERSE2 = Format(
     name="argoverse2",
     looked_for="<log>/sensors/lidar/*.feather, or <log>/annotations.feather alone",
@@ -220,6 +233,7 @@ DATASETS: Registry[Format] = Registry(
             "tj4dradset",
             "kitti",
             "kitti_tracking",
+            "kitti_raw",
             "argoverse2",
             "kradar",
             "radiate",
