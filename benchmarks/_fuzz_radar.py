@@ -20,7 +20,7 @@ from farfield.datasets.kradar.products import read_radar
 from farfield.datasets.kradar.record import read_record
 from farfield.datasets.kradar.splits import read_split_list
 from farfield.errors import FileFormatError
-from farfield.files import mat, npy, radar_cells, radiate, view_of_delft
+from farfield.files import astyx, mat, npy, radar_cells, radiate, view_of_delft
 from farfield.files.description import read_description
 from farfield.files.mat_stream import open_mat
 from farfield.frame import Boxes
@@ -30,6 +30,20 @@ _HEADER = (
     "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)=00033_00001_00002_00001_00004, timestamp=1643292946.710046076"
 )
 _LINE = "24.073344860569517, -3.859259747420597, -0.39446028568879465, 0.6625, 1.7289561090229424, 0.85, 0.69"
+
+
+def read_astyx_points(path: Path) -> Any:
+    return astyx.read_points(path, astyx.RADAR_COLUMNS)
+
+
+def astyx_objects() -> bytes:
+    entry = {"classname": "Car", "center3d": [15.28, 4.24, -0.46], "dimension3d": [3.66, 1.8, 1.45]}
+    return json.dumps({"objects": [entry | {"orientation_quat": [0.6, 0, 0, 0.8], "occlusion": 1}] * 2}).encode()
+
+
+def astyx_sensors() -> bytes:
+    data = {"T_to_ref_COS": np.eye(4).tolist(), "K": [[1817.98, 0, 1040.27], [0, 1816.84, 319.5], [0, 0, 1]]}
+    return json.dumps({"sensors": [{"sensor_uid": "camera_front", "calib_data": data}]}).encode()
 
 
 def anything(found: Any) -> bool:
@@ -76,6 +90,15 @@ def radar_targets(folder: Path) -> dict[str, Recipe]:
         "radar cells sealed": (".h5", read_sealed, cell_seeds(folder, rng), anything, ()),
         "delft poses": (".json", view_of_delft.read_camera_poses, (delft_poses(),), anything, ()),
         "delft labels": (".json", view_of_delft.read_objects, (delft_labels(),), anything, ()),
+        "astyx points": (
+            ".txt",
+            read_astyx_points,
+            (b"\nX Y Z V_r Mag\n20.5 1 0 -3.5 48\n5 0 0 0 51\n",),
+            anything,
+            (),
+        ),
+        "astyx objects": (".json", astyx.read_objects, (astyx_objects(),), anything, ()),
+        "astyx sensors": (".json", astyx.read_sensors, (astyx_sensors(),), anything, ()),
         "radiate times": (
             ".txt",
             radiate.read_times,

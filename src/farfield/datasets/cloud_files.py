@@ -5,13 +5,17 @@ fraction of the time of parsing text.
 """
 
 import tokenize
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import DatasetError, FileFormatError
+from farfield.files.bin_columns import bin_columns as bin_columns_of
+from farfield.files.bin_columns import names_of
 from farfield.files.clouds import CACHE_SUFFIX, read_bin, read_cache, write_cache
 from farfield.files.pcd import read_pcd
 from farfield.files.xyz import read_xyz
@@ -20,6 +24,8 @@ from farfield.frame import Cloud, Frame, Key
 CACHE_FOLDER = ".farfield_cache"
 CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", CACHE_SUFFIX)
 
+_MOST_COLUMNS, _LINE_BYTES = 16, 4096
+
 Columns = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
 
@@ -27,11 +33,22 @@ class CloudFiles(Sequence[Frame]):
     """Single clouds as frames, each read when it is asked for and not kept.
 
     Args:
-        paths: The files; a file's name is its frame's.
+        paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
+
+    Raises:
+        DatasetError: If a file is named twice, or two cannot be told apart.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = tuple(paths)
+        alone = len({path.stem for path in self.paths}) == len(self.paths)
+        self.keys: tuple[Key, ...] = tuple(
+            ("files" if alone else path.resolve().parent.name, path.stem) for path in self.paths
+        )
+        double = next((key for key, count in Counter(self.keys).items() if count > 1), None)
+        if double is not None:
+            same = ", ".join(str(path) for path, key in zip(self.paths, self.keys, strict=True) if key == double)
+            raise DatasetError(f"{same}: expected each cloud once, and names or folders that differ; both are {double}")
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -40,11 +57,6 @@ class CloudFiles(Sequence[Frame]):
         path = self.paths[index]
         sequence, frame_id = self.keys[index]
         return Frame.of(read_cloud(path), sequence=sequence, frame_id=frame_id)
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """(sequence, frame) of all frames."""
-        return tuple(("files", path.stem) for path in self.paths)
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""
@@ -114,12 +126,12 @@ def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, de
     return cached
 
 
-def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | None = None) -> Cloud:
+def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: float | None = None) -> Cloud:
     """Read one cloud file of a known suffix: .pcd, .bin (velodyne), .npy (rows), .xyz or .ffcloud.
 
     Args:
         path: The file.
-        bin_columns: Numbers a point in ``.bin`` files.
+        bin_columns: Numbers a point in ``.bin`` files; None decides by the numbers themselves.
         intensity_scale: Value that stands for full reflectance; None takes the smallest of 1, 255 and 65535 that
             covers the file.
 
@@ -132,15 +144,30 @@ def read_cloud(path: Path, *, bin_columns: int = 4, intensity_scale: float | Non
     if path.suffix == CACHE_SUFFIX:
         return _from_named(path, read_cache(path), intensity_scale)
     if path.suffix == ".bin":
-        rows = read_bin(path, columns=bin_columns)
+        rows = read_bin(path, columns=bin_columns_of(path).count if bin_columns is None else bin_columns)
     elif path.suffix == ".xyz":
-        rows = np.column_stack(read_rows(path, path.parent))
+        rows = np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
     elif path.suffix == ".npy":
         rows = _read_npy(path)
     else:
         raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
-    names = ("x", "y", "z", "intensity", *(f"extra{number}" for number in range(rows.shape[1] - 4)))
-    return _from_named(path, dict(zip(names[: rows.shape[1]], rows.T, strict=True)), intensity_scale)
+    return _from_named(path, dict(zip(names_of(rows), rows.T, strict=True)), intensity_scale)
+
+
+def columns_shown(paths: Sequence[Path]) -> int | None:
+    """Numbers a point that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
+    largest = max((path for path in paths if path.suffix == ".bin"), key=_bytes_of, default=None)
+    if largest is None:
+        return None
+    try:
+        found = bin_columns_of(largest)
+    except (FileFormatError, OSError):  # said by whoever reads the cloud
+        return None
+    return found.count if found.likely else None
+
+
+def _bytes_of(path: Path) -> int:
+    return path.stat().st_size
 
 
 def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
@@ -150,7 +177,17 @@ def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
         raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: expected rows of at least 3 numbers, got shape {rows.shape} of {rows.dtype}")
+    if rows.shape[1] > _MOST_COLUMNS >= rows.shape[0] >= 3:  # a row a quantity, not a row a point
+        rows = rows.T
     return np.array(rows)
+
+
+def xyz_columns(path: Path) -> int | None:
+    """Columns of an ASCII cloud with fewer than Cirrus' five: three, or four; None leaves it to the reader."""
+    with path.open("rb") as handle:
+        first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
+    found = len(first.replace(";", " ").replace(",", " ").split())
+    return found if found in (3, 4) else None
 
 
 def _from_named(path: Path, columns: Mapping[str, np.ndarray], scale: float | None) -> Cloud:
@@ -158,7 +195,11 @@ def _from_named(path: Path, columns: Mapping[str, np.ndarray], scale: float | No
     if missing:
         raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(missing)} of {', '.join(columns)}")
     points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32)
-    if not np.isfinite(points).all():
+    placed = np.isfinite(points).all(axis=1)
+    if path.suffix == ".pcd" and not placed.all() and np.isnan(points[~placed]).any(axis=1).all():
+        kept = {name: value[placed] for name, value in columns.items()}  # NaN: nothing came back
+        return replace(_from_named(path, kept, scale), missing=int((~placed).sum()))
+    if not placed.all():
         row = int(np.argwhere(~np.isfinite(points))[0][0])
         raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
     strength = np.asarray(columns.get("intensity", np.zeros(len(points))), dtype=np.float32)

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
-from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cloud
 from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes, write_text
@@ -34,6 +34,7 @@ from farfield.frame import Annotation, Boxes, Frame, Lazy, Sensor, camera_sensor
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
+_LOOKED_AT = 8
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -135,7 +136,7 @@ class Folder(Dataset):
 
     Args:
         root: The folder.
-        bin_columns: Numbers a point in ``.bin`` files.
+        bin_columns: Numbers a point in ``.bin`` files; None takes what the largest of the first ones shows.
         intensity_scale: Value that stands for full reflectance; None decides for each file.
 
     Raises:
@@ -144,9 +145,11 @@ class Folder(Dataset):
 
     name = "folder"
 
-    def __init__(self, root: Path | str, *, bin_columns: int = 4, intensity_scale: float | None = None) -> None:
+    def __init__(
+        self, root: Path | str, *, bin_columns: int | None = None, intensity_scale: float | None = None
+    ) -> None:
         self.root = Path(root)
-        self.bin_columns, self.intensity_scale = bin_columns, intensity_scale
+        self.intensity_scale = intensity_scale
         self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
@@ -155,6 +158,7 @@ class Folder(Dataset):
         double = next((stem for stem, count in Counter(self.frame_ids).items() if count > 1), None)
         if double is not None:
             raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
+        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT])
 
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]

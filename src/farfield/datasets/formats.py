@@ -49,6 +49,13 @@ def is_view_of_delft(root: Path) -> bool:
     return looks_like_it(root)
 
 
+def is_tj4dradset(root: Path) -> bool:
+    """Whether a folder holds TJ4DRadSet's radar."""
+    from farfield.datasets.kitti.tj4d import is_tj4dradset as looks_like_it
+
+    return looks_like_it(root)
+
+
 def is_kitti(root: Path) -> bool:
     """Whether a folder holds KITTI's object benchmark."""
     return any(_has(base, "velodyne/*.bin") for base in _parts(root))
@@ -58,6 +65,13 @@ def is_kitti_tracking(root: Path) -> bool:
     """Whether a folder holds KITTI's tracking benchmark, or its labels alone."""
     patterns = ("velodyne/*/*.bin", "label_02/*.txt", "label/*.txt")
     return any(_has(base, pattern) for base in _parts(root) for pattern in patterns)
+
+
+def is_kitti_raw(root: Path) -> bool:
+    """Whether a folder holds drives of KITTI's raw data."""
+    from farfield.datasets.kitti.raw import drives_in
+
+    return bool(drives_in(root))
 
 
 def is_argoverse2(root: Path) -> bool:
@@ -71,6 +85,13 @@ def is_kradar(root: Path) -> bool:
     from farfield.datasets.kradar.index import find_sequences
 
     return bool(find_sequences([root]))
+
+
+def is_astyx(root: Path) -> bool:
+    """Whether a folder holds Astyx HiRes2019."""
+    from farfield.datasets.astyx import root_of
+
+    return root_of(root) is not None
 
 
 def is_radiate(root: Path) -> bool:
@@ -128,6 +149,12 @@ VIEW_OF_DELFT = Format(
     recognises=is_view_of_delft,
     reader="farfield.datasets.view_of_delft.reader:ViewOfDelft",
 )
+TJ4DRADSET = Format(
+    name="tj4dradset",
+    looked_for="training/velodyne/*.bin, eight numbers a point of which the fifth is the range",
+    recognises=is_tj4dradset,
+    reader="farfield.datasets.kitti.tj4d:Tj4dRadSet",
+)
 KITTI = Format(
     name="kitti",
     looked_for="training/velodyne/*.bin",
@@ -139,6 +166,12 @@ KITTI_TRACKING = Format(
     looked_for="training/velodyne/<sequence>/*.bin, or label_02/*.txt or label/*.txt in KITTI's tracking format",
     recognises=is_kitti_tracking,
     reader="farfield.datasets.kitti.tracking:KittiTracking",
+)
+KITTI_RAW = Format(
+    name="kitti_raw",
+    looked_for="[<date>/]<drive>/velodyne_points/data/*.bin with velodyne_points/timestamps.txt",
+    recognises=is_kitti_raw,
+    reader="farfield.datasets.kitti.raw:KittiRaw",
 )
 ARGOVERSE2 = Format(
     name="argoverse2",
@@ -157,6 +190,12 @@ RADIATE = Format(
     looked_for="[<sequence>/]Navtech_Polar/*.png or [<sequence>/]Navtech_Cartesian/*.png",
     recognises=is_radiate,
     reader="farfield.datasets.radiate:Radiate",
+)
+ASTYX = Format(
+    name="astyx",
+    looked_for="[dataset_astyx_hires2019/]radar_6455/*.txt",
+    recognises=is_astyx,
+    reader="farfield.datasets.astyx:Astyx",
 )
 BAGS = Format(
     name="bags",
@@ -191,11 +230,14 @@ DATASETS: Registry[Format] = Registry(
         for name in (
             "cirrus",
             "view_of_delft",
+            "tj4dradset",
             "kitti",
             "kitti_tracking",
+            "kitti_raw",
             "argoverse2",
             "kradar",
             "radiate",
+            "astyx",
             "bags",
             "sustechpoints",
             "cvat",

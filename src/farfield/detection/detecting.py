@@ -1,6 +1,6 @@
 """From a detector and frames to what was found, ready to be scored."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from farfield.detection.seeing import Frames, as_trained, suitable_clouds
 from farfield.detection.work import AnyDetector, Detecting, Found, points_in
 from farfield.errors import DatasetError
 from farfield.files.spool import Spool, alike
-from farfield.frame import Annotation, Boxes, Key
+from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def detect(
 
     Raises:
         ConfigError: If a frame has no cloud that suits the detector, or not the one asked for.
-        DatasetError: If there is no frame, or none is annotated though only such count.
+        DatasetError: If there is no frame, two have one name, or none is annotated though only such count.
     """
     prepared = search(
         detector,
@@ -155,7 +155,7 @@ def detect(
     for index, found in zip(progress(numbers) if bulk is None else numbers, prepared.found(clocks), strict=True):
         if found is None:
             continue
-        frame = seen[index]
+        frame = _once(seen[index], conditions)
         boxes[frame.key], conditions[frame.key] = found.boxes, frame.conditions
         if frame.annotation is not None:
             annotations[frame.key] = _with_counts(frame.annotation, found.point_count)
@@ -175,6 +175,17 @@ def detect(
     )
 
 
+def _once(frame: Frame, before: Collection[Key]) -> Frame:
+    """The frame, unless one of its key came before: of two, one would be lost without a word."""
+    if frame.key in before:
+        sequence, name = frame.key
+        raise DatasetError(
+            f"frame {name!r} of sequence {sequence!r}: expected each frame once, found a second one of this name. Give "
+            "frames of your own different names: Frame.of(..., frame_id=...)."
+        )
+    return frame
+
+
 def _with_counts(annotation: Annotation, point_count: Any) -> Annotation:
     if point_count is None:
         return annotation
@@ -191,6 +202,9 @@ def given(
         data: Frames; those without annotation are left out.
         cloud: A cloud whose points in the annotated boxes are counted; without one their own counts stay.
         progress: Wraps the frame numbers, to show progress.
+
+    Raises:
+        DatasetError: If two annotated frames have one name.
     """
     annotations: dict[Key, Annotation] = {}
     conditions: dict[Key, Mapping[str, str]] = {}
@@ -198,6 +212,7 @@ def given(
     for index in progress(range(len(data))):
         frame = data[index]
         if frame.annotation is not None:
+            _once(frame, conditions)
             counts = None if cloud is None else points_in(frame.annotation, frame.cloud(cloud))
             annotations[frame.key] = _with_counts(frame.annotation, counts)
             conditions[frame.key], reference = frame.conditions, frame.reference

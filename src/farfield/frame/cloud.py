@@ -23,6 +23,7 @@ class Cloud:
         intensity: Return strength in [0, 1], shape (n,), float32; None for a radar, whose power or cross-section is a
             column of its own.
         extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
+        missing: Rows of the file that had no place, as organised clouds mark a direction without return; left out.
 
     Raises:
         ValueError: If columns differ in length or an intensity lies outside [0, 1].
@@ -31,6 +32,7 @@ class Cloud:
     points_m: Float32[np.ndarray, "n 3"]
     intensity: Float32[np.ndarray, " n"] | None = None
     extra: Mapping[str, Shaped[np.ndarray, " n"]] = field(default_factory=dict)
+    missing: int = 0
 
     def __post_init__(self) -> None:
         columns = [*self.extra.values(), *([] if self.intensity is None else [self.intensity])]

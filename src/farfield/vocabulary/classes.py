@@ -42,6 +42,18 @@ CIRRUS_FROM_VIEW_OF_DELFT = {
     "motor": "motorcycle",
 }
 
+CIRRUS_FROM_ASTYX = {
+    "Car": "vehicle",
+    "Truck": "large_vehicle",
+    "Bus": "large_vehicle",
+    "Trailer": "trailer",
+    "Towed Object": "trailer",
+    "Person": "pedestrian",
+    "Cyclist": "bicycle",
+    "Motorcyclist": "motorcycle",
+    "Other Vehicle": "unknown",
+}
+
 KITTI_FROM_CIRRUS = {
     "vehicle": "Car",
     "large_vehicle": "Truck",

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.errors import ConfigError, DatasetError
@@ -25,6 +25,7 @@ from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
+_COLUMNS, _LOOKED_AT = 4, 8
 
 
 class Kitti(Dataset):
@@ -37,6 +38,8 @@ class Kitti(Dataset):
         root: The folder with ``training`` or ``testing``, or one of those itself.
         part: ``"training"`` or ``"testing"``.
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
+        bin_columns: Numbers a point in the clouds; None takes what the largest of the first clouds shows, and KITTI's
+            four where it does not show it.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -50,6 +53,7 @@ class Kitti(Dataset):
         *,
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
+        bin_columns: int | None = None,
     ) -> None:
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
@@ -61,6 +65,12 @@ class Kitti(Dataset):
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
+        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+
+    @property
+    def _columns(self) -> Mapping[str, int | float | None]:
+        """How clouds are read: KITTI's reflectance reaches 1; of other columns the scale is not known."""
+        return {"bin_columns": self.bin_columns, "intensity_scale": 1.0 if self.bin_columns == _COLUMNS else None}
 
     def drive_indices(self) -> Mapping[str, Indices]:
         """No drives: the set shuffles their frames."""
@@ -105,7 +115,7 @@ class Kitti(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], intensity_scale=1.0)}),
+            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], **self._columns)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),

@@ -19,7 +19,7 @@ from farfield.datasets.kitti.object import boxes_from_objects, mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
-from farfield.frame import Annotation, CameraField, Frame, Lazy
+from farfield.frame import Annotation, CameraField, Cloud, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
@@ -109,7 +109,9 @@ class KittiTracking(Dataset):
         return Frame(
             sequence=sequence,
             frame_id=stem,
-            clouds=Lazy({} if cloud is None else {"lidar": partial(read_cloud, cloud, intensity_scale=1.0)}),
+            clouds=Lazy(
+                {} if cloud is None else {"lidar": partial(read_cloud, cloud, bin_columns=4, intensity_scale=1.0)}
+            ),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),
@@ -137,3 +139,7 @@ class _TrackFile:
 
     def __getstate__(self) -> dict[str, Path]:
         return {"path": self.path}
+
+
+def _read_cloud(path: Path) -> Cloud:
+    return read_cloud(path, bin_columns=4, intensity_scale=1.0)

@@ -230,7 +230,7 @@ class ViewOfDelft(Dataset):
             read: Callable[[], Cloud] = (
                 partial(read_radar, path)
                 if sensor == "radar"
-                else partial(read_cloud, path, intensity_scale=REFLECTANCE_FULL)
+                else partial(read_cloud, path, bin_columns=4, intensity_scale=REFLECTANCE_FULL)
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")

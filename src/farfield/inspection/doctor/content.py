@@ -54,6 +54,9 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         if strength is not None:
             low, high = strength.min(initial=1.0), strength.max(initial=0.0)
             what += f", intensity {low:.3f}..{high:.3f}{_scale_text(found, name)}"
+        gone = sum(cloud.missing for cloud in read)
+        if gone:
+            what += f", {gone} points without a place (no return) left out"
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
         if strength is not None and not strength.any():
             mend = "A detector trained with intensity will not work here: name the right column in the mapping."

@@ -1,0 +1,191 @@
+"""KITTI's raw data (Geiger et al.: "Vision meets Robotics: The KITTI Dataset", IJRR 2013), synchronised and rectified.
+
+``<date>/<date>_drive_NNNN_sync/{velodyne_points,image_00..03,oxts}``, ``tracklet_labels.xml`` in the drive, and the
+three files of calibration in ``<date>``. A turn of the LiDAR has three stamps: when it starts, when it looks ahead (as
+the cameras fire), and when it ends.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int64
+from scipy.spatial.transform import Rotation
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.drives import Indices
+from farfield.datasets.labels.cuboid_boxes import annotation_of
+from farfield.errors import DatasetError, FileFormatError
+from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import Cuboid
+from farfield.files.images import read_image
+from farfield.files.kitti_raw import read_raw_calib, read_record, rectified, rigid
+from farfield.files.stamps import read_stamps, recognise_stamps
+from farfield.files.tracklets import parse_tracklets
+from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
+from farfield.geometry.poses import invert, pose
+
+CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
+_LABELS = "tracklet_labels.xml"
+_IMAGES = (".png", ".jpg")
+_STAMPS = {"middle": "timestamps.txt", "start": "timestamps_start.txt", "end": "timestamps_end.txt"}
+_EARTH_M = 6_378_137.0
+
+
+def drives_in(root: Path) -> list[Path]:
+    """The drives in a folder: itself, or those one or two folders down."""
+    places = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
+    return [place for place in places if (place / CLOUDS / _STAMPS["middle"]).is_file()]
+
+
+class KittiRaw(Dataset):
+    """KITTI's raw drives: cloud ``"lidar"``, images ``"image_00"`` to ``"image_03"``, tracked boxes of full objects.
+
+    A frame's time is the middle of its turn; ``metadata["turn_ns"]`` has its start and end. ``world_T_frame`` comes
+    from the GPS/IMU where it has a record: metres east, north and up of the drive's first one. Boxes' ``track_id`` is
+    the object's place in the file of tracklets. Stamps are local times without a zone, taken as UTC.
+
+    Args:
+        root: A drive, the folder of its day, or the one above.
+
+    Raises:
+        DatasetError: If there is no drive.
+    """
+
+    name = "kitti_raw"
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.folders = drives_in(self.root)
+        self.clouds = [path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob("*.bin"))]
+        if not self.clouds:
+            raise DatasetError(f"{self.root}: expected drives with {CLOUDS}/data/*.bin and timestamps, found none")
+        self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
+        self.frame_ids = tuple(path.stem for path in self.clouds)
+
+    def _drive(self, index: int) -> Path:
+        return self.clouds[index].parents[2]
+
+    def _image(self, index: int, camera: str) -> Path | None:
+        places = (self._drive(index) / camera / "data" / f"{self.frame_ids[index]}{suffix}" for suffix in _IMAGES)
+        return next((path for path in places if path.is_file()), None)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        drive = self._drive(index)
+        record, labels = drive / "oxts" / "data" / f"{self.frame_ids[index]}.txt", drive / _LABELS
+        images = [path for camera in CAMERAS if (path := self._image(index, camera)) is not None]
+        return [self.clouds[index], *images, *(path for path in (record, labels) if path.is_file())]
+
+    def has_annotation(self, index: int) -> bool:
+        """Whether the drive of frame ``index`` has tracklets; a frame that they do not mention has no objects."""
+        return (self._drive(index) / _LABELS).is_file()
+
+    def _times_of(self, indices: Indices) -> Indices | None:
+        found = [self._time_ns(index, "middle") for index in np.asarray(indices).tolist()]
+        return None if None in found else np.array(found, dtype=np.int64)
+
+    def _time_ns(self, index: int, which: str) -> int | None:
+        path = self._drive(index) / CLOUDS / _STAMPS[which]
+        return stamp_of(path, self.frame_ids[index])
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        drive, frame_id = self._drive(index), self.frame_ids[index]
+        images = {camera: path for camera in CAMERAS if (path := self._image(index, camera)) is not None}
+        cameras = cameras_of(drive.parent)
+        labels = drive / _LABELS
+        turn = tuple(self._time_ns(index, which) for which in ("start", "end"))
+        times = {name: stamp_of(drive / name / _STAMPS["middle"], frame_id) for name in (*images, *cameras)}
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=frame_id,
+            time_ns=self._time_ns(index, "middle"),
+            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], bin_columns=4, intensity_scale=1.0)}),
+            images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
+            cameras=cameras,
+            sensors={
+                "lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=self._time_ns(index, "middle")),
+                **{name: camera_sensor(cameras.get(name), time) for name, time in times.items()},
+            },
+            world_T_frame=placed(drive, frame_id),
+            load_annotation=partial(_annotation, labels, frame_id) if labels.is_file() else None,
+            metadata={"files": [str(path) for path in self.files(index)], "turn_ns": turn},
+        )
+
+
+def stamp_of(path: Path, frame_id: str) -> int | None:
+    """The stamp of a frame in a list that begins with frame 0, or None without a list or so many lines."""
+    if not path.is_file() or not frame_id.isdigit():
+        return None
+    status = path.stat()
+    stamps = _stamps(path, status.st_mtime_ns, status.st_size)
+    return int(stamps[int(frame_id)]) if int(frame_id) < len(stamps) else None
+
+
+@lru_cache(maxsize=32)
+def _stamps(path: Path, changed_ns: int, size: int) -> Int64[np.ndarray, " n"]:
+    del changed_ns, size
+    known = recognise_stamps(path)
+    if known is None:
+        raise FileFormatError(path, where="line 1", expected="a date and a time", found="something else")
+    return np.concatenate(list(read_stamps(known)))
+
+
+def cameras_of(day: Path) -> dict[str, Camera]:
+    """The rectified cameras of a day's calibration, in the LiDAR's coordinates; none where it is not there.
+
+    Raises:
+        FileFormatError: If a file is damaged.
+    """
+    between, ahead = day / "calib_cam_to_cam.txt", day / "calib_velo_to_cam.txt"
+    if not between.is_file() or not ahead.is_file():
+        return {}
+    calib, first_T_lidar = read_raw_calib(between), rigid(read_raw_calib(ahead), ahead)
+    found = {}
+    for name in CAMERAS:
+        matrix, rectified_T_first, (width, height) = rectified(calib, name[-2:], between)
+        camera_T_lidar = rectified_T_first @ first_T_lidar
+        found[name] = Camera(matrix=matrix, camera_T_lidar=camera_T_lidar, width_px=width, height_px=height)
+    return found
+
+
+def placed(drive: Path, frame_id: str) -> Float[np.ndarray, "4 4"] | None:
+    """Where the LiDAR stands, from the GPS/IMU's record in a Mercator map about the drive's first record.
+
+    Raises:
+        FileFormatError: If a record or the calibration is damaged.
+    """
+    record, calibration = drive / "oxts" / "data" / f"{frame_id}.txt", drive.parent / "calib_imu_to_velo.txt"
+    if not record.is_file() or not calibration.is_file():
+        return None
+    first = read_record(next(iter(sorted(record.parent.glob("*.txt")))))
+    scale = float(np.cos(np.radians(first[0])))
+    here = _pose(read_record(record), scale)
+    here[:3, 3] -= _pose(first, scale)[:3, 3]
+    return here @ invert(rigid(read_raw_calib(calibration), calibration))
+
+
+def _pose(record: Float[np.ndarray, " 30"], scale: float) -> Float[np.ndarray, "4 4"]:
+    """Pose of the GPS/IMU in a Mercator map of a scale, x east, y north, z up (development kit of the raw data)."""
+    latitude, longitude, altitude, roll, pitch, yaw = record[:6]
+    east = scale * _EARTH_M * np.radians(longitude)
+    north = scale * _EARTH_M * np.log(np.tan(np.radians(90 + latitude) / 2))
+    return pose(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), np.array([east, north, altitude]))
+
+
+def _annotation(path: Path, frame_id: str) -> Annotation:
+    status = path.stat()
+    return annotation_of(_tracklets(path, status.st_mtime_ns, status.st_size).get(str(int(frame_id)), ()))
+
+
+@lru_cache(maxsize=4)
+def _tracklets(path: Path, changed_ns: int, size: int) -> Mapping[str, tuple[Cuboid, ...]]:
+    """The boxes of a drive by frame; its file is parsed once while it stays."""
+    del changed_ns, size
+    found: dict[str, list[Cuboid]] = {}
+    for cuboid in parse_tracklets(read_bytes(path), path):
+        found.setdefault(cuboid.frame, []).append(cuboid)
+    return {name: tuple(cuboids) for name, cuboids in found.items()}

@@ -1,0 +1,124 @@
+"""The text files of Astyx HiRes2019: points with a header line, sensors' poses and boxes in JSON."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import MAX_BYTES, read_bytes
+from farfield.files.cuboids import numbers
+from farfield.files.json_text import parse_json
+from farfield.files.table import parse_table
+
+RADAR_COLUMNS = ("X", "Y", "Z", "V_r", "Mag")
+LIDAR_COLUMNS = ("X", "Y", "Z", "Reflectivity", "LaserID", "Timestamp")
+_JSON_BYTES = 1 << 24
+_UNIT = 1e-3
+
+
+@dataclass(frozen=True)
+class AstyxObject:
+    """An annotated object, in the radar's coordinates.
+
+    Args:
+        name: Its class.
+        centre_m: x, y, z of its centre.
+        size_m: Length, width, height.
+        quaternion: Its rotation, w first.
+        occlusion: 0 none, 1, 2 nearly whole.
+        certainty: Of the label, 0 to 2.
+    """
+
+    name: str
+    centre_m: tuple[float, ...]
+    size_m: tuple[float, ...]
+    quaternion: tuple[float, ...]
+    occlusion: int
+    certainty: int
+
+
+def read_points(path: Path | str, columns: Sequence[str]) -> list[Float[np.ndarray, " n"]]:
+    """The columns of a file of points.
+
+    Args:
+        path: The file: perhaps an empty line, a line of names, then numbers between spaces.
+        columns: The names that are expected, in their order.
+
+    Raises:
+        FileFormatError: If the file has other names, no point, or anything but numbers.
+    """
+    lines = read_bytes(path, max_bytes=MAX_BYTES).replace(b"\r\n", b"\n").lstrip(b"\n").rstrip()
+    head, _, body = lines.partition(b"\n")
+    if head.decode("ascii", errors="replace").split() != list(columns):
+        found = repr(head[:80].decode("ascii", errors="replace"))
+        raise FileFormatError(path, where="the header", expected=" ".join(columns), found=found)
+    if not body:
+        raise FileFormatError(path, where="the points", expected="at least one", found="none")
+    table = parse_table(body, dtypes=[np.dtype(np.float64)] * len(columns), separator=None, path=path, line=3)
+    for name, column in zip(columns, table, strict=True):
+        if not np.isfinite(column).all():
+            raise FileFormatError(path, where=f"column {name}", expected="finite numbers", found="others")
+    return table
+
+
+def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "r c"]]]:
+    """``T_to_ref_COS``, a pose in the radar's coordinates, shape (4, 4), and a camera's ``K``, (3, 3), by sensor.
+
+    Raises:
+        FileFormatError: If the file holds anything else.
+    """
+    content = parse_json(read_bytes(path, max_bytes=_JSON_BYTES), path, max_bytes=_JSON_BYTES)
+    found = {}
+    for place, sensor in enumerate(_listed(content, "sensors", path)):
+        where, name, data = f"sensors[{place}]", sensor.get("sensor_uid"), sensor.get("calib_data")
+        if not isinstance(name, str) or not isinstance(data, dict):
+            raise FileFormatError(path, where=where, expected="sensor_uid and calib_data", found=repr(sensor)[:80])
+        matrices = {"T_to_ref_COS": _matrix(data.get("T_to_ref_COS"), 4, path, where)}
+        if data.get("K") is not None:
+            matrices["K"] = _matrix(data["K"], 3, path, where)
+        pose = matrices["T_to_ref_COS"]
+        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2) or np.linalg.det(pose[:3, :3]) < 0:
+            raise FileFormatError(path, where=where, expected="a rotation and a place", found=repr(pose.tolist())[:120])
+        found[name] = matrices
+    return found
+
+
+def read_objects(path: Path | str) -> list[AstyxObject]:
+    """The annotated objects of a frame.
+
+    Raises:
+        FileFormatError: If the file holds anything else.
+    """
+    content = parse_json(read_bytes(path, max_bytes=_JSON_BYTES), path, max_bytes=_JSON_BYTES)
+    return [_object(entry, path, f"objects[{place}]") for place, entry in enumerate(_listed(content, "objects", path))]
+
+
+def _object(entry: Mapping[str, Any], path: Path | str, where: str) -> AstyxObject:
+    name = entry.get("classname")
+    centre = numbers(entry.get("center3d"), 3, path, f"{where}.center3d", "x, y, z")
+    size = numbers(entry.get("dimension3d"), 3, path, f"{where}.dimension3d", "length, width, height")
+    turned = numbers(entry.get("orientation_quat"), 4, path, f"{where}.orientation_quat", "w, x, y, z")
+    kinds = [entry.get(key, -1) for key in ("occlusion", "label_certainty")]
+    if not isinstance(name, str) or min(size) <= 0 or abs(np.linalg.norm(turned) - 1) > _UNIT:
+        expected = "a class, a positive size and a unit quaternion"
+        raise FileFormatError(path, where=where, expected=expected, found=repr(entry)[:120])
+    if not all(isinstance(kind, int) for kind in kinds):
+        raise FileFormatError(path, where=where, expected="whole occlusion and label_certainty", found=repr(kinds)[:80])
+    return AstyxObject(name, tuple(centre), tuple(size), tuple(turned), *kinds)
+
+
+def _listed(content: Any, key: str, path: Path | str) -> list[Mapping[str, Any]]:
+    entries = content.get(key) if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise FileFormatError(path, where=key, expected="a list of objects", found=repr(entries)[:80])
+    return entries
+
+
+def _matrix(value: Any, side: int, path: Path | str, where: str) -> Float[np.ndarray, "r c"]:
+    if not isinstance(value, list) or len(value) != side:
+        raise FileFormatError(path, where=where, expected=f"{side} rows", found=repr(value)[:80])
+    return np.array([numbers(row, side, path, where, f"{side} numbers a row") for row in value])
