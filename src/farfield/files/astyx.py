@@ -72,7 +72,7 @@ def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "
         FileFormatError: If the file holds anything else.
     """
     content = parse_json(read_bytes(path, max_bytes=_JSON_BYTES), path, max_bytes=_JSON_BYTES)
-    found = {}
+    found: dict[str, Mapping[str, Float[np.ndarray, "r c"]]] = {}
     for place, sensor in enumerate(_listed(content, "sensors", path)):
         where, name, data = f"sensors[{place}]", sensor.get("sensor_uid"), sensor.get("calib_data")
         if not isinstance(name, str) or not isinstance(data, dict):

@@ -67,11 +67,6 @@ class Kitti(Dataset):
         self.sequences = (part,) * len(self.clouds)
         self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
 
-    @property
-    def _columns(self) -> Mapping[str, int | float | None]:
-        """How clouds are read: KITTI's reflectance reaches 1; of other columns the scale is not known."""
-        return {"bin_columns": self.bin_columns, "intensity_scale": 1.0 if self.bin_columns == _COLUMNS else None}
-
     def drive_indices(self) -> Mapping[str, Indices]:
         """No drives: the set shuffles their frames."""
         return {}
@@ -108,6 +103,8 @@ class Kitti(Dataset):
         calib = None if calib_path is None else read_calib(calib_path)
         if labels is not None and calib is None:
             raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
+        scale = 1.0 if self.bin_columns == _COLUMNS else None  # KITTI's reflectance reaches 1; others are not known
+        load = partial(read_cloud, self.clouds[index], bin_columns=self.bin_columns, intensity_scale=scale)
         annotation, cameras = None, {} if calib is None else {"camera": sized_camera(calib, image)}
         if labels is not None and calib is not None:
             region = CameraField(camera=cameras["camera"], name="the left colour camera")
@@ -115,7 +112,7 @@ class Kitti(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], **self._columns)}),
+            clouds=Lazy({"lidar": load}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),
