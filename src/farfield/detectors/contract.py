@@ -13,8 +13,14 @@ from torch import Tensor, nn
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kinds import DETECTORS
-from farfield.errors import FarfieldError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.boxes import Boxes
+
+FIXED = (
+    "config: the settings made the network's parts; another configuration would be ignored there. Choose what to keep "
+    "as the detector is loaded: load_detector(name, score_threshold=, nms_iou=, max_boxes=, classes=)."
+)
+"""Why a configuration is not exchanged."""
 
 Channels = Annotated[int, Field(ge=1, le=4096)]
 """A number of features."""
@@ -88,7 +94,6 @@ class Network(nn.Module, ABC):
         config: The detector's settings.
 
     Attributes:
-        config: The detector's settings.
         inputs: What it reads, by name.
         channels: Features of a row of what :meth:`encode` gives.
         low_precision: Submodules that the runtime may turn into bfloat16.
@@ -96,7 +101,6 @@ class Network(nn.Module, ABC):
         head: ``head(features, targets=None)``: outputs of features; only two-stage detectors look at the targets.
     """
 
-    config: Any
     inputs: Mapping[str, CloudInput]
     channels: int
     low_precision: ClassVar[tuple[str, ...]] = ()
@@ -105,7 +109,17 @@ class Network(nn.Module, ABC):
 
     def __init__(self, config: DetectorConfig) -> None:
         super().__init__()
-        self.config = config
+        self._config = config
+
+    @property
+    def config(self) -> Any:
+        """The detector's settings: they made its parts and stay as they are."""
+        return self._config
+
+    @config.setter
+    def config(self, config: Any) -> None:
+        if config is not self._config:
+            raise ConfigError(FIXED)
 
     @abstractmethod
     def encode(self, batch: Mapping[str, list[Tensor]]) -> Features:
