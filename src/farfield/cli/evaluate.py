@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from farfield.cli._detector_options import OWN, BoxFlags
 from farfield.cli._progress import hands
 from farfield.cli._words import deprecated, names, parse_options
 
@@ -31,6 +32,7 @@ def run(
     region: str = "",
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int | None = None,
+    kept: BoxFlags = OWN,
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
     workers: int = 0,
@@ -69,6 +71,7 @@ def run(
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
+        kept: Which of the detector's boxes count.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
@@ -89,7 +92,7 @@ def run(
     reading: dict[str, Any] = {"mapping": mapping} if mapping else {}
     opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
     opened = opened.split(split) if split else opened
-    loaded = load_detector(detector, precision=precision, device=device)
+    loaded = load_detector(detector, precision=precision, device=device, **kept.options)
     protocol = protocol or opened.protocol
     given: dict[str, Any] = {
         "label": label,
@@ -107,7 +110,7 @@ def run(
         shown_frames=shown_frames,
         protocol=protocol,
         title=f"{detector} on {opened.root.name}",
-        provenance={"simulated": is_simulated(opened.root)},
+        provenance={"simulated": is_simulated(opened.root), **({"kept": kept.said} if kept.said else {})},
         bulk=hands(workers or int(loaded.device.type != "cpu"), engine, "detecting"),
         kept=folder,
         overwrite=overwrite,
