@@ -25,7 +25,8 @@ _NUMBERS = ("range_bins_m", "epsilons")
 class Protocol(ABC):
     """A way to score detections.
 
-    A protocol of one class has a setting ``label``; without one given the most annotated class is scored. Settings
+    A protocol of one class has a setting ``label``; without one given the most annotated class is scored, of those that
+    the detector knows where there are any. Settings
     named ``relabel``, ``ignore``, ``range_bins_m``, ``region`` and ``bootstrap`` mean what they mean in
     :class:`farfield.metrics.centre.settings.CentreSettings`.
 
@@ -101,8 +102,17 @@ class Protocol(ABC):
         if "label" in self.options() and given.get("label") is None:
             given = {name: value for name, value in given.items() if name != "label"}
             present = self.labels(found.annotated, **given)
-            given |= {"label": present[0]} if present else {}
+            known = self._known(found.classes, **given)
+            given |= {"label": next((name for name in present if name in known), present[0])} if present else {}
         return self.Settings(**given)
+
+    def _known(self, classes: Collection[str], **given: Any) -> set[str]:
+        """What a detector's classes are called after relabelling."""
+        default = self.Settings(
+            **{name: given[name] for name in ("relabel",) if name in given and name in self.options()}
+        )
+        relabel = getattr(default, "relabel", {})
+        return {relabel.get(name, name) for name in classes}
 
     def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
         """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""

@@ -24,7 +24,7 @@ class DdsSettings(CentreSettings):
     """The options of DDS and wDDS; the defaults are Farfield's reading of the paper (see :class:`CentreSettings`)."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class DdsResult(Result):
     """DDS and wDDS by range and epsilon."""
 

@@ -34,7 +34,7 @@ class NuScenesSettings(CentreSettings):
     scores: Literal["rank", "raw", "sigmoid", "auto"] = "auto"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class NuScenesResult(Result):
     """AP by threshold and the true-positive errors, by range."""
 
