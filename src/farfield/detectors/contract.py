@@ -25,6 +25,10 @@ FIXED = (
 Channels = Annotated[int, Field(ge=1, le=4096)]
 """A number of features."""
 
+ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
+"""By names of tensors: along which axis rows belong to classes, and what each row is, such as (class, heading, number);
+equal in two networks where they mean the same."""
+
 
 def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
     """Weight of each box in the loss, shape (n,): 1, and ``far_weight`` more per 100 m of range on the ground."""
@@ -140,6 +144,10 @@ class Network(nn.Module, ABC):
     def decode(self, outputs: Any) -> list[Boxes]:
         """Scored boxes of each frame, best first."""
 
+    def class_rows(self) -> ClassRows:
+        """Which rows of which tensors are of which class: what loading weights with other classes goes by."""
+        return {}
+
     @final
     def forward(self, batch: Mapping[str, list[Tensor]], targets: Sequence[Any] | None = None) -> Any:
         """Outputs of the head for a batch; see :meth:`encode`."""
@@ -166,3 +174,8 @@ class MapDetector(Network):
         """The head's boxes of each frame, best first."""
         boxes: list[Boxes] = self.head.decode(outputs)
         return boxes
+
+    def class_rows(self) -> ClassRows:
+        """Those of the head, if it says them."""
+        rows: ClassRows = self.head.class_rows() if hasattr(self.head, "class_rows") else {}
+        return {f"head.{name}": given for name, given in rows.items()}

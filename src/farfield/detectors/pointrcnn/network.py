@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import Channels, DetectorConfig, Network
+from farfield.detectors.contract import Channels, ClassRows, DetectorConfig, Network
 from farfield.detectors.features import PointFeatures, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.losses import focal_loss
@@ -106,6 +106,9 @@ class PointRCNNConfig(DetectorConfig):
         return self.window.range_m
 
 
+_BY_CLASS = ("segmentation", "refinement.confidence")  # a perceptron and a linear layer with a row for each class
+
+
 class Stages(NamedTuple):
     """Raw outputs of both stages; points and proposals are listed frame after frame.
 
@@ -162,6 +165,12 @@ class PointRCNN(Network):
             unsure_m=config.unsure_margin_m,
             far_weight=config.far_weight,
         )
+
+    def class_rows(self) -> ClassRows:
+        """The class of each foreground logit and confidence, and of the scores that the second stage reads."""
+        names = self.config.class_names
+        logits = {f"{part}.1.{kind}": (0, names) for part in _BY_CLASS for kind in ("weight", "bias")}
+        return {**logits, "refinement.local.linears.0.weight": (1, (*range(7), *names))}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:
         """Chosen points and their features (section 3.1); ``aux`` holds the row of each in its cloud."""
