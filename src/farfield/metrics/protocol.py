@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from farfield.errors import ConfigError, FarfieldError
 from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
+from farfield.metrics.presenting import CurvePanel, Presentation, panels
 from farfield.metrics.result import Result, figure_names, value_at
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES
@@ -153,6 +154,34 @@ class Protocol(ABC):
         """
         return {name: value_at(result, name) for name in figure_names(result)}
 
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """What a page shows of a result: columns, words, and what counts as found in pictures.
+
+        Args:
+            result: Result JSON.
+        """
+        return Presentation(figures=tuple(self.headline(result)))
+
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """The curves of the whole, by panel.
+
+        Args:
+            result: Result JSON.
+
+        Raises:
+            ConfigError: If a curve is damaged.
+        """
+        return panels((result.get("curves") or {}).get("overall"))
+
+    def unit(self, figure: str) -> str:
+        """The unit in which a figure is shown: ``"%"``, ``"m"``, ``"rad"``..., or nothing for a share.
+
+        Args:
+            figure: Its name.
+        """
+        del figure
+        return "%" if self.per_cent else ""
+
     def title(self, figure: str) -> str:
         """What a figure's column is called.
 
@@ -160,6 +189,10 @@ class Protocol(ABC):
             figure: Its name, of a result of several classes without the class: ``"3d/0.3"``.
         """
         return " ".join(figure.removeprefix("ap/").split("/")).replace("3d", "3D").replace("bev", "BEV")
+
+    def setting_title(self, name: str) -> str:
+        """What a setting is called on a page, with its unit at the end as in ``limit_m``."""
+        return name
 
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Settings on which no figure of the whole depends, so that results that differ in them share a column.

@@ -75,8 +75,24 @@ def figure_bytes(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> byt
     buffer = io.BytesIO()
     metadata = {"svg": {"Date": None, "Creator": "Farfield"}, "png": {"Software": "Farfield"}, "jpg": None}[kind]
     with house_style():
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+        if kind == "svg":
+            _draw_svg(figure, buffer, dpi, metadata)
+        else:
+            figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
+
+
+def _draw_svg(figure: "Figure", buffer: io.BytesIO, dpi: int, metadata: Any) -> None:
+    """Draw once: ``savefig`` draws everything twice, to know the extent of what it then draws whole."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    before, canvas = figure.dpi, figure.canvas
+    figure.dpi = dpi
+    try:
+        FigureCanvasSVG(figure).print_svg(buffer, metadata=metadata)
+    finally:
+        figure.dpi = before
+        figure.set_canvas(canvas)
 
 
 def data_uri(content: bytes, mime: str) -> str:

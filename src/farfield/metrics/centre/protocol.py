@@ -22,6 +22,7 @@ from farfield.metrics.centre.scene import Scene, gather
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import Ranking
 from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.presenting import CurveLine, CurvePanel, curve_line
 from farfield.metrics.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -38,6 +39,27 @@ class CentreProtocol(Protocol):
             kept["epsilons"] = kept["epsilons"][:1]
         return kept
 
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """Curves by largest distance, a panel for each epsilon that the page shows."""
+        known = (result.get("curves") or {}).get("overall") or {}
+        return [
+            CurvePanel(self.panel_title(name), _lines(name, known[name])) for name in self.shown_epsilons(list(known))
+        ]
+
+    def shown_epsilons(self, names: Sequence[str]) -> list[str]:
+        """Of the epsilons that have curves, those that the page shows."""
+        return list(names)
+
+    def panel_title(self, epsilon: str) -> str:
+        """What a panel of curves is called."""
+        del epsilon
+        return ""
+
+    def title(self, figure: str) -> str:
+        """AP with its distance; other names in full."""
+        kind, _, rest = figure.partition("/")
+        return f"AP {float(rest):g} m" if kind == "ap" and _is_number(rest) else super().title(figure)
+
     def weighted(self, found: "Detections", settings: CentreSettings) -> Weighted:
         """The figures of the region, of each bin and the mean of the bins as functions of group weights."""
         scene = gather(found.boxes, found.annotated, settings, found.drives)
@@ -46,6 +68,27 @@ class CentreProtocol(Protocol):
         mean = partial(_mean_of_bins, parts, _reached(settings, found.reach_m), settings)
         groups = tuple(scene.group.tolist())
         return Weighted(parts={**each, "mean_of_bins": mean}, groups=groups, grouped_by=scene.grouped_by)
+
+
+def _lines(epsilon: str, curves: Mapping[str, Any]) -> tuple[CurveLine, ...]:
+    named = {f"within {float(name):g} m": curves[name] for name in sorted(curves, key=float)}
+    lines = (curve_line(name, curve, (f"of epsilon {epsilon}",)) for name, curve in named.items())
+    return tuple(line for line in lines if line is not None)
+
+
+def _is_number(text: str) -> bool:
+    return text.replace(".", "", 1).isdecimal()
+
+
+def distances(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of the APs of a result, by rising distance."""
+    return tuple(f"ap/{name}" for name in sorted(result.get("ap") or {}, key=float))
+
+
+def distance_words(result: Mapping[str, Any]) -> str:
+    """The distances of a result's APs, such as ``"0.5, 1, 2 or 4 m"``."""
+    names = [f"{float(name):g}" for name in sorted(result.get("ap") or {}, key=float)]
+    return f"{' or '.join([', '.join(names[:-1]), names[-1]] if len(names) > 1 else names)} m" if names else "a limit"
 
 
 def evaluate_centre(
