@@ -7,12 +7,13 @@ from typing import Annotated, Any, ClassVar, Protocol, final, runtime_checkable
 import numpy as np
 import torch
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor, nn
 
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kinds import DETECTORS
+from farfield.detectors.renaming import renamed
 from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.boxes import Boxes
 
@@ -43,11 +44,19 @@ class DetectorConfig(BaseModel, ABC):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    old_names: ClassVar[Mapping[str, str]] = {}
+    """Today's places of settings that had other ones, dotted."""
+
     name: str
     score_threshold: float = Field(0.05, ge=0, le=1)
     nms_iou: float = Field(0.1, ge=0, le=1, description="boxes that overlap a better one by more are dropped")
     max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _today(cls, settings: Any) -> Any:
+        return renamed(settings, cls.old_names)
 
     @field_validator("name")
     @classmethod
