@@ -31,7 +31,7 @@ def test_frames_of_the_training_are_named(simulated_cirrus: Path) -> None:
     some = Trained(data_fingerprint=part.fingerprint(), frames=1)
     assert seen_in_training(part, some.provenance, {part.keys[0]})[1] == 1
     other = Trained(data_fingerprint="0" * 64, frames=len(data))
-    assert seen_in_training(data, other.provenance, keys) == ("learnt from other data", 0)
+    assert seen_in_training(data, other.provenance, keys) == ("not found, it learnt from other data", 0)
     assert seen_in_training(data, {}, keys) == ("not known", 0)
     assert seen_in_training([data[0]], whole.provenance, keys) == ("not known", 0)
 

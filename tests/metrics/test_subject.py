@@ -93,3 +93,17 @@ def test_the_class_that_is_scored_is_one_that_the_detector_knows() -> None:
 def test_a_count_that_a_protocol_does_not_give_is_that_of_the_class() -> None:
     subject = np.array([len(boxes) for boxes in example().annotated.values()])
     assert subject.sum() == 50
+
+
+@pytest.mark.parametrize(("name", "word"), [("dds", "aIoU counts as 0"), ("nuscenes", "errors count as 1")])
+def test_a_score_of_nothing_says_why(name: str, word: str) -> None:
+    every = example()
+    few = {key: boxes[:0] if key != ("drive0", "0") else boxes[1:5] for key, boxes in every.boxes.items()}
+    result = replace(every, boxes=few).score(name, label="vehicle", region="none")
+    assert 0 < 4 / 40 < 0.11
+    assert result.figures["map" if name == "nuscenes" else "dds/0/dds"] == 0
+    (note,) = [note for note in result.notes if "over all ranges" in note]
+    assert "only 0.10 of the 40 objects are found within 2 m" in note
+    assert word in note
+    assert not [note for note in every.score(name).notes if "are found" in note]
+    assert not [note for note in replace(every, boxes={}).score(name).notes if "are found" in note]

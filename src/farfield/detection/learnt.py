@@ -30,7 +30,7 @@ def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -
         if any(print_ == candidate.fingerprint() for print_, _ in trained):
             learnt = (learnt or set()) | set(candidate.keys)
     if learnt is None:
-        return "learnt from other data", 0
+        return "not found, it learnt from other data", 0
     common = len(learnt & keys)
     if not common:
         return f"none of the {len(keys)} frames", 0

@@ -1,7 +1,7 @@
 """One self-contained HTML page: scores by range, curves, pictures and what made them. It needs no network."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from farfield.reports.tables import heading, range_name, rows
 from farfield.reports.template import render_template
 from farfield.vocabulary.studio import studio_link
 
+Progress = Callable[[list[FrameView]], Iterable[FrameView]]
 _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
 
 
@@ -36,6 +37,7 @@ def write_report(
     objects: Mapping[str, Mapping[str, Any]] | None = None,
     parts: Mapping[str, Mapping[str, Any]] | None = None,
     shown_score: float = 0.3,
+    progress: Progress = iter,
 ) -> Path:
     """Write the report page, all or nothing.
 
@@ -49,6 +51,7 @@ def write_report(
         objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
         parts: Figures by condition and sector and rows of all classes, see :class:`Evaluation`.
         shown_score: Predictions below this score are left out of pictures.
+        progress: Wraps the frames while they are drawn.
 
     Returns:
         The path.
@@ -65,13 +68,14 @@ def write_report(
             parts=parts or {},
         ),
         shown_score=shown_score,
+        progress=progress,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
 
 
-def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
+def render(evaluation: Evaluation, *, shown_score: float = 0.3, progress: Progress = iter) -> str:
     """Return the page as HTML; arguments as in :func:`write_report`."""
     results = evaluation.results
     first = next(iter(results.values()), {})
@@ -103,7 +107,7 @@ def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
         curves=_curves(results, shown),
         patterns=_patterns(evaluation.frames, edges),
         studio_link=studio_link,
-        frames=[(view, frame_pictures(view, drawing)) for view in evaluation.frames],
+        frames=[(view, frame_pictures(view, drawing)) for view in progress(evaluation.frames)],
         arcs=words.metres(edges),
         points=_points(evaluation.objects, edges),
         shown_score=shown_score,

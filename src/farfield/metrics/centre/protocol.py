@@ -20,7 +20,7 @@ from farfield.metrics.centre.evaluation import (
 )
 from farfield.metrics.centre.scene import Scene, gather
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.curves import Ranking
+from farfield.metrics.curves import FIRST, RECALL, Ranking
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.presenting import CurveLine, CurvePanel, curve_line
 from farfield.metrics.protocol import Protocol
@@ -137,13 +137,36 @@ def evaluate_centre(
         "intervals": drawn,
         "grouped_by": scene.grouped_by,
         "curves": {name: _curves(part, settings) for name, part in parts.items()},
+        "notes": tuple(too_little_found(parts, point, settings)),
     }
+
+
+def too_little_found(parts: Mapping[str, Part], point: Mapping[str, Statistics], settings: CentreSettings) -> list[str]:
+    """Why figures are 0 or 1, the worst, in parts where something was found: recall ends before the averages begin.
+
+    nuScenes' averages begin at a recall of 0.11 (``calc_ap`` and ``calc_tp`` of its devkit).
+    """
+    least, limit = float(RECALL[FIRST]), settings.error_thresholds_m[0]
+    said = list[str]()
+    for name, part in parts.items():
+        ranking = part.ranking[settings.epsilons[0], limit]
+        reached = float(ranking.recall[-1]) if len(ranking.recall) else 0.0
+        worst = settings.with_aiou and point[name].get(f"dds/{settings.epsilons[0]:g}/aiou") == 0
+        if part.annotated and 0 < reached < least and (worst or not settings.with_aiou):
+            where = "over all ranges" if name == "overall" else f"at {name} m"
+            score = "aIoU counts as 0" if settings.with_aiou else "errors count as 1"
+            said.append(
+                f"{where} only {reached:.2f} of the {part.annotated} objects are found within {limit:g} m, and "
+                f"averages begin at a recall of {least:g}: AP there is 0, and {score}"
+            )
+    return said
 
 
 def _figures(
     parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
 ) -> dict[str, Statistics]:
-    found = {name: statistics(part, settings, weight) for name, part in parts.items()}
+    once = {id(part): statistics(part, settings, weight) for part in {id(p): p for p in parts.values()}.values()}
+    found = {name: once[id(part)] for name, part in parts.items()}
     return found | {"mean_of_bins": mean_of_parts([found[name] for name in reached])}
 
 
