@@ -12,6 +12,9 @@ from farfield.cli._detector_options import OWN, BoxFlags
 from farfield.cli._progress import bar, hands
 from farfield.cli._words import deprecated, names, parse_options
 
+_FEW = 40
+"""Frames for which this process is faster than others that must first import torch."""
+
 
 def run(
     detector: Positional[str],
@@ -74,7 +77,7 @@ def run(
         kept: Which of the detector's boxes count.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU or for few frames.
         engine: Where the work is done.
         shown_frames: Frames in the report's pictures.
         report: Draw the page; without it `farfield report` draws it later from what is kept.
@@ -113,7 +116,7 @@ def run(
         protocol=protocol,
         title=f"{detector} on {opened.root.name}",
         provenance={"simulated": is_simulated(opened.root), **({"kept": kept.said} if kept.said else {})},
-        bulk=hands(workers or int(loaded.device.type != "cpu"), engine, "detecting"),
+        bulk=hands(workers or int(loaded.device.type != "cpu" or len(opened) < _FEW), engine, "detecting"),
         kept=folder,
         overwrite=overwrite,
         clocks=clocks,

@@ -16,7 +16,7 @@ from farfield.metrics.detections import Detections
 from farfield.metrics.parts import by_class, by_part, mean_of_classes, parts_json
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
-from farfield.reports.radar_map import power_from_above
+from farfield.reports.power_map import power_from_above
 from farfield.reports.results import scored_labels
 from farfield.reports.sensing import kind_of
 

@@ -38,7 +38,7 @@ class FrameView:
         frame: The frame, with its clouds in reach.
         predictions: Predicted boxes of the first cloud, or by cloud name where several patterns were run.
         title: A few words above its pictures.
-        radar_db: The radar's power from above, see :func:`farfield.reports.radar_map.power_from_above`, or None.
+        radar_db: The radar's power from above, see :func:`farfield.reports.power_map.power_from_above`, or None.
     """
 
     frame: Frame

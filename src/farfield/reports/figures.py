@@ -86,7 +86,7 @@ def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Win
     size = max(round(point_size**0.5 * _POINT_DPI / 72), 1)
     spread = np.zeros_like(count)
     for across, up in np.ndindex(size, size):
-        spread += np.roll(count, (across, up), (0, 1))
+        spread[across:, up:] += count[: shape[0] - across, : shape[1] - up]
     picture = np.zeros((shape[1], shape[0], 4))
     picture[..., :3] = to_rgb(POINT)
     picture[..., 3] = 1.0 - 0.25 ** np.minimum(spread.T, 4.0)
@@ -180,7 +180,15 @@ def draw_legend(
     if rings:
         entries += [Line2D([], [], color=INK, lw=0.9, ls=(0, (1, 3)), label="range")]
     entries += [Line2D([], [], color=INK, marker=">", ls="none", ms=6, label="sensor")]
-    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), handlelength=1.6)
+    loc = "lower center" if figure.get_layout_engine() is None else "outside lower center"
+    figure.legend(handles=entries, loc=loc, ncols=len(entries), handlelength=1.6)
+
+
+def _leave_room(figure: "Figure", *, above_in: float, below_in: float = 0.75) -> None:
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=0.6 / width, right=1 - 0.15 / width, bottom=below_in / height, top=1 - above_in / height, wspace=0.16
+    )
 
 
 def overview(
@@ -197,7 +205,9 @@ def overview(
     """The whole window in one picture; arguments as in :func:`draw_birdseye`, ``point`` is what a dot is."""
     with house_style():
         x_from, x_to, y_from, y_to = window_m
-        figure = new_figure(11.0, 0.85 + (0.3 if title else 0.0) + 10.2 * (y_to - y_from) / (x_to - x_from))
+        above_in = 0.35 if title else 0.1
+        figure = new_figure(11.0, 0.85 + above_in + 10.2 * (y_to - y_from) / (x_to - x_from), fixed=True)
+        _leave_room(figure, above_in=above_in)
         axes = figure.add_subplot()
         draw_birdseye(
             axes,
@@ -233,7 +243,8 @@ def zooms(
 ) -> "Figure":
     """Near, mid and far side by side, each with its own scale; arguments as in :func:`draw_birdseye`."""
     with house_style():
-        figure = new_figure(11.0, 4.0)
+        figure = new_figure(11.0, 4.0, fixed=True)
+        _leave_room(figure, above_in=0.35, below_in=0.5)
         for place, (name, window_m) in enumerate(windows_m, 1):
             axes = figure.add_subplot(1, len(windows_m), place)
             draw_birdseye(

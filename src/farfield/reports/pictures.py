@@ -12,7 +12,7 @@ from farfield.reports.evaluation import FrameView
 from farfield.reports.figures import RANGES_M, Window, filled_zooms, fitting_window, in_window, overview, zooms
 from farfield.reports.objects import of_classes, sure
 from farfield.reports.plots import scan_patterns
-from farfield.reports.radar_map import radar_map
+from farfield.reports.power_map import power_map
 from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title
@@ -105,7 +105,7 @@ def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
         return []
     predictions = next(iter(view.by_cloud.values()), None)
     predicted = None if predictions is None else sure(predictions, drawing.score_min)
-    figure = radar_map(
+    figure = power_map(
         view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
     )
     caption = "Mean power over height, in decibel: the brighter, the stronger. Outlines as above."
