@@ -190,8 +190,18 @@ def adapt(
     )
 
 
-def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
-    """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure."""
+def show(frame: "Frame", predictions: "Boxes | None" = None, *, radar: bool = False) -> Any:
+    """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        radar: Draw the radar's power instead of a cloud; see :func:`farfield.reports.radar_map.radar_map`.
+    """
+    if radar:
+        from farfield.reports.radar_map import radar_map
+
+        return radar_map(frame, predictions)
     from farfield.reports.figures import show_frame
 
     return show_frame(frame, predictions)
