@@ -1,5 +1,8 @@
 """Settings of an experiment: one name for one thing, old names accepted, errors that list the keys, extends."""
 
+import re
+from pathlib import Path
+
 import pytest
 import yaml
 
@@ -145,3 +148,14 @@ def test_what_cannot_be_extended_is_named(tmp_path, text, words):
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_experiment(tmp_path / "mine.yaml")
+
+
+def test_the_experiment_of_the_page_is_one(tmp_path):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "detectors.md").read_text(encoding="utf-8")
+    section = page.partition("## Training from other weights")[2].partition("\n## ")[0]
+    (block,) = re.findall(r"^```yaml\n(.*?)^```", section, flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "mine.yaml").write_text(block)
+    found = load_experiment(tmp_path / "mine.yaml")
+    assert found.detector.class_names == ("vehicle", "tram")
+    assert found.training.start.freeze == ("encoder",)
+    assert found.training.batch_size == 4

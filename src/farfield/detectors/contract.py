@@ -131,6 +131,7 @@ class Network(nn.Module, ABC):
 
     @config.setter
     def config(self, config: Any) -> None:
+        """Refuse another one."""
         if config is not self._config:
             raise ConfigError(FIXED)
 

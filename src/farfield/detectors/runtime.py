@@ -114,6 +114,7 @@ class Detector:
 
     @config.setter
     def config(self, config: Any) -> None:
+        """Refuse one."""
         del config
         raise ConfigError(FIXED)
 

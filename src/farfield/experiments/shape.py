@@ -46,8 +46,9 @@ def merged(base: Tree, over: Tree, kind: Any, path: tuple[str, ...] = ()) -> Tre
     found = dict(base)
     for key, value in over.items():
         below, place = base.get(key), (*path, key)
-        both = isinstance(value, Mapping) and isinstance(below, Mapping)
-        found[key] = merged(dict(below), dict(value), kind, place) if both and _merges(kind, place) else value
+        if isinstance(value, Mapping) and isinstance(below, Mapping) and _merges(kind, place):
+            value = merged(dict(below), dict(value), kind, place)
+        found[key] = value
     return found
 
 
