@@ -1,7 +1,9 @@
 """Each protocol's page has its own words, units, bins and legends, and none of another's."""
 
+import html
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,13 @@ from matplotlib.text import Text
 
 from farfield.frame import Cloud, Frame, Given, Sensor
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
+from farfield.metrics.comparing import compare, read_results
+from farfield.metrics.subject import subject_of
 from farfield.radar.grid import CUBE_SHAPE
 from farfield.reports import page, pictures
 from farfield.reports.evaluating import _parts
 from farfield.reports.evaluation import Evaluation, FrameView
+from farfield.reports.lines import line_of
 from farfield.reports.objects import annotated_objects
 from farfield.testing.protocols import example
 
@@ -66,7 +71,8 @@ def found_of(name: str) -> Detections:
 def evaluation_of(name: str) -> Evaluation:
     found, protocol = found_of(name), PROTOCOLS[name]
     cloud, radar = str(found.cloud), name.startswith("kradar")
-    result = found.score(protocol, bootstrap=STILL).to_json()
+    drawn = {"bootstrap": STILL} if "bootstrap" in protocol.options() else {}
+    result = found.score(protocol, **drawn).to_json()
     key = next(iter(found.annotations))
     points = np.random.default_rng(1).uniform((0, -20, -1), (240, 20, 1), (500, 3)).astype(np.float32)
     frame = Frame(
@@ -146,3 +152,25 @@ def test_kradar_has_its_tables_by_weather_first_and_its_curves() -> None:
     assert "the LiDAR alone" in text
     assert "Radar map" in text
     assert "Nothing is annotated" not in text
+
+
+@pytest.mark.parametrize("name", [*NAMES, "tracking", "nuscenes-tracking"])
+def test_line_json_page_row_and_repr_name_one_subject(name: str, drawn: list[str], tmp_path: Path) -> None:
+    made = evaluation_of(name)
+    (tree,) = made.results.values()
+    subject = subject_of(tree)
+    assert subject is not None
+    assert (subject.detector, subject.data, subject.protocol) == ("pillars", "drives", name)
+    assert subject.annotated
+    assert str(subject) in line_of(tree)
+    made.save(tmp_path / "run")
+    again = Evaluation.load(tmp_path / "run")
+    assert subject_of(next(iter(again.results.values()))) == subject
+    assert html.escape(str(subject)) in page.render(again)
+    (entry, *_) = read_results([tmp_path / "run"])
+    assert entry.subject == subject
+    assert entry.name == subject.name
+    assert str(subject) in " ".join(compare([entry]).split())
+    scored = found_of(name).score(name)
+    assert str(subject) in repr(scored)
+    assert str(subject) in " ".join(str(scored).split())

@@ -76,7 +76,7 @@ def condition_tables(
     tables = []
     for kind in (kind for kind in kinds if kind in _HEADS):
         title, head = _HEADS[kind]
-        values = _names(parts, ("conditions", kind))
+        values = [value for value in _names(parts, ("conditions", kind)) if _is_there(parts, kind, value)]
         if not values:
             continue
         rows = []
@@ -88,6 +88,11 @@ def condition_tables(
             ]
         tables.append((title, head, rows))
     return tables
+
+
+def _is_there(parts: Parts, kind: str, value: str) -> bool:
+    """Whether a part has frames, or nothing says how many it has."""
+    return any(at(part, ("counts", kind, value, "frames")) != 0 for part in parts.values())
 
 
 def _condition(
