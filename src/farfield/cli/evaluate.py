@@ -37,7 +37,7 @@ def run(
     device: str | None = None,
     workers: int = 0,
     engine: str = "local",
-    shown_frames: int = 4,
+    shown_frames: int = 2,
     report: bool = True,
     out: Path | None = None,
     overwrite: bool = False,

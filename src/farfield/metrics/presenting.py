@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.metrics.centre.matching import found_by
 
 Words = tuple[tuple[str, str], ...]
 """Words and what they mean, for readers who are new to them."""
@@ -61,19 +60,24 @@ class Finding:
             predictions: Boxes of a detector.
             annotated: m annotated boxes of the same frame.
         """
-        if self.kind == "centre":
-            return found_by(predictions, annotated, distance_m=self.limit)
         finder = np.full(len(annotated), -1, dtype=np.int64)
         if not len(predictions) or not len(annotated):
             return finder
-        overlap = pairwise_iou(predictions, annotated, kind=self.kind)
+        fit, least = self._fit(predictions, annotated)
         score = np.zeros(len(predictions)) if predictions.score is None else predictions.score
         for row in np.argsort(-score, kind="stable"):
-            free = np.where(finder < 0, overlap[row], 0.0)
+            free = np.where(finder < 0, fit[row], -np.inf)
             best = int(free.argmax())
-            if free[best] > self.limit:
+            if free[best] > least:
                 finder[best] = row
         return finder
+
+    def _fit(self, predictions: Boxes, annotated: Boxes) -> tuple[Float[np.ndarray, "n m"], float]:
+        """How well each pair fits, the more the better, and what it must exceed."""
+        if self.kind != "centre":
+            return pairwise_iou(predictions, annotated, kind=self.kind), self.limit
+        apart_m = predictions.centre_m[:, None, :2] - annotated.centre_m[None, :, :2]
+        return -np.hypot(apart_m[..., 0], apart_m[..., 1]), -self.limit
 
 
 @dataclass(frozen=True)

@@ -174,7 +174,9 @@ def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[st
         (name,) = names
         side.boxes = {(name, frame): boxes for (_, frame), boxes in side.boxes.items()}
         side.details = {(name, frame): known for (_, frame), known in side.details.items()}
-        notes.append(f"{word} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one")
+        notes.append(
+            f"{word} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
+        )
 
 
 def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], notes: list[str]) -> None:

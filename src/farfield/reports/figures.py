@@ -87,9 +87,9 @@ def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Win
     spread = np.zeros_like(count)
     for across, up in np.ndindex(size, size):
         spread[across:, up:] += count[: shape[0] - across, : shape[1] - up]
-    picture = np.zeros((shape[1], shape[0], 4))
-    picture[..., :3] = to_rgb(POINT)
-    picture[..., 3] = 1.0 - 0.25 ** np.minimum(spread.T, 4.0)
+    picture = np.zeros((shape[1], shape[0], 4), dtype=np.uint8)
+    picture[..., :3] = np.round(255 * np.array(to_rgb(POINT)))
+    picture[..., 3] = np.round(255 * (1.0 - 0.25 ** np.minimum(spread.T, 4.0)))
     axes.imshow(
         picture, origin="lower", extent=(x_from, x_to, y_from, y_to), interpolation="nearest", aspect="auto", zorder=2
     )

@@ -17,6 +17,8 @@ from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title
 
+_DPI = 110  # of the points, which are counted at as many
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -75,11 +77,11 @@ def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawi
     alt = f"Bird's-eye view of the {name} cloud to {window[1]:g} m, with annotated and predicted boxes"
     boxes: dict[str, Any] = {"annotated": annotated, "predicted": predicted, "labels": drawing.labels, "rings_m": edges}
     whole = overview(cloud, **boxes, window_m=window, point=returns_word(kind))
-    pictures = [Picture(figure_uri(whole), alt, caption, heading=pattern_title(name))]
+    pictures = [Picture(figure_uri(whole, dpi=_DPI), alt, caption, heading=pattern_title(name))]
     parts = filled_zooms(cloud, annotated, predicted, edges_m=edges)
     if len(parts) > 1:
         enlarged = zooms(cloud, **boxes, windows_m=parts)
-        pictures.append(Picture(figure_uri(enlarged), f"The same {name} view enlarged by range"))
+        pictures.append(Picture(figure_uri(enlarged, dpi=_DPI), f"The same {name} view enlarged by range"))
     return pictures
 
 

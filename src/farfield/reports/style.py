@@ -66,7 +66,7 @@ def new_figure(width_in: float, height_in: float, *, fixed: bool = False) -> "Fi
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout="none" if fixed else "constrained")
+    figure = Figure(figsize=(width_in, height_in), layout=None if fixed else "constrained")
     FigureCanvasAgg(figure)
     return figure
 
