@@ -145,3 +145,24 @@ def test_boxes_written_beside_the_clouds_are_the_labels(own, tmp_path):
     by_table = open_dataset(tmp_path)[0].boxes
     np.testing.assert_array_equal(by_table.centre_m, by_json.centre_m)
     assert list(by_table.label) == ["vehicle"]
+
+
+def test_evaluate_has_the_same_flags_and_keeps_them(own, tmp_path, monkeypatch, capsys):
+    from farfield.errors import ConfigError
+
+    seen = {}
+
+    def stop(detector, data, **settings):
+        seen.update(detector=detector, data=data, **settings)
+        raise ConfigError("far enough")
+
+    monkeypatch.setattr("farfield.reports.evaluating.evaluate_clouds", stop)
+    flags = ["--score-threshold", "0.2", "--max-boxes", "7", "--nms-iou", "0.4", "--classes", "vehicle:car"]
+    assert main(["evaluate", DETECTOR, str(own), *flags, "--device", "cpu", "--out", str(tmp_path)]) == 1
+    assert "far enough" in capsys.readouterr().err
+    config = seen["detector"].config
+    assert (config.score_threshold, config.nms_iou, seen["detector"].chosen.max_boxes) == (0.2, 0.4, 7)
+    assert seen["detector"].class_names == ("car",)
+    assert seen["provenance"]["kept"] == {
+        "score_threshold": 0.2, "nms_iou": 0.4, "max_boxes": 7, "classes": "vehicle:car",
+    }  # fmt: skip

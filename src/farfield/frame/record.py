@@ -61,8 +61,8 @@ def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
     return Sensor(kind="camera", frame_T_sensor=pose, in_frame=False, time_ns=time_ns)
 
 
-def _kind_of(cloud: Cloud | None) -> Kind:
-    return "radar" if cloud is None or cloud.intensity is None else "lidar"
+def _kind_of(cloud: Cloud) -> Kind:
+    return "radar" if cloud.intensity is None else "lidar"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,9 +131,9 @@ class Frame:
         Raises:
             ConfigError: If there is no cloud, or one and several are given.
         """
-        if (cloud is None) == (not clouds):
+        given = dict(clouds or {}) if cloud is None else {name: cloud}
+        if not given or (cloud is not None and clouds):
             raise ConfigError("Frame.of: expected one cloud, or clouds= with one or more by name; got none or both.")
-        given = dict(clouds) if clouds else {name: cloud}
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
         sensors = {key: Sensor(kind=_kind_of(each)) for key, each in given.items()}
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
