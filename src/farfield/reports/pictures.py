@@ -110,7 +110,7 @@ def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
     figure = power_map(
         view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
     )
-    caption = "Mean power over height, in decibel: the brighter, the stronger. Outlines as above."
+    caption = "Mean power over height, in decibel: the brighter, the stronger."
     alt = "The radar's power seen from above, with annotated and predicted boxes"
     return [Picture(figure_uri(figure, "jpg", dpi=110), alt, caption, heading="Radar map")]
 

@@ -30,7 +30,7 @@ def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
     drawn = [(name, panel) for name, result in results.items() for panel in protocol_of(result).curves(result)]
     columns = 2 if len(drawn) > 1 else 1
     with house_style():
-        figure = new_figure(5.1 * columns, 0.5 + 2.6 * -(-len(drawn) // columns))
+        figure = new_figure(10.2, 0.5 + 2.6 * -(-len(drawn) // columns))
         grid = figure.subplots(max(1, -(-len(drawn) // columns)), columns, squeeze=False, sharex=True, sharey=True)
         for place, axes in enumerate(grid.ravel()):
             if place >= len(drawn):
