@@ -174,7 +174,7 @@ class SoftmaxHead(nn.Module):
         headings = range(self.anchors.per_cell // len(self.anchors.names))
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
         logits, codes = ["background", *slots], [(*slot, number) for slot in slots for number in range(_NUMBERS)]
-        parts = {"classes": logits, "boxes_of_anchors": codes}
+        parts: dict[str, Sequence[Any]] = {"classes": logits, "boxes_of_anchors": codes}
         return {f"{part}.{kind}": (0, rows) for part, rows in parts.items() for kind in ("weight", "bias")}
 
     def forward(self, features: FeatureMap, targets: Sequence[BoxTargets] | None = None) -> SoftmaxMaps:
