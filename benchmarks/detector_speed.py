@@ -27,7 +27,7 @@ PUBLISHED = {  # published widths and voxels, on the window of 250 m x 100 m; un
     "second, published widths": ("second-cirrus-sim", ["middle_out=128", "widths=[128,256]", "neck_width=256"]),
     "second, published widths, 0.05 m": (
         "second-cirrus-sim",
-        ["middle_out=128", "widths=[128,256]", "neck_width=256", "grid.voxel_m=[0.05,0.05,0.1]"],
+        ["middle_out=128", "widths=[128,256]", "neck_width=256", "grid.cell_m=[0.05,0.05,0.1]"],
     ),
     "voxelnet, published widths": (
         "voxelnet-cirrus-sim",

@@ -27,7 +27,7 @@ from _report import ROOT, SHARED_REAL, header
 WEIGHTS = ("pointpillars", "pointrcnn", "second", "sparsecentre", "voxelnet")
 SMALL_GRID = {"range_m": 64.0, "half_width_m": 20.0}
 RADAR = {
-    "grid": {**SMALL_GRID, "z_min_m": -3.0, "z_max_m": 1.0, "voxel_m": [1.0, 1.0, 1.0]},
+    "grid": {**SMALL_GRID, "z_min_m": -3.0, "z_max_m": 1.0, "cell_m": [1.0, 1.0, 1.0]},
     "anchors": {"vehicle": {"size_m": [4.2, 2.1, 2.0], "z_m": -1.0, "positive_iou": 0.5, "negative_iou": 0.2}},
     "neck_width": 32,
 }
@@ -45,19 +45,19 @@ DETECTORS: dict[str, dict[str, Any]] = {
         "proposals": {"threshold": 0.0, "bands": {"edges_m": [0.0, 30.0, 64.0], "shares": [0.5, 0.5]}},
     },
     "second": {
-        "grid": {**SMALL_GRID, "voxel_m": [0.2, 0.2, 0.45]},
+        "grid": {**SMALL_GRID, "cell_m": [0.2, 0.2, 0.45]},
         "middle_widths": [8, 8, 16, 16],
         "widths": [64, 64],
         "depths": [0, 0],
     },
     "sparsecentre": {
-        "grid": {**SMALL_GRID, "z_min_m": -4.0, "z_max_m": 4.0, "voxel_m": [0.4, 0.4, 0.5]},
+        "grid": {**SMALL_GRID, "z_min_m": -4.0, "z_max_m": 4.0, "cell_m": [0.4, 0.4, 0.5]},
         "widths": [16, 32],
         "depths": [0, 1],
         "pyramid_widths": [32, 32, 32],
     },
     "voxelnet": {
-        "grid": {**SMALL_GRID, "z_min_m": -3.0, "z_max_m": 1.0, "voxel_m": [0.5, 0.5, 0.8]},
+        "grid": {**SMALL_GRID, "z_min_m": -3.0, "z_max_m": 1.0, "cell_m": [0.5, 0.5, 0.8]},
         "vfe_widths": [8, 16],
         "voxel_channels": 16,
         "middle_widths": [16, 16, 16],

@@ -68,7 +68,7 @@ KRADAR_MINI = {
             "cell_channels": 4,
             "widths": [4, 4, 4],
             "neck_width": 8,
-            "grid": {**CORRIDOR, "voxel_m": [0.8, 0.8, 0.8]},
+            "grid": {**CORRIDOR, "cell_m": [0.8, 0.8, 0.8]},
             "proposals": "anchors",
             "score_threshold": 0.05,
         },

@@ -28,15 +28,33 @@ def open_dataset(path: Path | str, **options: Any) -> "Dataset":
     return open_any(path, **options)
 
 
-def load_detector(name: Path | str, **options: Any) -> "Detector":
+def load_detector(
+    name: Path | str,
+    *,
+    device: Any = None,
+    precision: str = "auto",
+    cloud: str | Mapping[str, str] | None = None,
+    score_threshold: float | None = None,
+    nms_iou: float | None = None,
+    max_boxes: int | None = None,
+    classes: "Iterable[str] | Mapping[str, str] | None" = None,
+) -> "Detector":
     """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, or a weights file.
 
     Args:
         name: Which one.
-        **options: ``device``, ``precision`` ("auto", "fp32", "bf16"), ``cloud`` (which of a frame's clouds to read).
+        device: Where to run; by default a GPU if there is one, else the CPU.
+        precision: ``"fp32"``, ``"bf16"``, or ``"auto"``: what suits the processor.
+        cloud: Which of a frame's clouds to read.
+        score_threshold: Boxes below are not given; lower or higher than the weights' own, which counts unless given.
+        nms_iou: Boxes that overlap a better one by more are not given; likewise.
+        max_boxes: Boxes given in a frame; likewise.
+        classes: Classes to give, such as ``["vehicle"]``, or for each of them the name to give it, such as
+            ``{"vehicle": "car", "large_vehicle": "car"}``; all unless given.
 
     Raises:
         FarfieldError: If there is nothing of this name.
+        ConfigError: If a limit is not possible, or the detector does not know a class.
         MissingExtraError: If torch is not installed.
     """
     from farfield.detectors import DETECTORS
@@ -44,7 +62,16 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
     _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
     from farfield.detectors.runtime import Detector
 
-    return Detector.load(name, **options)
+    return Detector.load(
+        name,
+        device=device,
+        precision=precision,
+        cloud=cloud,
+        score_threshold=score_threshold,
+        nms_iou=nms_iou,
+        max_boxes=max_boxes,
+        classes=classes,
+    )
 
 
 def detect(
@@ -163,8 +190,18 @@ def adapt(
     )
 
 
-def show(frame: "Frame", predictions: "Boxes | None" = None) -> Any:
-    """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure."""
+def show(frame: "Frame", predictions: "Boxes | None" = None, *, radar: bool = False) -> Any:
+    """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        radar: Draw the radar's power instead of a cloud; see :func:`farfield.reports.radar_map.radar_map`.
+    """
+    if radar:
+        from farfield.reports.radar_map import radar_map
+
+        return radar_map(frame, predictions)
     from farfield.reports.figures import show_frame
 
     return show_frame(frame, predictions)

@@ -130,12 +130,13 @@ def test_evaluations_and_several_classes_are_read(tmp_path: Path, capsys: pytest
     a, b = (json.loads(Path(write(tmp_path / "x.json", shift)).read_text()) for shift in (0.0, 0.1))
     both = a | {"labels": {"vehicle": a, "large_vehicle": b | {"label": "large_vehicle"}}}
     (tmp_path / "score.json").write_text(json.dumps(both))
-    (tmp_path / "evaluation.json").write_text(json.dumps({"results": {"gaussian": a, "uniform": b}}))
-    out = run(capsys, str(tmp_path / "score.json"), str(tmp_path / "evaluation.json"), "--label", "vehicle")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "evaluation.json").write_text(json.dumps({"results": {"gaussian": a, "uniform": b}}))
+    out = run(capsys, str(tmp_path / "score.json"), str(tmp_path / "run"), "--label", "vehicle")
     assert [line.split("  ")[0] for line in out.splitlines()[4:7]] == [
         "score",
-        "evaluation: gaussian",
-        "evaluation: uniform",
+        "run: gaussian",
+        "run: uniform",
     ]
     assert "dds, large_vehicle" in run(capsys, str(tmp_path / "score.json"))
 

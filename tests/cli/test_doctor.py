@@ -45,3 +45,24 @@ def test_a_mapping_mends_it(street_root, tmp_path):
 def test_no_data_set_exits_1_with_a_message(tmp_path, capsys):
     assert main(["doctor", str(tmp_path)]) == 1
     assert "recognised no data set" in capsys.readouterr().err
+
+
+def test_what_is_not_there_is_folded_into_one_line(tmp_path, capsys):
+    from drive import frame
+
+    from farfield.datasets.kradar import KRadarWriter
+
+    writer = KRadarWriter(tmp_path / "kradar")
+    writer.write(frame(1))
+    writer.finish()
+    assert main(["doctor", str(tmp_path / "kradar")]) in (0, 1)
+    printed = capsys.readouterr().out
+    table, _, below = printed.partition("not there: ")
+    assert "os2-64" in table
+    rows = [line for line in table.splitlines() if line.startswith("│")]
+    assert not [line for line in rows if "│ none " in line]
+    for absent in ("radar tesseract", "cam-rear", "dash video", "IMU"):
+        assert absent in " ".join(below.split())
+    assert main(["doctor", str(tmp_path / "kradar"), "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert {f["topic"] for f in report["findings"] if f["absent"]} >= {"radar tesseract", "cam-rear", "IMU"}

@@ -26,7 +26,7 @@ def _level(centres: int, radii_m: tuple[float, float], *widths: tuple[int, int])
 
 
 _CELLS = {
-    "grid": {"range_m": 64.0, "half_width_m": 20.0, "z_min_m": -3.0, "z_max_m": 1.0, "voxel_m": [1.0, 1.0, 1.0]},
+    "grid": {"range_m": 64.0, "half_width_m": 20.0, "z_min_m": -3.0, "z_max_m": 1.0, "cell_m": [1.0, 1.0, 1.0]},
     "anchors": {"vehicle": {"size_m": [4.2, 2.1, 2.0], "z_m": -1.0, "positive_iou": 0.5, "negative_iou": 0.2}},
     "proposals": "anchors",
 }
@@ -36,7 +36,7 @@ SMALL: dict[str, Small] = {
     "pointpillars": Small({**_PILLARS, "widths": [16, 32, 32], "neck_width": 32, "out_stride": 2}),
     "pointrcnn": Small(
         {
-            "window": {"range_m": 64.0, "half_width_m": 20.0},
+            "grid": {"range_m": 64.0, "half_width_m": 20.0},
             "sizes_m": {"vehicle": [4.6, 1.95, 1.7], "pedestrian": [0.75, 0.7, 1.75]},
             "points": 2048,
             "bands": {"edges_m": [0.0, 30.0, 64.0], "shares": [0.5, 0.5]},
@@ -70,7 +70,7 @@ SMALL: dict[str, Small] = {
     ),
     "second": Small(
         {
-            "grid": {"range_m": 64.0, "half_width_m": 20.0, "voxel_m": [0.25, 0.25, 0.45]},
+            "grid": {"range_m": 64.0, "half_width_m": 20.0, "cell_m": [0.25, 0.25, 0.45]},
             "middle_widths": [8, 8, 16, 16],
             "middle_out": 32,
             "widths": [64, 64],
@@ -87,7 +87,7 @@ SMALL: dict[str, Small] = {
                 "half_width_m": 20.0,
                 "z_min_m": -4.0,
                 "z_max_m": 4.0,
-                "voxel_m": [0.4, 0.4, 0.5],
+                "cell_m": [0.4, 0.4, 0.5],
             },
             "classes": ["vehicle", "pedestrian"],
             "widths": [16, 32],
@@ -104,7 +104,7 @@ SMALL: dict[str, Small] = {
                 "half_width_m": 20.0,
                 "z_min_m": -3.0,
                 "z_max_m": 1.0,
-                "voxel_m": [0.5, 0.5, 0.8],
+                "cell_m": [0.5, 0.5, 0.8],
             },
             "vfe_widths": [8, 16],
             "voxel_channels": 16,

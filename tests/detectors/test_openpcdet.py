@@ -21,7 +21,7 @@ VOXELS = {
         "half_width_m": 4.8,
         "z_min_m": -3.0,
         "z_max_m": 1.0,
-        "voxel_m": (0.2, 0.2, 0.1),
+        "cell_m": (0.2, 0.2, 0.1),
         "extra_layers": 1,
     }
 }
@@ -204,7 +204,7 @@ def test_other_inputs_of_second_are_an_error(tmp_path):
         import_openpcdet(saved(tmp_path / "x.pth", state), settings=VOXELS)
     path = saved(tmp_path / "x.pth", their.with_layout(their.second_weights(), "2.x"))
     with pytest.raises(ConfigError, match=r"at least 25 layers"):
-        import_openpcdet(path, settings={"grid": {**VOXELS["grid"], "voxel_m": (0.2, 0.2, 0.4)}})
+        import_openpcdet(path, settings={"grid": {**VOXELS["grid"], "cell_m": (0.2, 0.2, 0.4)}})
 
 
 class Evil:

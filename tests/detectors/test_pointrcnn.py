@@ -38,7 +38,7 @@ def level(centres, radii_m, *widths):
 
 
 SMALL = PointRCNNConfig(
-    window=WindowConfig(range_m=64.0, half_width_m=20.0),
+    grid=WindowConfig(range_m=64.0, half_width_m=20.0),
     sizes_m={"vehicle": (4.6, 1.95, 1.7), "pedestrian": (0.75, 0.7, 1.75)},
     points=2048,
     bands=BandConfig(edges_m=(0.0, 30.0, 64.0), shares=(0.5, 0.5)),

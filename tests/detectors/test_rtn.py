@@ -91,4 +91,4 @@ def test_settings_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="multiple of 64"):
         RTNConfig(trunk="resnext101", planes=10, group_width=8)
     with pytest.raises(ValueError, match="as long as wide"):
-        RTNConfig(grid={"voxel_m": [0.4, 0.8, 0.4]})
+        RTNConfig(grid={"cell_m": [0.4, 0.8, 0.4]})

@@ -11,7 +11,7 @@ from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig
 
 PUBLISHED = VoxelGridConfig(
-    range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.05, 0.05, 0.1), extra_layers=1
+    range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.05, 0.05, 0.1), extra_layers=1
 )
 
 
@@ -36,13 +36,13 @@ def test_default_covers_the_range_asked_for():
 @pytest.mark.parametrize("layers", [10, 24])
 def test_a_grid_too_thin_for_the_strides_is_refused_with_the_least_that_fits(layers):
     with pytest.raises(ValidationError, match=f"at least 25 layers.*got {layers}"):
-        SecondConfig(grid=VoxelGridConfig(z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.2, 0.2, 4.0 / layers)))
-    SecondConfig(grid=VoxelGridConfig(z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.2, 0.2, 4.0 / 25)))
+        SecondConfig(grid=VoxelGridConfig(z_min_m=-3.0, z_max_m=1.0, cell_m=(0.2, 0.2, 4.0 / layers)))
+    SecondConfig(grid=VoxelGridConfig(z_min_m=-3.0, z_max_m=1.0, cell_m=(0.2, 0.2, 4.0 / 25)))
 
 
 def test_oblong_voxels_are_refused():
     with pytest.raises(ValidationError, match="as long as wide"):
-        SecondConfig(grid=VoxelGridConfig(voxel_m=(0.1, 0.2, 0.2)))
+        SecondConfig(grid=VoxelGridConfig(cell_m=(0.1, 0.2, 0.2)))
 
 
 def random_sparse(rng, channels, shape=(27, 16, 24), cells=150, batch=2):

@@ -19,7 +19,7 @@ from farfield.frame import Boxes, Cloud
 from farfield.geometry.points import points_in_boxes
 
 SMALL = SparseCentreConfig(
-    grid=VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-4.0, z_max_m=4.0, voxel_m=(0.4, 0.4, 0.5)),
+    grid=VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-4.0, z_max_m=4.0, cell_m=(0.4, 0.4, 0.5)),
     classes=("vehicle", "pedestrian"),
     widths=(16, 32),
     depths=(0, 1),
@@ -228,7 +228,7 @@ def test_losses_vanish_where_all_is_right_and_grow_where_not():
     ("change", "message"),
     [
         ({"depths": (1,)}, "as many depths"),
-        ({"grid": {"voxel_m": (0.2, 0.4, 0.25)}}, "as long as wide"),
+        ({"grid": {"cell_m": (0.2, 0.4, 0.25)}}, "as long as wide"),
         ({"grid": {"z_max_m": 6.25}}, "extra_layers"),
     ],
 )

@@ -14,7 +14,7 @@ from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
 from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder, grouped
 from farfield.detectors.voxels import VoxelGridConfig
 
-GRID = VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.5, 0.5, 0.5))
+GRID = VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.5, 0.5, 0.5))
 SMALL = VoxelNetConfig(
     grid=GRID,
     vfe_widths=(8, 16),
@@ -189,7 +189,7 @@ def test_default_is_the_published_network_on_the_padded_grid():
 
 
 @pytest.mark.parametrize(
-    "change", [{"voxel_m": (0.2, 0.3, 0.4)}, {"voxel_m": (0.5, 0.5, 1.0)}, {"z_max_m": -4.0}, {"voxel_m": (0, 0, 0)}]
+    "change", [{"cell_m": (0.2, 0.3, 0.4)}, {"cell_m": (0.5, 0.5, 1.0)}, {"z_max_m": -4.0}, {"cell_m": (0, 0, 0)}]
 )
 def test_grids_that_cannot_work_are_refused(change):
     with pytest.raises(ValidationError, match=r"expected|greater"):

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 from farfield.detectors.voxels import VoxelGridConfig, mean_voxels, voxel_keys
 
 COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
-GRID = VoxelGridConfig(range_m=20.0, half_width_m=5.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.5, 0.4, 0.8))
+GRID = VoxelGridConfig(range_m=20.0, half_width_m=5.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.5, 0.4, 0.8))
 
 
 def random_cloud(seed, count=3000):
@@ -42,11 +42,11 @@ def brute_force(clouds, multiple):
 def test_shape_pads_both_sides_and_keeps_published_sizes():
     assert GRID.shape(8) == (5, 40, 32)
     assert GRID.y_min_m(8) == pytest.approx(-6.4)
-    voxelnet = VoxelGridConfig(voxel_m=(0.2, 0.2, 0.4), z_min_m=-3.0, z_max_m=1.0)
+    voxelnet = VoxelGridConfig(cell_m=(0.2, 0.2, 0.4), z_min_m=-3.0, z_max_m=1.0)
     assert voxelnet.shape(1) == (10, 1250, 500)
     assert voxelnet.shape(8) == (10, 1256, 504)
     second = VoxelGridConfig(
-        range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.05, 0.05, 0.1), extra_layers=1
+        range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.05, 0.05, 0.1), extra_layers=1
     )
     assert second.shape(8) == (41, 1408, 1600)
 
@@ -110,10 +110,10 @@ def test_empty_clouds_give_empty_voxels():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"voxel_m": (0.0, 0.1, 0.1)},
-        {"voxel_m": (0.1, -0.1, 0.1)},
-        {"voxel_m": (0.001, 0.001, 0.001)},
-        {"voxel_m": (math.nan, 0.1, 0.1)},
+        {"cell_m": (0.0, 0.1, 0.1)},
+        {"cell_m": (0.1, -0.1, 0.1)},
+        {"cell_m": (0.001, 0.001, 0.001)},
+        {"cell_m": (math.nan, 0.1, 0.1)},
         {"z_min_m": 1.0, "z_max_m": 1.0},
         {"range_m": math.inf},
         {"half_width_m": 0.0},

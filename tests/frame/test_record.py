@@ -97,6 +97,19 @@ def test_frame_from_memory(rng: np.random.Generator) -> None:
     assert Frame.of(points).boxes is None
 
 
+def test_frame_of_several_clouds_from_memory(rng: np.random.Generator) -> None:
+    lidar, radar = cloud(rng), Cloud(np.zeros((2, 3), np.float32), None, {"power": np.ones(2, np.float32)})
+    frame = Frame.of(clouds={"top": lidar, "radar": radar}, boxes=Boxes.empty())
+    assert frame.cloud("top") is lidar
+    assert frame.cloud("radar") is radar
+    assert {name: sensor.kind for name, sensor in frame.sensors.items()} == {"top": "lidar", "radar": "radar"}
+    assert frame.reference == "lidar", "the first cloud's kind"
+    assert frame.has_annotation
+    for wrong in ({}, {"clouds": {}}, {"cloud": lidar, "clouds": {"a": lidar}}):
+        with pytest.raises(ConfigError, match="one cloud, or clouds="):
+            Frame.of(**wrong)
+
+
 def test_boxes_are_loaded_once() -> None:
     calls: list[int] = []
 

@@ -33,7 +33,8 @@ def detections(rng: np.random.Generator, **rest: Any) -> Detections:
 def test_a_score_is_the_evaluators(rng: np.random.Generator) -> None:
     found = detections(rng)
     tree = found.score("dds", epsilons=(0.0, 0.01)).to_json()
-    assert tree == evaluate_dds(found.boxes, found.annotated, DdsSettings(epsilons=(0.0, 0.01))).to_json()
+    plain = {name: value for name, value in tree.items() if name != "subject"}
+    assert plain == evaluate_dds(found.boxes, found.annotated, DdsSettings(epsilons=(0.0, 0.01))).to_json()
     assert "notes" not in tree
     assert tree == pickle.loads(pickle.dumps(found)).score("dds", epsilons=(0.0, 0.01)).to_json()
     assert "12 annotated" in repr(found)

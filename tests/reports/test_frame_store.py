@@ -24,7 +24,7 @@ def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path:
         },
     )
     save_frame(tmp_path, "0000", frame, None)
-    back, _, _ = load_frame(tmp_path, "0000")
+    back, _, _, _ = load_frame(tmp_path, "0000")
     assert back.clouds["radar"].intensity is None
     assert back.sensors["lidar"].time_ns == 5
     np.testing.assert_array_equal(back.sensors["radar"].frame_T_sensor, mounted)
@@ -43,7 +43,7 @@ def test_a_stored_frame_keeps_velocities(tmp_path: Path, velocity: list[list[flo
     )
     frame = Frame(sequence="s", frame_id="1", load_annotation=Given(Annotation(boxes=boxes)))
     save_frame(tmp_path, "0000", frame, boxes)
-    back, predicted, _ = load_frame(tmp_path, "0000")
+    back, predicted, _, _ = load_frame(tmp_path, "0000")
     for got in (back.boxes, predicted):
         if velocity is None:
             assert got.velocity_m_s is None

@@ -98,11 +98,11 @@ def test_other_protocols_have_pages_too() -> None:
         "protocol": "kitti",
         "label": "Car",
         "dds": {},
-        "ap": {"3d": {"r40": 0.75}},
-        "settings": {"difficulty": "hard"},
+        "ap": {"3d_r40": {"hard": 0.5, "moderate": 0.75}, "bev_r11": {"hard": 0.25}},
+        "settings": {"dontcare": "none"},
     }
     text = render(Evaluation(results={"mine": kitti}))
-    assert "Overall Car detection score (AP 3d r40, 1 is perfect): 0.75 on mine." in text
+    assert "Overall Car detection score (AP3D R40 moderate, 100 is perfect): 75.0 on mine." in text
     assert "What the score is made of" not in text
 
 

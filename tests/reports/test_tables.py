@@ -1,12 +1,15 @@
 import numpy as np
 
 from farfield.geometry.boxes import Boxes
+from farfield.metrics import PROTOCOLS
 from farfield.reports import words
 from farfield.reports.evaluation import Evaluation
 from farfield.reports.objects import annotated_objects, sure
-from farfield.reports.tables import range_name, rows, score_names, score_title
+from farfield.reports.tables import heading, range_name, rows
 
+DDS = PROTOCOLS["dds"]
 RESULT = {
+    "protocol": "dds",
     "label": "vehicle",
     "dds": {"0": {"dds": 0.5, "map": 0.4, "aiou": 0.6}, "0.006": {"dds": 0.625, "map": 0.5, "aiou": 0.75}},
     "ranges": {"70-150": {"dds": {"0": {"dds": 0.25}}}, "0-70": None},
@@ -22,9 +25,9 @@ def _boxes(x_m: list[float], **extra: np.ndarray) -> Boxes:
 
 
 def test_table_by_hand() -> None:
-    names = score_names({"mine": RESULT})
-    assert [score_title(name) for name in names] == ["DDS", "wDDS 0.006"]
-    table = rows({"mine": RESULT}, names)
+    names = ["dds/0/dds", "dds/0.006/dds"]
+    assert [heading(DDS, name) for name in names] == ["DDS", "wDDS 0.006"]
+    table = rows({"mine": RESULT}, names, DDS)
     assert [(range_name(row.part), row.annotated, *(row.cells[name].text for name in names)) for row in table] == [
         ("0 to 70 m", None, "–", "–"),
         ("70 to 150 m", 4, "0.250", "–"),
@@ -33,7 +36,7 @@ def test_table_by_hand() -> None:
 
 
 def test_rows_carry_intervals_and_order() -> None:
-    table = rows({"a": RESULT, "b": RESULT}, score_names({"a": RESULT}))
+    table = rows({"a": RESULT, "b": RESULT}, ["dds/0/dds"], DDS)
     assert [(row.part, row.result) for row in table[:3]] == [("0-70", "a"), ("0-70", "b"), ("70-150", "a")]
     assert table[-1].cells["dds/0/dds"].interval_text == "0.25 to 0.75"
     assert table[-1].cells["dds/0/dds"].percent == 50.0
@@ -43,14 +46,15 @@ def test_rows_carry_intervals_and_order() -> None:
 
 def test_headline_and_scope_by_hand() -> None:
     results = {"gaussian": RESULT, "uniform": RESULT}
-    assert words.headline(results) == (
-        "Overall vehicle detection score (DDS, 1 is perfect): 0.50 on the Gaussian pattern and "
-        "0.50 on the uniform pattern."
+    shown = DDS.presentation(RESULT)
+    assert words.headline(results, DDS, shown) == (
+        "Overall vehicle detection score (DDS, 1 is perfect): 0.50 (mAP 0.40) on the Gaussian pattern and "
+        "0.50 (mAP 0.40) on the uniform pattern."
     )
     assert words.scope(results) == (
         "Scored: 3 frames with 1,200 annotated objects, the same in the Gaussian pattern and the uniform pattern."
     )
-    assert words.headline({}).startswith("Pictures only")
+    assert words.headline({}, DDS, shown).startswith("Pictures only")
     assert words.scope({}) == ""
     assert "real recordings" in words.origin({"simulated": False})[1]
 

@@ -24,7 +24,7 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
 TASKS = {name: Task(name, small.settings) for name, small in SMALL.items()}
-COARSE = {"grid": SMALL["voxelnet"].settings["grid"] | {"voxel_m": [1.0, 1.0, 0.8]}}
+COARSE = {"grid": SMALL["voxelnet"].settings["grid"] | {"cell_m": [1.0, 1.0, 0.8]}}
 TASKS["voxelnet"] = Task("voxelnet", SMALL["voxelnet"].settings | COARSE | {"middle": "dense"})  # double throughout
 TASKS["voxelnet-sparse"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "sparse"}, double=False)
 

@@ -116,7 +116,7 @@ def device_of(features: Features) -> torch.device:
 
 def z_range_m(config: Any) -> tuple[float, float]:
     """Lowest and highest point that a detector looks at, from its configuration; without limit if it has no grid."""
-    grid = getattr(config, "grid", None) or getattr(config, "window", None)
+    grid = getattr(config, "grid", None)
     return float(getattr(grid, "z_min_m", -np.inf)), float(getattr(grid, "z_max_m", np.inf))
 
 

@@ -12,6 +12,7 @@ VERBS = {
     "doctor": "say what a data set holds, what is missing and how to mend it",
     "stats": "count a data set: frames by condition, boxes by class, range, visibility",
     "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
+    "show": "draw one frame from above: a cloud, or the radar's power",
     "view": "look at a data set in the browser, with detections beside the truth",
     "annotate": "draw and mend boxes and tracks in the browser",
     "simulate": "write a simulated data set in a real data set's layout",

@@ -1,6 +1,7 @@
 """The course of a training on the error stream: lines for a log file, a moving bar for a terminal."""
 
 import time
+from collections import deque
 from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
@@ -18,11 +19,13 @@ class LineReport(Report):
     Args:
         console: Where to.
         folder: The run's folder.
-        every: Steps between lines.
+        every: Steps between lines; losses are means over as many.
+        following: The command to run next, which is printed at the end.
     """
 
-    def __init__(self, console: "Console", folder: Path, every: int) -> None:
-        self.console, self.folder, self.every = console, folder, every
+    def __init__(self, console: "Console", folder: Path, every: int, following: str = "") -> None:
+        self.console, self.folder, self.every, self.following = console, folder, every, following
+        self.recent: deque[dict[str, float]] = deque(maxlen=every)
         self.steps, self.started = 0, time.monotonic()
         self.first: tuple[int, float] | None = None
 
@@ -37,12 +40,17 @@ class LineReport(Report):
         self.console.print(text, soft_wrap=True, highlight=False)
 
     def begins(self, step: int, steps: int) -> None:
-        """Start the clock."""
-        del step
+        """Start the clock; a run that goes on says so."""
         self.steps, self.started = steps, time.monotonic()
+        self.recent.clear()
+        if step >= steps:
+            self.say(f"all {steps} steps are done")
+        elif step:
+            self.say(f"resumes after step {step} of {steps} ({self.folder / 'checkpoint.pt'})")
 
     def step(self, step: int, losses: dict[str, float]) -> None:
         """A line now and then."""
+        self.recent.append(losses)
         now = time.monotonic()
         if self.first is None:
             self.first = step, now
@@ -51,13 +59,22 @@ class LineReport(Report):
         begun, since = self.first
         left_s = (now - since) / max(step - begun, 1) * (self.steps - step)
         left = f", {timedelta(seconds=round(left_s))} left" if step > begun else ""
-        parts = " ".join(f"{name} {value:.3f}" for name, value in losses.items())
-        self.say(f"step {step}/{self.steps}: {parts}, {timedelta(seconds=round(now - self.started))} elapsed{left}")
+        elapsed = timedelta(seconds=round(now - self.started))
+        self.say(f"step {step}/{self.steps}: {self.means}, {elapsed} elapsed{left}")
+
+    @property
+    def means(self) -> str:
+        """Each loss on average over the last steps."""
+        names = dict.fromkeys(name for losses in self.recent for name in losses)
+        values = {name: [losses[name] for losses in self.recent if name in losses] for name in names}
+        return " ".join(f"{name} {sum(each) / len(each):.3f}" for name, each in values.items())
 
     def ends(self, weights: Path | None) -> None:
         """Name the weights and what to do with them."""
         if weights is not None:
-            self.say(f"weights: {weights}\nnext: farfield evaluate {self.folder} DATA")
+            self.say(f"weights: {weights}")
+            if self.following:
+                self.say(f"next: {self.following}")
 
 
 class BarReport(LineReport):
@@ -65,6 +82,7 @@ class BarReport(LineReport):
 
     def begins(self, step: int, steps: int) -> None:
         """Show the bar."""
+        super().begins(step, steps)
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
@@ -88,8 +106,8 @@ class BarReport(LineReport):
 
     def step(self, step: int, losses: dict[str, float]) -> None:
         """Move the bar."""
-        status = " ".join(f"{name} {value:.3f}" for name, value in losses.items())
-        self.progress.update(self.task, completed=step, status=status)
+        self.recent.append(losses)
+        self.progress.update(self.task, completed=step, status=self.means)
 
     def ends(self, weights: Path | None) -> None:
         """Leave the bar and name the weights."""

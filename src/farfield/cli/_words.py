@@ -15,6 +15,21 @@ def names(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
+def pairs_of(text: str, flag: str) -> dict[str, str]:
+    """Comma-separated pairs ``a:b``.
+
+    Raises:
+        ConfigError: If a word is no such pair, or a name stands twice on one side.
+    """
+    found: dict[str, str] = {}
+    for word in names(text):
+        first, colon, second = (part.strip() for part in word.partition(":"))
+        if not (first and colon and second) or first in found or second in found.values():
+            raise ConfigError(f"{flag}: expected pairs A:B, each name once, got {word!r}")
+        found[first] = second
+    return found
+
+
 def deprecated(old: str, old_value: str, new: str, new_value: str) -> str:
     """The value of a flag that had another name, with a warning where the old one is used.
 

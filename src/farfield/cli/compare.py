@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from farfield.cli._progress import hands
+from farfield.cli._words import pairs_of
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.inspection.side import Side
     from farfield.reports.comparison import Line
+
+_UNASKED = " (--clouds A:B sets others side by side)"
 
 
 def run(
@@ -23,6 +26,7 @@ def run(
     names: str = "",
     vehicle_labels: str = "vehicle",
     focus_deg: float = -2.0,
+    clouds: str = "",
     workers: int = 0,
     engine: str = "local",
     mapping_a: Path | None = None,
@@ -35,6 +39,7 @@ def run(
       farfield compare data/sim Cirrus_dataset1
       farfield compare data/sim Cirrus_dataset1 --frames 0 --names simulator,Cirrus --out runs/compare
       farfield compare data/kradar K-Radar --frames 500
+      farfield compare data/sim data/kitti --clouds gaussian:lidar
 
     What one of them lacks is named and left out. Writes comparison.html, one self-contained page, and comparison.json.
 
@@ -45,6 +50,8 @@ def run(
         names: What to call them, separated by a comma; their folders' names unless given.
         vehicle_labels: Classes that count as vehicles, separated by commas.
         focus_deg: Elevation about which shares of returns are also counted.
+        clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
+            given those of one name, or where no name is in both the first beside the first.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are read.
         mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
@@ -52,7 +59,7 @@ def run(
         out: Folder to write into; runs/compare-A-B unless given.
     """
     from farfield.errors import ConfigError
-    from farfield.inspection.side import side_of
+    from farfield.inspection.side import paired, side_of
     from farfield.reports.comparison import table_lines, write_comparison
 
     if frames < 0:
@@ -62,13 +69,16 @@ def run(
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
-    sides = [
+    sides: Sequence[Side] = [
         side_of(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
+    sides, pairs = paired(sides, pairs_of(clouds, "--clouds") if clouds else None)
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
     page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}")
     _print(table_lines(sides), sides)
+    if pairs:
+        print(f"clouds side by side: {', '.join(f'{a} : {b}' for a, b in pairs)}{'' if clouds else _UNASKED}")
     for side in sides:
         print("".join(f"note: {side.title}: {text}\n" for text in side.summary["missing"]), end="")
     print(f"written: {folder / 'comparison.json'}\nreport: {page.resolve()}")

@@ -16,9 +16,10 @@ def run(
     separate: bool = False,
     paper: bool = False,
 ) -> int:
-    """Set results side by side, a row a result; numbers of different conventions never share a column.
+    """Set results side by side, a row a result; numbers of different conventions or data never share a column.
 
     examples:
+      farfield compare-results runs/evaluation-data runs/other-evaluation
       farfield compare-results rtnh.json rtn.json pointpillars.json
       farfield compare-results rtnh.json rtn.json --by weather --figures 3d/0.3 --label vehicle
       farfield compare-results rtnh.json rtn.json --paper
@@ -27,11 +28,13 @@ def run(
 
     Reads what farfield score --json and farfield evaluate write. Two results are of one convention if they agree in
     every setting that their figures depend on. If they do not, the command says in which they differ and stops, or,
-    with --separate, gives each convention columns of its own and names it.
+    with --separate, gives each convention columns of its own and names it. Other data, by the fingerprints of files and
+    of annotated boxes, always have columns of their own. Under each table stands what every row is of.
 
     Args:
-        results: JSON files of results.
-        names: What to call the rows, separated by commas; the files' names unless given.
+        results: JSON files of results, or folders of farfield evaluate.
+        names: What to call the rows, separated by commas; unless given, detector, data and cloud of an evaluation, and
+            the files' names of other results.
         label: The class; all unless given.
         figures: Figures to show, such as dds/0/map or, of K-Radar's protocols, 3d/0.3; a choice unless given.
         by: Columns: none: the figures of the whole; else the parts by that, a table a figure.

@@ -71,11 +71,13 @@ def _print(report: "Report") -> None:
     table = Table(title=f"{report.path} ({report.format})", title_justify="left")
     for name in ("", "topic", "found", "how to mend"):
         table.add_column(name, overflow="fold")
-    for finding in report.findings:
+    for finding in report.present:
         severity = Text(finding.severity, style=_COLOURS[finding.severity])
         what = f"{finding.what} [{finding.where}]" if finding.where else finding.what
         table.add_row(severity, Text(finding.topic), Text(what), Text(finding.mend))
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(table)
+    if report.absent:
+        console.print(f"not there: {', '.join(report.absent)}", highlight=False)
     failures = sum(finding.severity == "fail" for finding in report.findings)
     console.print(f"{failures} findings would make training fail or score zero." if failures else "Ready for training.")

@@ -1,18 +1,19 @@
 """``farfield evaluate``."""
 
 import json
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._progress import hands
+from farfield.cli._detector_options import OWN, BoxFlags
+from farfield.cli._progress import bar, hands
 from farfield.cli._words import deprecated, names, parse_options
 
-if TYPE_CHECKING:
-    from farfield.metrics import Protocol
+_FEW = 40
+"""Frames for which this process is faster than others that must first import torch."""
 
 
 def run(
@@ -31,11 +32,13 @@ def run(
     region: str = "",
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int | None = None,
+    kept: BoxFlags = OWN,
     precision: Literal["auto", "fp32", "bf16"] = "auto",
     device: str | None = None,
     workers: int = 0,
     engine: str = "local",
-    shown_frames: int = 4,
+    shown_frames: int = 2,
+    report: bool = True,
     out: Path | None = None,
     overwrite: bool = False,
 ) -> int:
@@ -47,7 +50,9 @@ def run(
       farfield evaluate pointpillars-cirrus-sim data/kitti --range-bins-m 0,30,50,80 --region range
       farfield evaluate runs/rtnh-kradar-sim data/kradar-val --protocol kradar --region narrow
 
-    What is not given is the protocol's own default; farfield.evaluate(detector, data) gives the same figures.
+    A line says what its figures are of: detector and data with their fingerprints, cloud, class, number of objects,
+    region, protocol, and whether the detector learnt from these frames. What is not given is the protocol's own
+    default; farfield.evaluate(detector, data) gives the same figures.
     Interrupted, the same command goes on where it stopped; with other settings of the protocol nothing is detected
     anew. What the clock measured stands in timing.json, apart from what was computed.
 
@@ -60,8 +65,8 @@ def run(
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
             and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
-        label: The class to score; the most frequent one unless given (large_vehicle counts as vehicle), or with
-            K-Radar's protocols every class that the detector knows.
+        label: The class to score by range; unless given the most frequent one that the detector knows (large_vehicle
+            counts as vehicle), or with K-Radar's protocols every class that it knows. All its classes have a row too.
         range_bins_m: Edges of the range bins; 0,70,150,250 or K-Radar's 0,20,40,60,80 unless given.
         epsilons: wDDS weights; for dds 0,0.003,0.006,0.009 unless given, for nuscenes 0.
         epsilon: The old name of epsilons.
@@ -69,11 +74,13 @@ def run(
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
+        kept: Which of the detector's boxes count.
         precision: fp32, bf16, or what suits the processor.
         device: Where to run, such as cpu or cuda:0.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU or for few frames.
         engine: Where the work is done.
         shown_frames: Frames in the report's pictures.
+        report: Draw the page; without it `farfield report` draws it later from what is kept.
         out: Folder of the evaluation and its report.html; runs/evaluation-DATA unless given.
         overwrite: Detect anew what an evaluation before found.
     """
@@ -83,13 +90,14 @@ def run(
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
     from farfield.reports.evaluating import evaluate_clouds
+    from farfield.reports.lines import classes_of, line_of
     from farfield.reports.page import write_report
 
     epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
     reading: dict[str, Any] = {"mapping": mapping} if mapping else {}
     opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
     opened = opened.split(split) if split else opened
-    loaded = load_detector(detector, precision=precision, device=device)
+    loaded = load_detector(detector, precision=precision, device=device, **kept.options)
     protocol = protocol or opened.protocol
     given: dict[str, Any] = {
         "label": label,
@@ -107,8 +115,8 @@ def run(
         shown_frames=shown_frames,
         protocol=protocol,
         title=f"{detector} on {opened.root.name}",
-        provenance={"simulated": is_simulated(opened.root)},
-        bulk=hands(workers or int(loaded.device.type != "cpu"), engine, "detecting"),
+        provenance={"simulated": is_simulated(opened.root), **({"kept": kept.said} if kept.said else {})},
+        bulk=hands(workers or int(loaded.device.type != "cpu" or len(opened) < _FEW), engine, "detecting"),
         kept=folder,
         overwrite=overwrite,
         clocks=clocks,
@@ -119,30 +127,23 @@ def run(
         write_text(folder / "timing.json", json.dumps(clocks, indent=1) + "\n")
     for name, result in evaluation.results.items():
         print("".join(f"note: {note}\n" for note in result.get("notes", ())), end="")
-        print(f"{name}: {json.dumps(_summary(result, PROTOCOLS[protocol]))}")
-    page = write_report(
-        folder / "report.html",
-        title=evaluation.title,
-        results=evaluation.results,
-        frames=evaluation.frames,
-        settings=evaluation.settings,
-        provenance=evaluation.provenance,
-        objects=evaluation.objects,
-        parts=evaluation.parts,
-    )
+        print(f"{name}: {line_of(result)}")
+        print(classes_of(result, evaluation.parts[name]), end="")
+    if report:
+        page = write_report(
+            folder / "report.html",
+            title=evaluation.title,
+            results=evaluation.results,
+            frames=evaluation.frames,
+            settings=evaluation.settings,
+            provenance=evaluation.provenance,
+            objects=evaluation.objects,
+            parts=evaluation.parts,
+            progress=partial(bar, what="drawing", transient=True),
+        )
     for name, measured in clocks.items():
         print(f"{name}: {measured['median_ms']:.1f} ms a frame from points to boxes (median of {measured['frames']})")
-    print(f"evaluation: {folder / 'evaluation.json'}\nreport: {page.resolve()}")
+    print(f"evaluation: {folder / 'evaluation.json'}")
+    if report:
+        print(f"report: {page.resolve()}")
     return 0
-
-
-def _summary(result: Mapping[str, Any], protocol: "Protocol") -> dict[str, Any]:
-    """The protocol's headline overall and by range: its main figure, or all of it where several stand side by side."""
-    parts = {"overall": result, **result.get("ranges", {})}
-    return {name: None if part is None else _brief(part, protocol) for name, part in parts.items()}
-
-
-def _brief(part: Mapping[str, Any], protocol: "Protocol") -> Any:
-    headline = protocol.headline(part)
-    rounded = {name: None if value is None else round(value, 4) for name, value in headline.items()}
-    return rounded if protocol.several_classes or protocol.per_cent else next(iter(rounded.values()), None)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._detector_options import OWN, BoxFlags
 from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
@@ -15,8 +16,11 @@ if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.datasets.cloud_files import CloudFiles
     from farfield.detection import Found
-    from farfield.files.boxes_csv import BoxRows
     from farfield.frame import Boxes, Key
+
+SURE = 0.1
+"""Boxes from this score on are written unless a threshold is given."""
+_WORDS = {"boxes-csv": "", "kitti": " as KITTI's results", "nuscenes": " as nuScenes' results"}
 
 
 def run(
@@ -24,8 +28,9 @@ def run(
     files: Positional[tuple[Path, ...]],
     *,
     out: Path | None = None,
+    format: Literal["boxes-csv", "kitti", "nuscenes"] | None = None,
     cloud: str | None = None,
-    score_threshold: float = 0.1,
+    kept: BoxFlags = OWN,
     rotate_deg: float = 0.0,
     reference: str = "",
     precision: Literal["auto", "fp32", "bf16"] = "auto",
@@ -34,22 +39,26 @@ def run(
     engine: str = "local",
     picture: Path | None = None,
 ) -> int:
-    """Detect objects in clouds or in a whole data set, and write the boxes as CSV.
+    """Detect objects in clouds or in a whole data set, and write the boxes as CSV, KITTI's or nuScenes' results.
 
     examples:
       farfield predict pointpillars-cirrus-sim scan.pcd
       farfield predict runs/pointpillars-cirrus-sim a.xyz b.bin --out boxes.csv
       farfield predict pointpillars-cirrus-sim Cirrus_dataset1 --cloud uniform --out uniform.csv --picture first.png
+      farfield predict pointpillars-cirrus-sim own --classes vehicle:Car,pedestrian --score-threshold 0.3
+      farfield predict pointpillars-cirrus-sim data/kitti --out results --format kitti
 
-    The columns are those that `farfield score --format boxes-csv` reads. Interrupted with --out, the same command goes
-    on where it stopped.
+    `farfield score --format` reads each of them. Interrupted with --out, the same command goes on where it stopped.
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
         files: Clouds (.pcd, .bin, .npy, .xyz, .ffcloud), or one data set's folder.
-        out: The CSV file; printed unless given.
+        out: Where to write: a file ending in .csv, nuScenes' .json, or with --format kitti a folder; CSV is printed
+            unless given.
+        format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera) or
+            nuscenes (one JSON; boxes in the world where poses are known); what the suffix of --out says unless given.
         cloud: Which of a data set's clouds; the first that suits the detector unless given.
-        score_threshold: Boxes below this score are left out.
+        kept: Which boxes are kept. Without --score-threshold those from 0.1 on, or from the weights' own threshold.
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
@@ -63,10 +72,12 @@ def run(
     from farfield.bulk.folders import sweep_out_file
     from farfield.detection import search
     from farfield.errors import ConfigError
-    from farfield.files.boxes_csv import format_boxes_csv_parts, write_boxes_csv_parts
+    from farfield.files.boxes_csv import format_boxes_csv_parts
+    from farfield.recording.results import Results, result_format, rows_of
 
+    chosen_format = result_format(out, format)
     frames = _frames(files, rotate_deg)
-    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud)
+    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **kept.options)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
     chosen = partial(search, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
@@ -75,37 +86,37 @@ def run(
     if reference and reference not in (own.reference, seen.reference):
         known = " or ".join(dict.fromkeys((own.reference, seen.reference)))
         raise ConfigError(f"--reference: expected {known}, got {reference!r}")
-    shown = seen if reference == seen.reference else own
-    prepared = prepared if shown is seen else chosen(in_own=True)
+    shown = prepared.work.seen if reference == seen.reference else frames
+    prepared = prepared if shown is prepared.work.seen else chosen(in_own=True)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)
-    found = _Sure(frames.keys, prepared.found({}), score_threshold)
+    least = SURE if kept.score_threshold is None else kept.score_threshold
+    found = _Sure(frames.keys, prepared.found({}), least)
     if out is not None and journal is not None:
-        write_boxes_csv_parts(out, found.rows())
+        results = Results(chosen_format, shown, frames.keys, loaded.kind)
+        results.write(out, found)
         journal.unlink(missing_ok=True)
-        print(f"{found.count} boxes in {len(frames)} frames: {out}")
+        print("".join(f"note: {note}\n" for note in results.notes), end="")
+        print(f"{found.count} boxes in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
     else:
-        for text in format_boxes_csv_parts(found.rows()):
+        for text in format_boxes_csv_parts(rows_of(found)):
             sys.stdout.write(text)
     if picture is not None:
-        show(shown, found.first).savefig(picture, dpi=120)
+        show(shown[0], found.first).savefig(picture, dpi=120)
         print(f"picture: {picture}")
     return 0
 
 
 class _Sure:
-    """The boxes above a score, frame by frame; only those of the first frame are kept."""
+    """The boxes from a score on, frame by frame; only those of the first frame are remembered."""
 
     def __init__(self, keys: "Sequence[Key]", found: "Iterator[Found | None]", score_threshold: float) -> None:
         self.keys, self.found, self.threshold = keys, found, score_threshold
         self.count = 0
         self.first: Boxes | None = None
 
-    def rows(self) -> "Iterator[BoxRows]":
-        """Rows of the CSV file, one frame at a time."""
-        from farfield.recording.convert import box_rows
-
+    def __iter__(self) -> "Iterator[tuple[Key, Boxes]]":
         for key, found in zip(self.keys, self.found, strict=True):
             if found is None:
                 continue
@@ -113,7 +124,7 @@ class _Sure:
             boxes = boxes if boxes.score is None else boxes[boxes.score >= self.threshold]
             self.first = boxes if self.first is None else self.first
             self.count += len(boxes)
-            yield box_rows([(key, boxes)])
+            yield key, boxes
 
 
 def _frames(files: tuple[Path, ...], rotate_deg: float) -> "Dataset | CloudFiles":

@@ -101,7 +101,7 @@ def run(
     given |= {n: v for n, v in {"iou": iou, "least_track_score": least_track_score}.items() if v is not None}
     if label_version is not None:
         given["label_version"] = label_version
-    found = read(predictions, labels, format=format)
+    found = replace(read(predictions, labels, format=format), detector=predictions.name, data=labels.name)
     if conditions is not None:
         found = _with_conditions(found, chosen, conditions)
     results = found.score_each(chosen, label=label, **given)

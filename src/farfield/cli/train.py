@@ -1,11 +1,16 @@
 """``farfield train``."""
 
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from farfield.cli._training import BarReport, LineReport
+
+if TYPE_CHECKING:
+    from farfield.experiments.schema import Experiment
 
 
 def run(
@@ -40,5 +45,15 @@ def run(
     console = Console(stderr=True)
     training = settings.training
     kind = BarReport if console.is_terminal else LineReport
-    Plan(settings, out / settings.name).run(kind(console, out / settings.name, training.log_every_steps))
+    folder = out / settings.name
+    Plan(settings, folder).run(kind(console, folder, training.log_every_steps, _following(folder, settings)))
     return 0
+
+
+def _following(folder: Path, settings: "Experiment") -> str:
+    """The command that evaluates the run: on the part of its data that it does not learn from, where they are split."""
+    data = settings.data if not isinstance(settings.data, Mapping) else next(iter(settings.data.values()))
+    words = ["farfield", "evaluate", str(folder), str(data.path)]
+    if data.split == "train":
+        return shlex.join([*words, "--split", "val"])
+    return f"{shlex.join(words)}  # these are the frames that it learnt from; others say more"

@@ -7,13 +7,15 @@ Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
                 "score": 0.9, "track_id": 3, "velocity_m_s": [vx, vy, vz]}]}
 
 ``score``, ``track_id`` and ``velocity_m_s`` (over ground, in the box's axes as its centre is, with or without z) are
-optional; unknown keys are errors.
+optional; unknown keys are errors. Or all boxes in one table, ``labels.csv`` in the folder, with the columns of
+:mod:`farfield.files.boxes_csv`; ``sequence`` may be absent, else it is the folder's name. A frame without a line there
+is not annotated: the JSON ``{"boxes": []}`` beside a cloud says that nothing is to be seen.
 """
 
 import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -28,9 +30,11 @@ from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cl
 from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Boxes, Frame, Lazy, Sensor, camera_sensor
 
+TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
@@ -129,6 +133,35 @@ def _read_annotation(path: Path) -> Annotation:
     return Annotation(boxes=read_boxes(path))
 
 
+def _same(annotation: Annotation) -> Annotation:
+    return annotation
+
+
+def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
+    """The boxes of a sequence by frame, from a table of boxes.
+
+    Args:
+        path: The table.
+        sequence: The sequence's name; a table without that column has one sequence.
+
+    Raises:
+        FileFormatError: If it is no such table.
+    """
+    rows = read_boxes_csv(path)
+    boxes = Boxes(
+        centre_m=rows.centre_m,
+        size_m=rows.size_m,
+        yaw_rad=rows.yaw_rad,
+        label=rows.label,
+        score=rows.score,
+        track_id=rows.track_id,
+        point_count=rows.point_count,
+        velocity_m_s=rows.velocity_m_s,
+    )
+    here = np.full(len(rows), True) if rows.sequence is None else rows.sequence == sequence
+    return {str(frame): boxes[here & (rows.frame == frame)] for frame in dict.fromkeys(rows.frame[here].tolist())}
+
+
 class Folder(Dataset):
     """The clouds of one folder, one sequence named like the folder, each frame named by its file's stem.
 
@@ -140,7 +173,9 @@ class Folder(Dataset):
         intensity_scale: Value that stands for full reflectance; None decides for each file.
 
     Raises:
-        DatasetError: If there is no cloud, or two clouds share a stem.
+        DatasetError: If there is no cloud, two clouds share a stem, a frame has two annotations, or the table none of
+            these clouds.
+        FileFormatError: If the table is damaged.
     """
 
     name = "folder"
@@ -159,6 +194,24 @@ class Folder(Dataset):
         if double is not None:
             raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
         self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT])
+        self.table_path = self.root / TABLE_NAME
+        self._table = read_table(self.table_path, self.sequences[0]) if self.table_path.is_file() else {}
+        self._check_table()
+
+    def _check_table(self) -> None:
+        """Each frame's annotation stands once, and a table is of these clouds."""
+        if self._table and not set(self._table) & set(self.frame_ids):
+            raise DatasetError(
+                f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
+                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files."
+            )
+        for index, stem in enumerate(self.frame_ids):
+            beside = self._beside(index, _BOX_FOLDERS, [".json"]) if stem in self._table else None
+            if beside is not None:
+                raise DatasetError(
+                    f"{self.root}: expected one annotation a frame, found boxes of {stem!r} in {beside.name} and in "
+                    f"{TABLE_NAME}. Remove one of them."
+                )
 
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]
@@ -168,16 +221,24 @@ class Folder(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
         beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
-        return [self.clouds[index], *(path for path in beside if path)]
+        table = self.table_path if self._table else None
+        return [self.clouds[index], *(path for path in (*beside, table) if path)]
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes beside frame ``index``."""
-        path = self._beside(index, _BOX_FOLDERS, [".json"])
-        return None if path is None else _read_annotation(path)
+        load = self._annotation_of(index)
+        return None if load is None else load()
+
+    def _annotation_of(self, index: int) -> Callable[[], Annotation] | None:
+        """What gives the annotation of frame ``index``; None where it has none."""
+        path, listed = self._beside(index, _BOX_FOLDERS, [".json"]), self._table.get(self.frame_ids[index])
+        if path is not None:
+            return partial(_read_annotation, path)
+        return None if listed is None else partial(_same, Annotation(boxes=listed))
 
     def has_annotation(self, index: int) -> bool:
         """Whether boxes stand beside frame ``index``."""
-        return self._beside(index, _BOX_FOLDERS, [".json"]) is not None
+        return self._annotation_of(index) is not None
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(_time_ns(self.frame_ids[index]) for index in indices)
@@ -185,10 +246,7 @@ class Folder(Dataset):
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
-        boxes, image = (
-            self._beside(index, _BOX_FOLDERS, [".json"]),
-            self._beside(index, ("", "images"), _IMAGE_SUFFIXES),
-        )
+        image = self._beside(index, ("", "images"), _IMAGE_SUFFIXES)
         calibration = next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
         cameras = {} if calibration is None else read_calibration(calibration)
@@ -204,6 +262,6 @@ class Folder(Dataset):
                 "lidar": Sensor(kind="lidar"),
                 **{name: camera_sensor(cameras.get(name)) for name in dict.fromkeys([*images, *cameras])},
             },
-            load_annotation=None if boxes is None else partial(_read_annotation, boxes),
+            load_annotation=self._annotation_of(index),
             metadata={"files": [str(file) for file in self.files(index)]},
         )

@@ -9,12 +9,15 @@ import numpy as np
 
 from farfield.bulk import Bulk, Done, Journal, run, values
 from farfield.datasets.base import Dataset
+from farfield.detection.learnt import remembered, seen_in_training
 from farfield.detection.seeing import Frames, as_trained, suitable_clouds
 from farfield.detection.work import AnyDetector, Detecting, Found, points_in
 from farfield.errors import DatasetError
 from farfield.files.spool import Spool, alike
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
+from farfield.metrics.frames import frame_order
+from farfield.metrics.subject import digest_of
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -161,7 +164,11 @@ def detect(
             annotations[frame.key] = _with_counts(frame.annotation, found.point_count)
     if annotated_only and not annotations:
         raise DatasetError(f"{_where(data)}: expected annotated frames, found none with boxes.")
+    words, common = seen_in_training(data, getattr(detector, "provenance", None) or {}, set(annotations))
     return Detections(
+        **_named(detector, data, annotations),
+        seen_in_training=words,
+        notes=remembered(words, common),
         reference=seen[0].reference,
         cloud=prepared.work.cloud,
         classes=tuple(getattr(detector, "class_names", ())),
@@ -184,6 +191,31 @@ def _once(frame: Frame, before: Collection[Key]) -> Frame:
             "frames of your own different names: Frame.of(..., frame_id=...)."
         )
     return frame
+
+
+def _named(detector: Any, data: Frames, annotations: Mapping[Key, Annotation]) -> dict[str, str]:
+    """Who detects in what: names, and what tells equal names apart."""
+    known = {"detector": str(getattr(detector, "name", "") or getattr(detector, "__name__", ""))}
+    if hasattr(detector, "digest"):
+        known["detector_digest"] = detector.digest()
+    if isinstance(data, Dataset):
+        known |= _data_names(data)
+        if data.maps != as_trained(data, detector).maps:  # boxes are seen in other coordinates than the data's own
+            known["labels_fingerprint"] = digest_of(_as_given(data, annotations))
+    return known
+
+
+def _data_names(data: Frames) -> dict[str, str]:
+    return {"data": data.root.name, "fingerprint": data.fingerprint()} if isinstance(data, Dataset) else {}
+
+
+def _as_given(data: Dataset, marked: Mapping[Key, Any]) -> Iterator[tuple[Key, Annotation]]:
+    """The annotations of some frames in the data's own coordinates, in the order of the frames' names."""
+    places = {key: index for index, key in enumerate(data.keys) if key in marked}
+    for key in sorted(places, key=frame_order):
+        annotation = data.annotation(places[key])
+        if annotation is not None:
+            yield key, annotation
 
 
 def _with_counts(annotation: Annotation, point_count: Any) -> Annotation:
@@ -217,6 +249,7 @@ def given(
             annotations[frame.key] = _with_counts(frame.annotation, counts)
             conditions[frame.key], reference = frame.conditions, frame.reference
     return Detections(
+        **_data_names(data),
         reference=reference,
         cloud=cloud,
         drives=data.drives() if isinstance(data, Dataset) else (),

@@ -7,17 +7,28 @@ from typing import Annotated, Any, ClassVar, Protocol, final, runtime_checkable
 import numpy as np
 import torch
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor, nn
 
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kinds import DETECTORS
-from farfield.errors import FarfieldError
+from farfield.detectors.renaming import renamed
+from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.boxes import Boxes
+
+FIXED = (
+    "config: the settings made the network's parts; another configuration would be ignored there. Choose what to keep "
+    "as the detector is loaded: load_detector(name, score_threshold=, nms_iou=, max_boxes=, classes=)."
+)
+"""Why a configuration is not exchanged."""
 
 Channels = Annotated[int, Field(ge=1, le=4096)]
 """A number of features."""
+
+ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
+"""By names of tensors: along which axis rows belong to classes, and what each row is, such as (class, heading, number);
+equal in two networks where they mean the same."""
 
 
 def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
@@ -33,11 +44,19 @@ class DetectorConfig(BaseModel, ABC):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    old_names: ClassVar[Mapping[str, str]] = {}
+    """Today's places of settings that had other ones, dotted."""
+
     name: str
     score_threshold: float = Field(0.05, ge=0, le=1)
     nms_iou: float = Field(0.1, ge=0, le=1, description="boxes that overlap a better one by more are dropped")
     max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _today(cls, settings: Any) -> Any:
+        return renamed(settings, cls.old_names)
 
     @field_validator("name")
     @classmethod
@@ -88,7 +107,6 @@ class Network(nn.Module, ABC):
         config: The detector's settings.
 
     Attributes:
-        config: The detector's settings.
         inputs: What it reads, by name.
         channels: Features of a row of what :meth:`encode` gives.
         low_precision: Submodules that the runtime may turn into bfloat16.
@@ -96,7 +114,6 @@ class Network(nn.Module, ABC):
         head: ``head(features, targets=None)``: outputs of features; only two-stage detectors look at the targets.
     """
 
-    config: Any
     inputs: Mapping[str, CloudInput]
     channels: int
     low_precision: ClassVar[tuple[str, ...]] = ()
@@ -105,7 +122,18 @@ class Network(nn.Module, ABC):
 
     def __init__(self, config: DetectorConfig) -> None:
         super().__init__()
-        self.config = config
+        self._config = config
+
+    @property
+    def config(self) -> Any:
+        """The detector's settings: they made its parts and stay as they are."""
+        return self._config
+
+    @config.setter
+    def config(self, config: Any) -> None:
+        """Refuse another one."""
+        if config is not self._config:
+            raise ConfigError(FIXED)
 
     @abstractmethod
     def encode(self, batch: Mapping[str, list[Tensor]]) -> Features:
@@ -125,6 +153,10 @@ class Network(nn.Module, ABC):
     @abstractmethod
     def decode(self, outputs: Any) -> list[Boxes]:
         """Scored boxes of each frame, best first."""
+
+    def class_rows(self) -> ClassRows:
+        """Which rows of which tensors are of which class: what loading weights with other classes goes by."""
+        return {}
 
     @final
     def forward(self, batch: Mapping[str, list[Tensor]], targets: Sequence[Any] | None = None) -> Any:
@@ -152,3 +184,8 @@ class MapDetector(Network):
         """The head's boxes of each frame, best first."""
         boxes: list[Boxes] = self.head.decode(outputs)
         return boxes
+
+    def class_rows(self) -> ClassRows:
+        """Those of the head, if it says them."""
+        rows: ClassRows = self.head.class_rows() if hasattr(self.head, "class_rows") else {}
+        return {f"head.{name}": given for name, given in rows.items()}

@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import torch
 
-from farfield.detectors.contract import Network
+from farfield.detectors.choosing import ChosenClasses, Classes, reconfigured
+from farfield.detectors.contract import FIXED, Network
 from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
@@ -56,9 +57,15 @@ class Detector:
         precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
+        score_threshold: Boxes below are not given; this and the following are the weights' own unless given.
+        nms_iou: Boxes that overlap a better one by more are not given.
+        max_boxes: Boxes given in a frame.
+        classes: Classes to give, or for each of them the name to give it; all unless given. Boxes of the others still
+            suppress those that they overlap.
+        name: What to call it.
 
     Raises:
-        ConfigError: If the precision is unknown.
+        ConfigError: If the precision is unknown, a limit is not possible or the network does not know a class.
     """
 
     def __init__(
@@ -69,13 +76,23 @@ class Detector:
         device: str | torch.device | None = None,
         precision: str = "auto",
         cloud: str | Mapping[str, str] | None = None,
+        score_threshold: float | None = None,
+        nms_iou: float | None = None,
+        max_boxes: int | None = None,
+        classes: Classes | None = None,
+        name: str = "",
     ) -> None:
         if precision not in ("auto", "fp32", "bf16"):
             raise ConfigError(f"Expected precision to be one of 'auto', 'fp32', 'bf16'; got {precision!r}.")
         self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         self.precision = default_precision(self.device) if precision == "auto" else precision
-        self.provenance, self.cloud, self.config = provenance or {}, cloud, network.config
+        self.provenance, self.cloud, self._name = provenance or {}, cloud, name
         keep_freed_memory()
+        most = None if max_boxes is None or classes is None else max(max_boxes, network.config.max_boxes)
+        changes = {"score_threshold": score_threshold, "nms_iou": nms_iou, "max_boxes": most or max_boxes}
+        network = reconfigured(network, changes)
+        own = tuple(network.config.class_names)
+        self.chosen = None if classes is None else ChosenClasses.of(classes, own, max_boxes or network.config.max_boxes)
         network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
         if self.precision == "bf16":
             for name in network.low_precision:
@@ -85,13 +102,45 @@ class Detector:
     @classmethod
     def load(cls, name: str | Path, **options: Any) -> "Detector":
         """Load a bundled detector by name, a run's folder or a weights file."""
-        network, provenance = load_weights(resolve_weights(name))
-        return cls(network, provenance=provenance, **options)
+        path = resolve_weights(name)
+        network, provenance = load_weights(path)
+        called = path.parent.resolve().name if path.stem == "weights" else path.stem
+        return cls(network, **{"provenance": provenance, "name": called, **options})
+
+    @property
+    def config(self) -> Any:
+        """The network's settings."""
+        return self.network.config
+
+    @config.setter
+    def config(self, config: Any) -> None:
+        """Refuse one."""
+        del config
+        raise ConfigError(FIXED)
+
+    @property
+    def name(self) -> str:
+        """What it is called: its weights, or their run; without either its experiment, or its kind."""
+        return self._name or str(self.provenance.get("experiment", {}).get("name", self.config.name))
+
+    def __repr__(self) -> str:
+        """Its name, kind and classes, and what it keeps."""
+        config, learnt = self.config, ", ".join(self.learnt_clouds)
+        named = {} if self.chosen is None else self.chosen.names
+        renamed = [own if own == given else f"{own} as {given}" for own, given in named.items()]
+        return (
+            f"Detector({self.name}: {config.name} to {self.reach_m:g} m; "
+            f"classes {', '.join(renamed or self.class_names)}; "
+            f"reads {', '.join(self.columns)} of a {self.kind}{f', learnt from {learnt}' if learnt else ''}; "
+            f"scores from {config.score_threshold:g}, overlaps up to {config.nms_iou:g}, at most "
+            f"{config.max_boxes if self.chosen is None else self.chosen.max_boxes} boxes; "
+            f"{self.precision} on {self.device})"
+        )
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """The classes that this detector tells apart."""
-        return tuple(self.config.class_names)
+        """The classes that this detector tells apart, by the names that it gives them."""
+        return tuple(self.config.class_names) if self.chosen is None else self.chosen.given
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -134,6 +183,7 @@ class Detector:
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: weights, settings, precision, and the kind of its device."""
         said = [type(self.network).__name__, self.config.model_dump(mode="json"), self.precision, self.device.type]
+        said += [] if self.chosen is None else [dict(self.chosen.names), self.chosen.max_boxes]
         digest = hashlib.sha256(json.dumps([*said, self.cloud], sort_keys=True, default=str).encode())
         for name, values in self.network.state_dict().items():
             digest.update(f"\0{name}\0{values.dtype}\0{tuple(values.shape)}".encode())
@@ -160,7 +210,8 @@ class Detector:
         clouds = [self._clouds(frame) for frame in frames]
         sources = self.network.inputs.items()
         named = {name: [cloud_tensor(each[name], source.columns) for each in clouds] for name, source in sources}
-        return self.network.predict(Inputs(named).to(self.device))
+        found = self.network.predict(Inputs(named).to(self.device))
+        return found if self.chosen is None else [self.chosen(boxes) for boxes in found]
 
     def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
         """The cloud of each of the network's inputs."""

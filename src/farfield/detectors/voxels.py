@@ -2,15 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor
 
 from farfield.detectors.inputs import POSITION, Positions, features_of, stacked
+from farfield.detectors.renaming import renamed
 from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
 
 _MAX_CELLS = 4_000_000_000
+OLD_NAMES = {"grid.voxel_m": "grid.cell_m"}
+"""Old names of settings in a detector with a voxel grid."""
 MEAN_FEATURES = ("dx", "dy", "dz", "x", "y", "z", "log_count")
 """What :func:`mean_voxels` gives of each voxel, before the means of further columns."""
 
@@ -33,31 +37,43 @@ class VoxelGridConfig(BaseModel):
     half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
     z_min_m: float = Field(-6.0, description="points below are dropped; generous, since roads climb over 250 m")
     z_max_m: float = Field(6.0, description="points above are dropped")
-    voxel_m: tuple[float, float, float] = Field((0.1, 0.1, 0.2), description="voxel size along x, y and z")
+    cell_m: tuple[float, float, float] = Field(
+        (0.1, 0.1, 0.2), description="cell size along x, y and z; one number for a cube"
+    )
     extra_layers: int = Field(0, ge=0, le=64, description="empty layers above, as SECOND's grid has one (41 for 40)")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _old_name(cls, settings: Any) -> Any:
+        return renamed(settings, {"voxel_m": "cell_m"})
+
+    @field_validator("cell_m", mode="before")
+    @classmethod
+    def _cube(cls, cell_m: Any) -> Any:
+        return (cell_m,) * 3 if isinstance(cell_m, int | float) else cell_m
 
     @model_validator(mode="after")
     def _fits(self) -> "VoxelGridConfig":
-        if not min(self.voxel_m) > 0:
-            raise ValueError(f"expected a voxel size above 0 along x, y and z, got {self.voxel_m}")
+        if not min(self.cell_m) > 0:
+            raise ValueError(f"expected a voxel size above 0 along x, y and z, got {self.cell_m}")
         if not self.z_max_m > self.z_min_m:
             raise ValueError(f"expected z_max_m above z_min_m, got {self.z_max_m} and {self.z_min_m}")
         volume_m3 = self.range_m * 2 * self.half_width_m * (self.z_max_m - self.z_min_m)
-        cells = volume_m3 / math.prod(self.voxel_m)
+        cells = volume_m3 / math.prod(self.cell_m)
         if not cells <= _MAX_CELLS:
-            raise ValueError(f"expected at most {_MAX_CELLS:,} voxels, got {cells:,.0f}: take a larger voxel_m")
+            raise ValueError(f"expected at most {_MAX_CELLS:,} voxels, got {cells:,.0f}: take a larger cell_m")
         return self
 
     def shape(self, multiple: int) -> Triple:
         """Cells along z, x and y; ``multiple`` divides the last two."""
-        dx, dy, dz = self.voxel_m
+        dx, dy, dz = self.cell_m
         along = ((self.range_m, dx), (2 * self.half_width_m, dy))
         nx, ny = (math.ceil(round(length / step, 6) / multiple) * multiple for length, step in along)
         return math.ceil(round((self.z_max_m - self.z_min_m) / dz, 6)) + self.extra_layers, nx, ny
 
     def y_min_m(self, multiple: int) -> float:
         """The grid's right edge in metres: padding is shared between both sides."""
-        return -self.shape(multiple)[2] * self.voxel_m[1] / 2
+        return -self.shape(multiple)[2] * self.cell_m[1] / 2
 
 
 def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
@@ -74,7 +90,7 @@ def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: i
         :func:`~farfield.detectors.sparse.tensor.encode_keys` numbers them.
     """
     depth, nx, ny = grid.shape(multiple)
-    dx, dy, dz = grid.voxel_m
+    dx, dy, dz = grid.cell_m
     ix = torch.floor(points[:, 0] / dx)
     iy = torch.floor((points[:, 1] - grid.y_min_m(multiple)) / dy)
     iz = torch.floor((points[:, 2] - grid.z_min_m) / dz)
@@ -154,7 +170,7 @@ def mean_voxels(
     else:
         scale = position.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
         scaled = (position / scale)[:, 0 if positions == "absolute" else 2 :]
-        parts = [offset / position.new_tensor(grid.voxel_m), scaled, torch.log1p(count)]
+        parts = [offset / position.new_tensor(grid.cell_m), scaled, torch.log1p(count)]
         features = torch.cat([*parts, rest], 1)
     return SparseTensor(features, keys, shape, len(clouds))
 
@@ -162,5 +178,5 @@ def mean_voxels(
 def voxel_centres_m(keys: Tensor, grid: VoxelGridConfig, multiple: int) -> Tensor:
     """Centres x, y, z of voxels in metres, shape (n, 3), float32."""
     _, iz, ix, iy = decode_keys(keys, grid.shape(multiple)).unbind(1)
-    dx, dy, dz = grid.voxel_m
+    dx, dy, dz = grid.cell_m
     return torch.stack([(ix + 0.5) * dx, (iy + 0.5) * dy + grid.y_min_m(multiple), (iz + 0.5) * dz + grid.z_min_m], 1)

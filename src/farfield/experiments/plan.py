@@ -19,10 +19,14 @@ from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.recording import ensure
 from farfield.training.launching import launch
-from farfield.training.loop import Training
+from farfield.training.loop import CHECKPOINT_NAME, Training
 from farfield.training.method import METHODS, Method, Stream
 from farfield.training.report import Report
 from farfield.training.samples import TrainingSamples
+from farfield.training.starting import Start, start_network
+
+START_NAME = "start.json"
+"""In a run's folder: what was taken of the weights that it started from."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Plan:
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
-        method = _method(experiment)
+        method, start = _method(experiment, fresh=not (self.folder / CHECKPOINT_NAME).is_file())
         configs = _configs(experiment, method)
         data = {
             name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
@@ -72,7 +76,7 @@ class Plan:
             {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
             experiment.training,
             self.folder,
-            _provenance(experiment, data, configs),
+            {**_provenance(experiment, data, configs), **self._started(start)},
             fabric=fabric,
             held={
                 name: self._samples(method, name, held, configs[name], held=True)
@@ -82,13 +86,27 @@ class Plan:
         )
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
+            if start is not None:
+                write_text(self.folder / START_NAME, json.dumps(start.to_json(), indent=1) + "\n")
+                for line in start.lines():
+                    report.say(line)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
             write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
         weights = training.run(report)
-        if fabric.is_global_zero:
+        if fabric.is_global_zero and experiment.method.name != "supervised":  # which has nothing that goes wrong so
             for text in signs_of(logged(self.folder)):
                 report.say(f"note: {text}")
         return weights
+
+    def _started(self, start: Start | None) -> dict[str, Any]:
+        """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
+        if start is not None:
+            return {"start": start.brief()}
+        path = self.folder / START_NAME
+        if self.experiment.training.start is None or not path.is_file():
+            return {}
+        said = json.loads(path.read_text(encoding="utf-8"))
+        return {"start": {name: said[name] for name in ("weights", "sha256", "share")}}
 
     def _samples(
         self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
@@ -125,11 +143,13 @@ def _groups(experiment: Experiment) -> dict[str, DataConfig]:
     return {"": experiment.data} if isinstance(experiment.data, DataConfig) else dict(experiment.data)
 
 
-def _method(experiment: Experiment) -> Method:
+def _method(experiment: Experiment, *, fresh: bool) -> tuple[Method, Start | None]:
+    """The method with its network; a fresh run's network takes the weights to start from."""
     network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes, with it
-    kind = METHODS[experiment.method.name]
+    kind, start = METHODS[experiment.method.name], experiment.training.start
+    found = start_network(network, start.weights) if start is not None and fresh else None
     try:
-        return kind(network, **experiment.method.settings)
+        return kind(network, **experiment.method.settings), found
     except TypeError as error:
         raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {error}") from error
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import yaml
 from pydantic import (
@@ -13,14 +13,21 @@ from pydantic import (
     SerializeAsAny,
     Tag,
     ValidationError,
+    create_model,
     field_validator,
 )
 
 from farfield.detectors import DETECTORS
 from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.renaming import renamed, today
 from farfield.errors import ConfigError, FarfieldError
+from farfield.experiments.catalogue import find
+from farfield.experiments.shape import hint, keys_of, merged
 from farfield.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 
 class DataConfig(BaseModel):
@@ -109,9 +116,38 @@ class Experiment(BaseModel):
 def load_experiment(path: Path, overrides: list[str] | None = None) -> Experiment:
     """Read an experiment and apply overrides such as ``training.steps=500``.
 
+    A file with ``extends: FILE`` lies over another, named relative to its folder, or over a shipped experiment by its
+    name: groups of settings are merged; values, lists and mappings of names (anchors, sizes, pasted objects) replaced.
+
     Raises:
         ConfigError: If the file cannot be read, or a key or value is not one of those possible.
     """
+    return experiment_of(_extended(path), overrides or (), where=str(path))
+
+
+def _extended(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """The settings of a file over those of the files that it extends."""
+    tree = _tree(path)
+    base = tree.pop("extends", None)
+    if base is None:
+        return tree
+    if not isinstance(base, str) or "name" not in tree:
+        lacks = "a file or a shipped experiment" if not isinstance(base, str) else "a name of its own beside it"
+        raise ConfigError(f"{path}: expected extends: with {lacks}, got {base!r}.")
+    found = (path.parent / base) if (path.parent / base).is_file() else find(base)
+    if found.resolve() in (path.resolve(), *above):
+        raise ConfigError(f"{path}: extends itself, by {base}.")
+    below = _extended(found, (*above, path.resolve()))
+    if _detector_name(tree, below) != _detector_name(below):
+        below = {name: value for name, value in below.items() if name != "detector"}
+    name = _detector_name(tree, below)
+    for each in (below, tree):
+        if "detector" in each:
+            each["detector"] = _under_today_s_names(each["detector"], _kind(name), str(path))
+    return merged(below, tree, _whole(name))
+
+
+def _tree(path: Path) -> dict[str, Any]:
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -122,7 +158,7 @@ def load_experiment(path: Path, overrides: list[str] | None = None) -> Experimen
         raise ConfigError(
             f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}."
         )
-    return experiment_of(tree, overrides or (), where=str(path))
+    return tree
 
 
 def experiment_of(tree: dict[str, Any], overrides: Sequence[str] = (), *, where: str = "experiment") -> Experiment:
@@ -136,25 +172,64 @@ def experiment_of(tree: dict[str, Any], overrides: Sequence[str] = (), *, where:
     Raises:
         ConfigError: If a key or value is not one of those possible.
     """
+    name = _detector_name(tree)
     for override in overrides:
-        _override(tree, override)
+        name = override.removeprefix("detector.name=") if override.startswith("detector.name=") else name
+        _override(tree, _kind(name), override)
     try:
         return Experiment.model_validate(tree)
     except ValidationError as error:
-        lines = [f"  {_place(item['loc'])}: {item['msg']}" for item in error.errors()]
+        lines = [_fault(item, _whole(_detector_name(tree))) for item in error.errors()]
         raise ConfigError(f"{where}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
 
 
-def _place(location: tuple[int | str, ...]) -> str:
+def _detector_name(*trees: dict[str, Any]) -> str:
+    """Name of the detector: that of the first of several trees of settings that says it."""
+    said = [tree["detector"].get("name") for tree in trees if isinstance(tree.get("detector"), dict)]
+    return next((str(name) for name in said if name), "pointpillars")
+
+
+def _kind(detector: str) -> type[DetectorConfig]:
+    """The settings of a detector; of one that is not known, those that all share."""
+    try:
+        return DETECTORS[detector].config_class
+    except FarfieldError:
+        return DetectorConfig
+
+
+def _whole(detector: str) -> type[Experiment]:
+    """The model of an experiment with this detector."""
+    return create_model("Experiment", __base__=Experiment, detector=(_kind(detector), ...))
+
+
+def _fault(item: "ErrorDetails", whole: type[Experiment]) -> str:
+    """A line on what does not fit; for an unknown key with those that there are."""
+    path, what = _place(item["loc"]), item["msg"]
+    if item["type"] == "extra_forbidden":
+        what = hint(str(path[-1]), keys_of(whole, path[:-1]))
+    return f"  {'.'.join(map(str, path))}: {what}"
+
+
+def _place(location: tuple[int | str, ...]) -> list[int | str]:
     """Keys of the file that lead to a fault, without the words of the choice between one data set and several."""
-    words = [word for place, word in enumerate(location) if not (place == 1 and word in ("one", "several"))]
-    return ".".join(map(str, words))
+    return [word for place, word in enumerate(location) if not (place == 1 and word in ("one", "several"))]
 
 
-def _override(tree: dict[str, Any], override: str) -> None:
+def _under_today_s_names(settings: Any, detector: type[DetectorConfig], where: str) -> Any:
+    try:
+        return renamed(settings, detector.old_names)
+    except ValueError as error:
+        raise ConfigError(f"{where}: detector: {error}.") from error
+
+
+def _override(tree: dict[str, Any], detector: type[DetectorConfig], override: str) -> None:
     path, separator, value = override.partition("=")
     if not separator or not path:
         raise ConfigError(f"Expected an override of the form key.key=value, got {override!r}.")
+    group, dot, within = path.partition(".")
+    path = f"{group}.{today(within, detector.old_names)}" if group == "detector" and dot else path
+    if group == "detector" and isinstance(tree.get(group), dict):
+        tree[group] = _under_today_s_names(tree[group], detector, override)
     *parents, last = path.split(".")
     for key in parents:
         tree = tree.setdefault(key, {})

@@ -61,6 +61,10 @@ def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
     return Sensor(kind="camera", frame_T_sensor=pose, in_frame=False, time_ns=time_ns)
 
 
+def _kind_of(cloud: Cloud) -> Kind:
+    return "radar" if cloud.intensity is None else "lidar"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
     """One moment of one drive: what the sensors gave, what was annotated, and how it was taken.
@@ -103,17 +107,38 @@ class Frame:
     metadata: Lazy | Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, cloud: Cloud, boxes: Boxes | Annotation | None = None, *, name: str = "lidar", **rest: Any) -> "Frame":
-        """Make a frame from one cloud (and what was annotated) already in memory.
+    def of(
+        cls,
+        cloud: Cloud | None = None,
+        boxes: Boxes | Annotation | None = None,
+        *,
+        clouds: Mapping[str, Cloud] | None = None,
+        name: str = "lidar",
+        **rest: Any,
+    ) -> "Frame":
+        """Make a frame from one cloud, or several by name, and what was annotated, already in memory.
 
-        Its sensor is a LiDAR if the cloud has intensities and else a radar, unless ``sensors`` says otherwise; that
-        kind also names the coordinates, unless ``reference`` does.
+        The sensor of a cloud is a LiDAR if the cloud has intensities and else a radar, unless ``sensors`` says
+        otherwise; the first one's kind also names the coordinates, unless ``reference`` does.
+
+        Args:
+            cloud: The only cloud.
+            boxes: What was annotated.
+            clouds: Several clouds by name, in its place.
+            name: What to call the only cloud.
+            **rest: Further fields of the frame.
+
+        Raises:
+            ConfigError: If there is no cloud, or one and several are given.
         """
+        given = dict(clouds or {}) if cloud is None else {name: cloud}
+        if not given or (cloud is not None and clouds):
+            raise ConfigError("Frame.of: expected one cloud, or clouds= with one or more by name; got none or both.")
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
-        kind: Kind = "radar" if cloud.intensity is None else "lidar"
-        given: dict[str, Any] = {"sequence": "memory", "frame_id": "0", "reference": kind}
-        rest = {**given, "sensors": {name: Sensor(kind=kind)}, **rest}
-        return cls(clouds={name: cloud}, load_annotation=None if annotation is None else Given(annotation), **rest)
+        sensors = {key: Sensor(kind=_kind_of(each)) for key, each in given.items()}
+        usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
+        load = None if annotation is None else Given(annotation)
+        return cls(clouds=given, load_annotation=load, **{**usual, "sensors": sensors, **rest})
 
     @property
     def key(self) -> Key:

@@ -1,8 +1,8 @@
 """One of two data sets that are set side by side: its statistics as plain data, and how they are counted."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
 from farfield.datasets.base import Dataset
-from farfield.errors import FarfieldError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.inspection.statistics import Statistics
 from farfield.vocabulary.kradar import OUSTER_LINES
@@ -81,6 +81,50 @@ def side_of(data: Dataset, name: str, frames: int = 0, bulk: Bulk = HERE, **sett
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
     return Side(name, summary, statistics.arrays(), str(data.root))
+
+
+def paired(
+    sides: Sequence[Side], clouds: Mapping[str, str] | None = None
+) -> tuple[tuple[Side, Side], list[tuple[str, str]]]:
+    """Two sides whose clouds stand beside one another under one name.
+
+    Args:
+        sides: Both.
+        clouds: For clouds of the first side those of the second; the others are left out. Without it clouds of one name
+            are paired, and where no name is in both, the first cloud with the first.
+
+    Returns:
+        The sides, a pair of two names called ``"first : second"``, and the pairs.
+
+    Raises:
+        ConfigError: If a side has no such cloud.
+    """
+    first, second = sides
+    theirs, others = (list(side.summary.get("clouds", {})) for side in (first, second))
+    pairs = dict(clouds) if clouds else {name: name for name in theirs if name in others}
+    if not pairs and theirs and others:
+        pairs = {theirs[0]: others[0]}
+    for side, known, wanted in ((first, theirs, pairs), (second, others, pairs.values())):
+        missing = next((name for name in wanted if name not in known), None)
+        if missing is not None:
+            raise ConfigError(f"clouds: {side.name} has no cloud {missing!r}; it has {', '.join(known) or 'none'}")
+    common = {(a, b): a if a == b else f"{a} : {b}" for a, b in pairs.items()}
+    renamed = (
+        _with_clouds(first, {a: name for (a, _), name in common.items()}, alone=bool(clouds)),
+        _with_clouds(second, {b: name for (_, b), name in common.items()}, alone=bool(clouds)),
+    )
+    return renamed, list(pairs.items())
+
+
+def _with_clouds(side: Side, names: Mapping[str, str], *, alone: bool) -> Side:
+    """A side with some clouds under other names, and perhaps only those."""
+    clouds = {names.get(n, n): c for n, c in side.summary.get("clouds", {}).items() if n in names or not alone}
+    arrays = {}
+    for key, array in side.arrays.items():
+        kind, slash, name = key.partition("/")
+        if not slash or name in names or not alone:
+            arrays[f"{kind}{slash}{names.get(name, name)}"] = array
+    return replace(side, summary={**side.summary, "clouds": clouds}, arrays=arrays)
 
 
 def has_sensors(data: Dataset) -> bool:

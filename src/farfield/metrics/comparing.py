@@ -12,10 +12,12 @@ from farfield.files.atomic import read_bytes
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.protocol import Protocol, protocol_of
 from farfield.metrics.result import at, figure_names, table, value_at
+from farfield.metrics.subject import Subject, subject_of
 from farfield.vocabulary.conditions import CONDITIONS
 
 Tree = Mapping[str, Any]
 _MAX_BYTES = 1 << 28
+_EVALUATION = "evaluation.json"
 _HOMES = {"range": ("ranges",), "visibility": ("visibility",)}  # others: conditions
 
 
@@ -29,6 +31,7 @@ class Entry:
         label: The class.
         tree: Result JSON.
         protocol: The protocol.
+        subject: What it is of; None for a result from before results said so.
     """
 
     name: str
@@ -36,6 +39,14 @@ class Entry:
     label: str
     tree: Tree
     protocol: Protocol
+    subject: Subject | None = None
+
+    def same_data(self, other: "Entry") -> bool:
+        """Whether both are of the same data: by fingerprints where both have any, else by the numbers of boxes."""
+        a, b = self.subject, other.subject
+        if a is not None and b is not None and a.labels_fingerprint and b.labels_fingerprint:
+            return a.same_data(b)
+        return _data(self) == _data(other)
 
 
 @dataclass(frozen=True)
@@ -55,7 +66,9 @@ def compare(
     by: str = "none",
     separate: bool = False,
 ) -> str:
-    """Tables of results with their conventions, a row a result, a table a protocol and class.
+    """Tables of results with their conventions and subjects, a row a result, a table a protocol and class.
+
+    Results of different data have columns of their own, as conventions have that are kept apart.
 
     Args:
         entries: The results, see :func:`read_results`.
@@ -83,17 +96,18 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Entry
     """Read result files: what ``farfield score --json`` and ``farfield evaluate`` write.
 
     Args:
-        paths: JSON files.
-        names: What to call the results; the files' names unless given.
+        paths: JSON files, or folders of ``farfield evaluate``.
+        names: What to call the results; unless given, an evaluation's by its detector, data and cloud, others by their
+            files.
 
     Raises:
         ConfigError: If there is no such file, or there are not as many names as results.
         FileFormatError: If a file holds no result.
     """
     found: list[tuple[str, Tree]] = []
-    for path in paths:
+    for path in map(_file_of, paths):
         trees = _read(path)
-        found += [(path.stem if len(trees) == 1 else f"{path.stem}: {name}", tree) for name, tree in trees.items()]
+        found += [(_called(path, name, tree, alone=len(trees) == 1), tree) for name, tree in trees.items()]
     called = list(names) or [name for name, _ in found]
     if not found or len(called) != len(found) or not all(called):
         raise ConfigError(f"expected one or more results and as many names, got {len(found)} and {', '.join(names)!r}")
@@ -106,8 +120,24 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Entry
             classes = dict.fromkeys(tree["settings"].get("classes") or (), tree)
         else:
             classes = tree.get("labels") or {tree.get("label", ""): tree}
-        entries += [Entry(name, family, str(label), each, protocol) for label, each in classes.items()]
+        entries += [
+            Entry(name, family, str(label), each, protocol, subject_of(each) or subject_of(tree))
+            for label, each in classes.items()
+        ]
     return entries
+
+
+def _file_of(path: Path) -> Path:
+    return path / _EVALUATION if path.is_dir() else path
+
+
+def _called(path: Path, name: str, tree: Tree, *, alone: bool) -> str:
+    """What a result is called: an evaluation by its subject or else its folder, others by their file."""
+    subject = subject_of(tree)
+    if path.name == _EVALUATION and subject is not None and subject.detector:
+        return subject.name
+    stem = path.resolve().parent.name if path.name == _EVALUATION and path.resolve().parent.name else path.stem
+    return stem if alone else f"{stem}: {name}"
 
 
 def _read(path: Path) -> dict[str, Tree]:
@@ -192,13 +222,14 @@ def _footer(members: list[Entry], letters: Mapping[str, str], *, by_range: bool)
     lines = []
     for letter, entry in firsts.items():
         mark = f"[{letter}] " if len(firsts) > 1 else ""
-        text = mark + convention_text(entry.tree, by_range=by_range)
-        lines.append(textwrap.fill(text, 116, subsequent_indent="  ", break_on_hyphens=False))
-    data = {entry.name: _data(entry) for entry in members}
-    if len(set(data.values())) > 1:
+        lines.append(mark + convention_text(entry.tree, by_range=by_range))
+    lines += [f"row {entry.name}: {entry.subject}" for entry in members if entry.subject is not None]
+    if not all(entry.same_data(members[0]) for entry in members):
+        data = {entry.name: _data(entry) for entry in members}
         known = "; ".join(f"{name}: {frames} frames, {boxes} annotated" for name, (frames, boxes) in data.items())
         lines.append(f"note: not the same data. {known}")
-    return "\n".join(lines)
+    wrapped = (textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+    return "\n".join(wrapped)
 
 
 def _data(entry: Entry) -> tuple[Any, Any]:
@@ -208,23 +239,34 @@ def _data(entry: Entry) -> tuple[Any, Any]:
 
 
 def _conventions(members: list[Entry], *, by_range: bool, separate: bool) -> list[str]:
-    """A letter for the convention of each result; there is one letter only unless they may stand apart."""
+    """A letter for the data and the convention of each result.
+
+    Different data always stand apart; different conventions may, or are refused.
+    """
     firsts: list[Entry] = []
     letters = []
     for entry in members:
-        same = [not differing_settings(first.tree, entry.tree, by_range=by_range) for first in firsts]
+        same = [
+            first.same_data(entry) and not differing_settings(first.tree, entry.tree, by_range=by_range)
+            for first in firsts
+        ]
         if not any(same):
             if firsts and not separate:
-                differing = differing_settings(firsts[0].tree, entry.tree, by_range=by_range)
-                words = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
-                raise ConfigError(
-                    f"{firsts[0].name} and {entry.name} were scored by different conventions ({words}), so their "
-                    "numbers do not belong in one column. Score them alike, or keep them apart (--separate)"
-                )
+                _check_convention(firsts[0], entry, by_range=by_range)
             firsts.append(entry)
             same.append(True)
         letters.append(chr(ord("A") + same.index(True)) if same.index(True) < 26 else f"Z{same.index(True)}")
     return letters
+
+
+def _check_convention(first: Entry, entry: Entry, *, by_range: bool) -> None:
+    differing = differing_settings(first.tree, entry.tree, by_range=by_range)
+    if differing:
+        words = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
+        raise ConfigError(
+            f"{first.name} and {entry.name} were scored by different conventions ({words}), so their "
+            "numbers do not belong in one column. Score them alike, or keep them apart (--separate)"
+        )
 
 
 def _columns(members: list[Entry], figures: Sequence[str], by: str) -> list[tuple[str, list[Column]]]:

@@ -17,6 +17,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.protocol import PROTOCOLS, Protocol
 from farfield.metrics.result import Result
+from farfield.metrics.subject import Subject, labels_fingerprint, region_words
 
 Details = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
@@ -38,6 +39,12 @@ class Detections:
         ms: Time that each frame took, milliseconds.
         reach_m: How far the detector sees; None where not known.
         notes: What was assumed so far, one sentence each.
+        detector: Name of the detector; empty where not known, and so are the next four.
+        detector_digest: SHA-256 of all that decides its boxes.
+        data: Name of the data.
+        fingerprint: SHA-256 of the data's files.
+        labels_fingerprint: SHA-256 of the annotated boxes as the data has them; unless given, of the annotations here.
+        seen_in_training: What is known of the detector having learnt from these frames, in words.
     """
 
     boxes: BoxesByFrame
@@ -52,6 +59,12 @@ class Detections:
     ms: tuple[float, ...] = ()
     reach_m: float | None = None
     notes: tuple[str, ...] = ()
+    detector: str = ""
+    detector_digest: str = ""
+    data: str = ""
+    fingerprint: str = ""
+    labels_fingerprint: str = ""
+    seen_in_training: str = "not known"
 
     def __repr__(self) -> str:
         boxes = sum(map(len, self.boxes.values()))
@@ -81,7 +94,7 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         found = self.counted()
-        return found.evaluated(chosen, chosen.settings(found, **settings))
+        return self._about(found.evaluated(chosen, chosen.settings(found, **settings)))
 
     def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
         """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
@@ -91,7 +104,29 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         found = self.counted()
-        return [found.evaluated(chosen, each) for each in chosen.each(found, **settings)]
+        return [self._about(found.evaluated(chosen, each)) for each in chosen.each(found, **settings)]
+
+    def _about(self, result: Result) -> Result:
+        """The result with its subject: the one place where subjects are made."""
+        counted = result.counts.get("annotated")
+        subject = Subject(
+            protocol=result.protocol,
+            label=result.label,
+            detector=self.detector,
+            detector_digest=self.detector_digest,
+            data=self.data,
+            fingerprint=self.fingerprint,
+            labels_fingerprint=self.labels_fingerprint or labels_fingerprint(self.annotations),
+            cloud=self.cloud or "",
+            region=region_words(result.settings),
+            annotated=counted if isinstance(counted, int) else self._number_of(result.label),
+            frames=len(self.annotations),
+            seen_in_training=self.seen_in_training,
+        )
+        return replace(result, subject=subject)
+
+    def _number_of(self, label: str) -> int:
+        return sum(int(np.count_nonzero(boxes.label == label)) for boxes in self.annotated.values())
 
     def evaluated(self, protocol: Protocol, settings: Any) -> Result:
         """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""

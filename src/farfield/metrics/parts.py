@@ -163,12 +163,33 @@ class ClassRow:
         return {"annotated": self.annotated, "figures": self.figures, **({"why": self.why} if self.why else {})}
 
 
+def mean_of_classes(rows: Sequence[ClassRow]) -> dict[str, Any] | None:
+    """The mean of each figure over the classes that have it, each class counting alike; None below two classes.
+
+    Args:
+        rows: What :func:`by_class` gives.
+
+    Returns:
+        ``of``, ``annotated`` (all of them) and ``figures``, as JSON values.
+    """
+    scored = [row for row in rows if row.figures and any(value is not None for value in row.figures.values())]
+    if len(scored) < 2:
+        return None
+    means: dict[str, float | None] = {}
+    for name in dict.fromkeys(name for row in scored for name in row.figures or ()):
+        values = [value for row in scored if (value := (row.figures or {}).get(name)) is not None]
+        means[name] = sum(values) / len(values) if len(values) == len(scored) else None
+    labels, annotated = [row.label for row in scored], sum(row.annotated for row in scored)
+    return {"of": labels, "annotated": annotated, "figures": means}
+
+
 def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: Any) -> list[ClassRow]:
     """A row for each class of a data set, null where nothing is annotated or learnt.
 
     The classes are the protocol's: Cirrus' eight, or for K-Radar's protocols its seven, of which the two groups are
-    counted as what they are groups of. A class stands for itself where the detector learnt it; where it learnt the
-    class only under another name (large vehicles as vehicles) it is counted there, as the setting ``relabel`` says.
+    counted as what they are groups of; and all others that the detector knows. A class stands for itself where the
+    detector learnt it; where it learnt the class only
+    under another name (large vehicles as vehicles) it is counted there, as the setting ``relabel`` says.
 
     Args:
         found: Detections; without a word on what the detector learnt, the classes that it found count as learnt.
@@ -185,7 +206,9 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
     relabel = {name: other for name, other in relabel.items() if name not in learnt}
     given = {**settings, "relabel": relabel}
     rows, seen = list[ClassRow](), set[str]()
-    for name, label in chosen.classes.items():
+    listed = {*chosen.classes, *chosen.classes.values()}
+    others = {name: name for name in found.classes or sorted(learnt) if name not in listed}
+    for name, label in {**chosen.classes, **others}.items():
         other = relabel.get(label, label)
         number = sum(count for each, count in annotated.items() if relabel.get(each, each) == label)
         if label in seen:

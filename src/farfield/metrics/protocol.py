@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from farfield.errors import ConfigError, FarfieldError
 from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
+from farfield.metrics.presenting import CurvePanel, Presentation, panels
 from farfield.metrics.result import Result, figure_names, value_at
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES
@@ -25,7 +26,8 @@ _NUMBERS = ("range_bins_m", "epsilons")
 class Protocol(ABC):
     """A way to score detections.
 
-    A protocol of one class has a setting ``label``; without one given the most annotated class is scored. Settings
+    A protocol of one class has a setting ``label``; without one given the most annotated class is scored, of those that
+    the detector knows where there are any. Settings
     named ``relabel``, ``ignore``, ``range_bins_m``, ``region`` and ``bootstrap`` mean what they mean in
     :class:`farfield.metrics.centre.settings.CentreSettings`.
 
@@ -101,8 +103,17 @@ class Protocol(ABC):
         if "label" in self.options() and given.get("label") is None:
             given = {name: value for name, value in given.items() if name != "label"}
             present = self.labels(found.annotated, **given)
-            given |= {"label": present[0]} if present else {}
+            known = self._known(found.classes, **given)
+            given |= {"label": next((name for name in present if name in known), present[0])} if present else {}
         return self.Settings(**given)
+
+    def _known(self, classes: Collection[str], **given: Any) -> set[str]:
+        """What a detector's classes are called after relabelling."""
+        default = self.Settings(
+            **{name: given[name] for name in ("relabel",) if name in given and name in self.options()}
+        )
+        relabel = getattr(default, "relabel", {})
+        return {relabel.get(name, name) for name in classes}
 
     def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
         """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""
@@ -143,6 +154,34 @@ class Protocol(ABC):
         """
         return {name: value_at(result, name) for name in figure_names(result)}
 
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """What a page shows of a result: columns, words, and what counts as found in pictures.
+
+        Args:
+            result: Result JSON.
+        """
+        return Presentation(figures=tuple(self.headline(result)))
+
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """The curves of the whole, by panel.
+
+        Args:
+            result: Result JSON.
+
+        Raises:
+            ConfigError: If a curve is damaged.
+        """
+        return panels((result.get("curves") or {}).get("overall"))
+
+    def unit(self, figure: str) -> str:
+        """The unit in which a figure is shown: ``"%"``, ``"m"``, ``"rad"``..., or nothing for a share.
+
+        Args:
+            figure: Its name.
+        """
+        del figure
+        return "%" if self.per_cent else ""
+
     def title(self, figure: str) -> str:
         """What a figure's column is called.
 
@@ -150,6 +189,10 @@ class Protocol(ABC):
             figure: Its name, of a result of several classes without the class: ``"3d/0.3"``.
         """
         return " ".join(figure.removeprefix("ap/").split("/")).replace("3d", "3D").replace("bev", "BEV")
+
+    def setting_title(self, name: str) -> str:
+        """What a setting is called on a page, with its unit at the end as in ``limit_m``."""
+        return name
 
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Settings on which no figure of the whole depends, so that results that differ in them share a column.

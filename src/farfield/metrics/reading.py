@@ -54,6 +54,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         read(annotated, label_path, stem)
         if predicted_path is not None:
             read(predicted, predicted_path, stem)
+    _share_sequence(predicted, annotated, notes)
     _add_empty_frames(predicted.boxes, annotated.boxes, notes)
     if predicted.without_score:
         notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
@@ -161,6 +162,21 @@ def _files(folder: Path) -> dict[str, Path]:
     if not found:
         raise ConfigError(f"{folder}: expected .txt, .csv or .json files, found none")
     return found
+
+
+def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[str]) -> None:
+    """Where one side names no sequence and the other a single one, that is the sequence of both."""
+    sides = {"predictions": predicted, "labels": annotated}
+    for (word, side), (other_word, other) in zip(sides.items(), reversed(sides.items()), strict=True):
+        names = {sequence for sequence, _ in other.boxes}
+        if {sequence for sequence, _ in side.boxes} != {""} or len(names) != 1 or names == {""}:
+            continue
+        (name,) = names
+        side.boxes = {(name, frame): boxes for (_, frame), boxes in side.boxes.items()}
+        side.details = {(name, frame): known for (_, frame), known in side.details.items()}
+        notes.append(
+            f"{word} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
+        )
 
 
 def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], notes: list[str]) -> None:

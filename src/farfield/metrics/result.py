@@ -6,12 +6,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from farfield.metrics.bootstrap import Statistics
+from farfield.metrics.subject import Subject
 
 Intervals = Mapping[str, list[float] | None]
 R = TypeVar("R", bound="Result")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Result:
     """What every protocol returns.
 
@@ -29,6 +30,7 @@ class Result:
         curves: Raw curves with ``recall``, ``precision`` and ``confidence``: by part, epsilon and threshold, or, for
             KITTI, by part, measure and difficulty.
         notes: What was assumed or left out, one sentence each.
+        subject: What the figures are of; None for a result that was not made of :class:`Detections`.
     """
 
     protocol: str
@@ -43,6 +45,12 @@ class Result:
     grouped_by: str = "sequences"
     curves: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    subject: Subject | None = None
+
+    def __repr__(self) -> str:
+        """What it is of, and its first figure."""
+        about = f"{self.protocol} of {self.label!r}" if self.subject is None else str(self.subject)
+        return f"{type(self).__name__}({about}; {len(self.figures)} figures)"
 
     def __str__(self) -> str:
         rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]
@@ -70,6 +78,7 @@ class Result:
         return {
             "protocol": self.protocol,
             "label": self.label,
+            **({} if self.subject is None else {"subject": self.subject.to_json()}),
             "settings": dict(self.settings),
             **top,
             "ranges": {name: None if name in empty else nest(part) for name, part in self.ranges.items()},
@@ -98,6 +107,7 @@ class Result:
         none = not any(interval for part in self.intervals.values() for interval in part.values())
         lines = [f"{self.protocol}: {self.convention}", "no bootstrap intervals" if none else drawn]
         lines += [f"note: {note}" for note in self.notes]
+        lines = lines if self.subject is None else [f"of: {self.subject}", *lines]
         return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
 
 
@@ -141,6 +151,7 @@ _BESIDE = frozenset(
     [
         "protocol",
         "label",
+        "subject",
         "settings",
         "ranges",
         "mean_of_bins",

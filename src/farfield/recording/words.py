@@ -23,6 +23,11 @@ def announced(recording: Recording, count: int, processes: int) -> Iterator[str]
     yield f"preset {preset.name}, seed {seed}: {sum(plan)} frames in {len(plan)} sequences, {count} still to write"
     needed_gb = bytes_needed(recording, count) / 1e9
     yield f"  {', '.join(recording.sensors)}; every {preset.stride_s:g} s; at most {needed_gb:.2f} GB"
+    if len(plan) > 1 and max(plan) == 1:
+        yield (
+            f"  note: {len(plan)} drives of one frame each, another road and weather every time: nothing follows a "
+            "frame. For frames of one drive add --sequences 1, for several drives more --frames"
+        )
     for sequence in range(len(plan))[:_SHOWN]:
         drive = drive_of(preset, seed, sequence)
         yield f"  {drive.segment.name}: {drive.segment.road}; {drive.weather.describe()}"

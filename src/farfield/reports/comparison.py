@@ -103,7 +103,7 @@ def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
     }
     for key, words in kinds.items():
         for limit, share in SHARES_NEAR_HORIZON.items():
-            published = share if cloud == PATTERNS[0] and key == "far_share_of_horizon" else ""
+            published = share if PATTERNS[0] in cloud.split(" : ") and key == "far_share_of_horizon" else ""
             lines += _line(sides, topic, words.format(limit), *base, key, limit, digits=3, published=published)
     points = (*base, "points_in_vehicles")
     lines += _line(sides, topic, "points in vehicles: slope in log-log", *points, "slope")

@@ -11,11 +11,14 @@ from farfield.datasets.base import Dataset
 from farfield.detection import as_trained, detect, median_ms, suitable_clouds
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment
-from farfield.metrics import PROTOCOLS, Bootstrap
+from farfield.metrics import PROTOCOLS, Bootstrap, Protocol
 from farfield.metrics.detections import Detections
-from farfield.metrics.parts import by_class, by_part, parts_json
+from farfield.metrics.parts import by_class, by_part, mean_of_classes, parts_json
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.objects import annotated_objects
+from farfield.reports.power_map import power_from_above
+from farfield.reports.results import scored_labels
+from farfield.reports.sensing import kind_of
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -62,6 +65,7 @@ def evaluate_clouds(
         ConfigError: If a cloud is missing or does not suit.
     """
     seen: Dataset = as_trained(data, detector)
+    chosen = PROTOCOLS[protocol]
     results, objects, predicted, parts = {}, {}, {}, {}
     for name in clouds or suitable_clouds(detector, seen[0]):
         found = detect(
@@ -74,8 +78,14 @@ def evaluate_clouds(
             overwrite=overwrite,
         )
         results[name] = found.score(protocol, **options).to_json()
-        parts[name] = _parts(found, protocol, options, by_condition="conditions" not in results[name])
-        objects[name] = annotated_objects(found.boxes, found.annotated)
+        parts[name] = _parts(found, chosen, options, by_condition="conditions" not in results[name])
+        objects[name] = annotated_objects(
+            found.boxes,
+            found.annotated,
+            labels=scored_labels({name: results[name]}),
+            finding=chosen.presentation(results[name]).finding,
+            kind=kind_of(seen[0], name),
+        )
         predicted[name] = found.boxes
         if clocks is not None and found.ms:
             clocks[name] = {"frames": len(found.ms), "median_ms": round(median_ms(found), 1)}
@@ -104,14 +114,14 @@ def evaluate_clouds(
     )
 
 
-def _parts(found: Detections, protocol: str, options: Mapping[str, Any], *, by_condition: bool) -> dict[str, Any]:
-    """Figures by condition and sector, over the whole range, and a row for each class of the data."""
-    chosen = PROTOCOLS[protocol]
+def _parts(found: Detections, chosen: Protocol, options: Mapping[str, Any], *, by_condition: bool) -> dict[str, Any]:
+    """Figures by condition and sector, over the whole range, a row for each class of the data, and their mean."""
     edges_m = options.get("range_bins_m") or chosen.default("range_bins_m") or ()
     whole = {**options, **({"range_bins_m": (edges_m[0], edges_m[-1])} if edges_m else {})}
     tree = parts_json(by_part(found, chosen, **whole)) if by_condition else {}
     still = {"bootstrap": Bootstrap(replicates=0)} if "bootstrap" in chosen.options() else {}
-    return {**tree, "classes": {row.label: row.to_json() for row in by_class(found, chosen, **{**whole, **still})}}
+    rows = by_class(found, chosen, **{**whole, **still})
+    return {**tree, "classes": {row.label: row.to_json() for row in rows}, "mean_of_classes": mean_of_classes(rows)}
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -121,7 +131,8 @@ def _spread(count: int, wanted: int) -> list[int]:
 def _view(data: Dataset, index: int, predicted: Mapping[str, Mapping[Key, Boxes]]) -> FrameView:
     frame = data[index]
     boxes = {name: found[frame.key] for name, found in predicted.items() if frame.key in found}
-    return FrameView(frame=frame, predictions=boxes, title=f"{frame.sequence}, frame {frame.frame_id}")
+    title = f"{frame.sequence}, frame {frame.frame_id}"
+    return FrameView(frame=frame, predictions=boxes, title=title, radar_db=power_from_above(frame))
 
 
 def trained_on(provenance: Mapping[str, Any]) -> str:

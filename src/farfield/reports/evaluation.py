@@ -16,6 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float32
+
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Frame
@@ -35,11 +38,13 @@ class FrameView:
         frame: The frame, with its clouds in reach.
         predictions: Predicted boxes of the first cloud, or by cloud name where several patterns were run.
         title: A few words above its pictures.
+        radar_db: The radar's power from above, see :func:`farfield.reports.power_map.power_from_above`, or None.
     """
 
     frame: Frame
     predictions: Boxes | Mapping[str, Boxes] | None = None
     title: str = ""
+    radar_db: Float32[np.ndarray, "y x"] | None = None
 
     @property
     def by_cloud(self) -> dict[str, Boxes | None]:
@@ -84,7 +89,7 @@ class Evaluation:
         (folder / "frames").mkdir(parents=True, exist_ok=True)
         names = [f"{number:04d}" for number in range(len(self.frames))]
         for name, view in zip(names, self.frames, strict=True):
-            save_frame(folder / "frames", name, view.frame, view.predictions, title=view.title)
+            save_frame(folder / "frames", name, view.frame, view.predictions, title=view.title, radar_db=view.radar_db)
         content = {
             "format": _FORMAT,
             "title": self.title,
@@ -126,8 +131,8 @@ class Evaluation:
         for name in content.get("frames", []):
             if not (isinstance(name, str) and name.isalnum()):
                 raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", found=repr(name))
-            frame, predictions, title = load_frame(path.parent / "frames", name)
-            frames.append(FrameView(frame=frame, predictions=predictions, title=title))
+            frame, predictions, title, radar_db = load_frame(path.parent / "frames", name)
+            frames.append(FrameView(frame=frame, predictions=predictions, title=title, radar_db=radar_db))
         return cls(
             results=content["results"],
             settings=content["settings"],

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
@@ -15,13 +16,23 @@ from farfield.files.images import read_image, write_image
 from farfield.frame import Annotation, Cloud, Frame, Given, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
+from farfield.radar.grid import CUBE_SHAPE
 
 _LIMIT_BYTES = 1 << 26
+_RADAR_MAP, _MAP_SHAPE = "radar/bird_db", CUBE_SHAPE[1:]
 _BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count", "velocity_m_s")
 Predictions = Boxes | Mapping[str, Boxes] | None
 
 
-def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, *, title: str = "") -> None:
+def save_frame(
+    folder: Path,
+    name: str,
+    frame: Frame,
+    predictions: Predictions,
+    *,
+    title: str = "",
+    radar_db: Float32[np.ndarray, "y x"] | None = None,
+) -> None:
     """Write a frame and its predictions as ``NAME.json``, ``NAME.ffcloud`` and a JPEG for each image.
 
     Args:
@@ -30,6 +41,7 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
         frame: The frame; its clouds and images are read.
         predictions: Predicted boxes, or by cloud name.
         title: A few words about it.
+        radar_db: The radar's power from above, shape (400, 250), or None.
     """
     by_cloud = dict(predictions) if isinstance(predictions, Mapping) else {"": predictions}
     sets = {f"predicted/{cloud}": boxes for cloud, boxes in by_cloud.items() if boxes is not None}
@@ -43,6 +55,7 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
     for set_name, boxes in sets.items():
         present = {part: getattr(boxes, part) for part in _BOX_ARRAYS}
         arrays |= {f"boxes/{set_name}/{part}": array for part, array in present.items() if array is not None}
+    arrays |= {} if radar_db is None else {_RADAR_MAP: radar_db}
     for camera, image in frame.images.items():
         write_image(folder / f"{name}_{_plain(camera)}.jpg", image, quality=85)
     write_cache(folder / (name + CACHE_SUFFIX), arrays)
@@ -62,11 +75,11 @@ def save_frame(folder: Path, name: str, frame: Frame, predictions: Predictions, 
     write_text(folder / f"{name}.json", json.dumps(content, indent=1) + "\n")
 
 
-def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
+def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float32[np.ndarray, "y x"] | None]:
     """Read what :func:`save_frame` wrote.
 
     Returns:
-        The frame, the predictions and the title.
+        The frame, the predictions, the title, and the radar's power from above, if it was kept.
 
     Raises:
         FileFormatError: If a file is damaged or the files contradict each other.
@@ -100,7 +113,15 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str]:
             path, where="the frame", expected="a frame as `save_frame` writes it", found=found
         ) from error
     predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
-    return frame, predicted.get("") if set(predicted) <= {""} else predicted, str(content.get("title", ""))
+    found = predicted.get("") if set(predicted) <= {""} else predicted
+    return frame, found, str(content.get("title", "")), _radar_map(path, arrays.get(_RADAR_MAP))
+
+
+def _radar_map(path: Path, power_db: np.ndarray | None) -> Float32[np.ndarray, "y x"] | None:
+    if power_db is None or (power_db.shape == _MAP_SHAPE and power_db.dtype == np.float32):
+        return power_db
+    expected, found = f"a float32 map of shape {_MAP_SHAPE}", f"{power_db.dtype} of shape {power_db.shape}"
+    raise FileFormatError(path, where="the radar's power", expected=expected, found=found)
 
 
 def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Boxes:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.centre.matching import found_by
+from farfield.metrics.presenting import Finding
 
 VEHICLES = ("vehicle", "large_vehicle")
 Key = tuple[str, str]
@@ -29,7 +29,8 @@ def annotated_objects(
     *,
     labels: Collection[str] | None = VEHICLES,
     score_min: float = 0.3,
-    distance_m: float = 2.0,
+    finding: Finding | None = None,
+    kind: str = "lidar",
 ) -> dict[str, Any]:
     """Collect range, point count and whether found of every annotated object, as JSON values for a report.
 
@@ -38,11 +39,13 @@ def annotated_objects(
         annotations: Annotated boxes by (sequence, frame); boxes without a known point count are left out.
         labels: Classes that count; None for all.
         score_min: Predictions below it do not find anything.
-        distance_m: Largest centre distance in the x-y plane at which a box counts as found.
+        finding: When a box counts as found; within 2 m unless given.
+        kind: Of which sensor the points are.
 
     Returns:
-        Lists ``range_m``, ``point_count``, ``found`` of equal length, and ``score_min`` and ``distance_m``.
+        Lists ``range_m``, ``point_count``, ``found`` of equal length, ``score_min``, and ``finding`` in words.
     """
+    finding = finding or Finding()
     range_m: list[float] = []
     point_count: list[int] = []
     found: list[bool] = []
@@ -51,10 +54,10 @@ def annotated_objects(
         if annotated.point_count is None:
             continue
         detected = sure(predictions.get(key, Boxes.empty(scored=True)), score_min)
-        finder = found_by(detected[of_classes(detected, labels)], annotated, distance_m=distance_m)
+        finder = finding.found_by(detected[of_classes(detected, labels)], annotated)
         known = annotated.point_count >= 0
         range_m += np.round(annotated.range_m[known], 2).tolist()
         point_count += annotated.point_count[known].tolist()
         found += (finder[known] >= 0).tolist()
     rows = {"range_m": range_m, "point_count": point_count, "found": found}
-    return {**rows, "score_min": score_min, "distance_m": distance_m}
+    return {**rows, "score_min": score_min, "finding": str(finding), "kind": kind}

@@ -1,24 +1,29 @@
 """One self-contained HTML page: scores by range, curves, pictures and what made them. It needs no network."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from farfield.files.atomic import write_text
+from farfield.metrics.presenting import Presentation, edges_m
+from farfield.metrics.protocol import protocol_of
 from farfield.reports import words
 from farfield.reports.evaluation import Evaluation, FrameView
-from farfield.reports.parts import class_rows, condition_tables
-from farfield.reports.pictures import Picture, frame_pictures, pattern_picture
+from farfield.reports.figures import RANGES_M
+from farfield.reports.parts import class_rows, condition_tables, with_own_parts
+from farfield.reports.pictures import Drawing, Picture, frame_pictures, pattern_picture
 from farfield.reports.plots import points_against_range, precision_recall
-from farfield.reports.results import ap_names, epsilons, scored_labels
+from farfield.reports.results import scored_labels
+from farfield.reports.sensing import kind_of
 from farfield.reports.style import PATTERNS, figure_uri
-from farfield.reports.tables import range_name, rows, score_names, score_title
+from farfield.reports.tables import heading, range_name, rows
 from farfield.reports.template import render_template
 from farfield.vocabulary.studio import studio_link
 
+Progress = Callable[[list[FrameView]], Iterable[FrameView]]
 _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
-CURVE_EPSILONS = (0.0, 0.006)
 
 
 def write_report(
@@ -32,6 +37,7 @@ def write_report(
     objects: Mapping[str, Mapping[str, Any]] | None = None,
     parts: Mapping[str, Mapping[str, Any]] | None = None,
     shown_score: float = 0.3,
+    progress: Progress = iter,
 ) -> Path:
     """Write the report page, all or nothing.
 
@@ -45,6 +51,7 @@ def write_report(
         objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
         parts: Figures by condition and sector and rows of all classes, see :class:`Evaluation`.
         shown_score: Predictions below this score are left out of pictures.
+        progress: Wraps the frames while they are drawn.
 
     Returns:
         The path.
@@ -61,77 +68,95 @@ def write_report(
             parts=parts or {},
         ),
         shown_score=shown_score,
+        progress=progress,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
 
 
-def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
+def render(evaluation: Evaluation, *, shown_score: float = 0.3, progress: Progress = iter) -> str:
     """Return the page as HTML; arguments as in :func:`write_report`."""
     results = evaluation.results
-    labels = scored_labels(results)
-    dds, aps = score_names(results), ap_names(results)
-    names = dds or aps
-    parts = ["dds/0/map", "dds/0/aiou", *aps] if dds else []
-    all_epsilons = sorted({name for result in results.values() for name in epsilons(result)}, key=float)
+    first = next(iter(results.values()), {})
+    protocol, edges = protocol_of(first), edges_m(first) or RANGES_M
+    shown = protocol.presentation(first)
+    kinds = {kind_of(view.frame, name) for view in evaluation.frames for name in view.frame.clouds}
+    drawing = Drawing(labels=scored_labels(results), score_min=shown_score, finding=shown.finding, edges_m=tuple(edges))
+    own_parts = with_own_parts(results, evaluation.parts)
+    tables = condition_tables(own_parts, shown.figures, protocol, shown.kinds)
     return render_template(
         "page.html",
-        _FILTERS,
+        {**_FILTERS, "heading": partial(heading, protocol), "unit": protocol.unit},
         title=evaluation.title,
-        headline=words.headline(results),
+        headline=words.headline(results, protocol, shown),
         scope=words.scope(results),
+        subjects=words.subjects(results),
+        notes=words.notes(results),
         origin=words.origin(evaluation.provenance),
-        glossary=words.GLOSSARY,
+        glossary=words.glossary(shown, kinds),
         colours=PATTERNS,
-        names=names,
-        score_rows=rows(results, names),
-        parts=parts,
-        part_rows=rows(results, parts),
-        all_epsilons=all_epsilons,
-        detail_rows=rows(results, [f"dds/{e}/{part}" for e in all_epsilons for part in ("dds", "map", "aiou")]),
-        condition_tables=condition_tables(evaluation.parts, names),
-        class_rows=class_rows(evaluation.parts, names),
+        shown=shown,
+        score_rows=rows(results, shown.figures, protocol),
+        part_rows=rows(results, shown.parts, protocol),
+        detail_rows=rows(results, [name for _, names in shown.groups for name in names], protocol),
+        condition_tables=tables,
+        gaussian=any(name == "gaussian" for name in results),
+        class_rows=class_rows(evaluation.parts, shown.figures, protocol),
         result_names=list(results),
-        curves=_curves(results),
-        patterns=_patterns(evaluation.frames),
+        curves=_curves(results, shown),
+        patterns=_patterns(evaluation.frames, edges),
         studio_link=studio_link,
-        frames=[(view, frame_pictures(view, labels=labels, score_min=shown_score)) for view in evaluation.frames],
-        points=_points(evaluation.objects),
+        frames=[(view, frame_pictures(view, drawing)) for view in progress(evaluation.frames)],
+        arcs=words.metres(edges),
+        points=_points(evaluation.objects, edges),
         shown_score=shown_score,
         settings=evaluation.settings,
         provenance=evaluation.provenance,
-        conventions={name: result.get("settings") or {} for name, result in results.items()},
+        conventions={name: _convention(result) for name, result in results.items()},
     )
 
 
-def _curves(results: Mapping[str, Mapping[str, Any]]) -> Picture | None:
-    having = {name: result for name, result in results.items() if result.get("curves")}
+def _convention(result: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings on which a result's figures depend, with the class, the range bins and how intervals are drawn."""
+    settings = result.get("settings") or {}
+    beside = {name: settings[name] for name in ("label", "classes", "range_bins_m", "bootstrap") if name in settings}
+    protocol = protocol_of(result)
+    known = {**protocol.depends_on(settings), **beside}
+    return {"protocol": result.get("protocol"), **{protocol.setting_title(name): v for name, v in known.items()}}
+
+
+def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> Picture | None:
+    having = {name: result for name, result in results.items() if protocol_of(result).curves(result)}
     if not having:
         return None
     return Picture(
-        figure_uri(precision_recall(having, epsilons=CURVE_EPSILONS)),
-        f"Precision over recall for {', '.join(having)}, at epsilon 0 and 0.006, one line for each distance threshold",
-        "Each line allows another distance between the predicted and the annotated centre. A line that stays high and "
-        "reaches far to the right is good; its dot is the highest recall reached.",
+        figure_uri(precision_recall(having)),
+        f"Precision over recall for {', '.join(having)}",
+        f"{shown.about_curves} A line that stays high and reaches far to the right is good; its dot is the highest "
+        "recall reached.".strip(),
     )
 
 
-def _patterns(frames: Sequence[FrameView]) -> Picture | None:
-    paired = next((view for view in frames if len(view.frame.clouds) > 1), None)
-    return None if paired is None else pattern_picture(paired.frame)
+def _patterns(frames: Sequence[FrameView], edges: Sequence[float]) -> Picture | None:
+    """The scan patterns of one moment side by side, where a frame has several of them."""
+    for view in frames:
+        if len(view.frame.clouds) > 1 and any(words.pattern_note(name) for name in view.frame.clouds):
+            return pattern_picture(view.frame, edges)
+    return None
 
 
-def _points(objects: Mapping[str, Mapping[str, Any]]) -> Picture | None:
+def _points(objects: Mapping[str, Mapping[str, Any]], edges: Sequence[float]) -> Picture | None:
     having = {name: each for name, each in objects.items() if each.get("range_m")}
     if not having:
         return None
     limits = next(iter(having.values()))
+    rule = limits.get("finding") or f"within {limits.get('distance_m', 2):g} m"
     return Picture(
-        figure_uri(points_against_range(having)),
+        figure_uri(points_against_range(having, edges_m=edges)),
         f"Points inside each annotated box over its range for {', '.join(having)}, found and missed in two colours",
-        f"Each dot is one annotated object. Found: a prediction of score {limits.get('score_min', 0):g} or more lies "
-        f"within {limits.get('distance_m', 2):g} m of it, seen from above.",
+        f"Each dot is one annotated object. Found: {rule}, by a prediction of score "
+        f"{limits.get('score_min', 0):g} or more.",
     )
 
 
@@ -156,7 +181,6 @@ def _shown(value: Any) -> str:
 
 _FILTERS: dict[str, Callable[..., Any]] = {
     "range_name": range_name,
-    "score_title": score_title,
     "shown": _shown,
     "fact_name": _fact_name,
     "pattern_title": words.pattern_title,

@@ -1,18 +1,23 @@
 """The pictures of one frame, with captions and alternative texts, ready to be put into a page."""
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.centre.matching import found_by
+from farfield.metrics.presenting import Finding
 from farfield.reports.camera import camera_picture
 from farfield.reports.evaluation import FrameView
-from farfield.reports.figures import Window, filled_zooms, fitting_window, in_window, overview, zooms
+from farfield.reports.figures import RANGES_M, Window, filled_zooms, fitting_window, in_window, overview, zooms
 from farfield.reports.objects import of_classes, sure
 from farfield.reports.plots import scan_patterns
+from farfield.reports.power_map import power_map
+from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title
+
+_DPI = 110  # of the points, which are counted at as many
 
 
 @dataclass(frozen=True)
@@ -32,55 +37,82 @@ class Picture:
     heading: str = ""
 
 
-def frame_pictures(
-    view: FrameView, *, labels: Collection[str] | None, score_min: float, window_m: Window | None = None
-) -> list[Picture]:
-    """Draw a frame: the whole window and the zooms of every cloud that was run, and the camera's image.
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """How the frames of a page are drawn.
+
+    Args:
+        labels: Classes that count; None for all.
+        score_min: Predictions below it are left out.
+        finding: When an annotated box counts as found.
+        edges_m: Edges of the range bins, which arcs mark.
+    """
+
+    labels: Collection[str] | None = None
+    score_min: float = 0.3
+    finding: Finding = field(default_factory=Finding)
+    edges_m: tuple[float, ...] = RANGES_M
+
+
+def frame_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
+    """Draw a frame: the whole window and the zooms of every cloud that was run, the radar's map, the camera's image.
 
     Args:
         view: The frame and its predictions.
-        labels: Classes that count.
-        score_min: Predictions below it are left out.
-        window_m: x from, x to, y from, y to; None takes 250 m, or 120 m where nothing lies beyond.
+        drawing: How.
     """
-    frame, pictures = view.frame, []
-    annotated = frame.boxes
+    pictures = []
     for name, predictions in view.by_cloud.items():
-        predicted = None if predictions is None else sure(predictions, score_min)
-        cloud = frame.cloud(name)
-        window = window_m or fitting_window(cloud, annotated, predicted)
-        caption = _caption(len(cloud), annotated, predicted, labels, score_min, window)
-        alt = f"Bird's-eye view of the {name} point cloud to {window[1]:g} m, with annotated and predicted boxes"
-        whole = overview(cloud, annotated=annotated, predicted=predicted, labels=labels, window_m=window)
-        pictures.append(Picture(figure_uri(whole), alt, caption, heading=pattern_title(name)))
-        parts = filled_zooms(cloud, annotated, predicted)
-        if len(parts) > 1:
-            enlarged = zooms(cloud, annotated=annotated, predicted=predicted, labels=labels, windows_m=parts)
-            pictures.append(Picture(figure_uri(enlarged), f"The same {name} view enlarged by range"))
-    return pictures + _camera_pictures(view, score_min)
+        pictures += _cloud_pictures(view, name, predictions, drawing)
+    return [*pictures, *_radar_pictures(view, drawing), *_camera_pictures(view, drawing.score_min)]
 
 
-def _caption(
-    points: int,
-    annotated: Boxes | None,
-    predicted: Boxes | None,
-    labels: Collection[str] | None,
-    score_min: float,
-    window_m: Window,
-) -> str:
-    start = f"{points:,} points."
+def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawing: Drawing) -> list[Picture]:
+    annotated, cloud = view.frame.boxes, view.frame.cloud(name)
+    predicted = None if predictions is None else sure(predictions, drawing.score_min)
+    edges, kind = drawing.edges_m, kind_of(view.frame, name)
+    window = fitting_window(cloud, annotated, predicted, edges_m=edges)
+    start = f"{len(cloud):,} {returns_word(kind, many=True)}."
+    caption = _caption(start, annotated, predicted, drawing, window)
+    alt = f"Bird's-eye view of the {name} cloud to {window[1]:g} m, with annotated and predicted boxes"
+    boxes: dict[str, Any] = {"annotated": annotated, "predicted": predicted, "labels": drawing.labels, "rings_m": edges}
+    whole = overview(cloud, **boxes, window_m=window, point=returns_word(kind))
+    pictures = [Picture(figure_uri(whole, dpi=_DPI), alt, caption, heading=pattern_title(name))]
+    parts = filled_zooms(cloud, annotated, predicted, edges_m=edges)
+    if len(parts) > 1:
+        enlarged = zooms(cloud, **boxes, windows_m=parts)
+        pictures.append(Picture(figure_uri(enlarged, dpi=_DPI), f"The same {name} view enlarged by range"))
+    return pictures
+
+
+def _caption(start: str, annotated: Boxes | None, predicted: Boxes | None, drawing: Drawing, window_m: Window) -> str:
     if predicted is None:
         return start
+    sureness = f"score {drawing.score_min:g} or more"
     if annotated is None:
-        return f"{start} {len(predicted)} predictions of score {score_min:g} or more; this frame is not annotated."
-    wanted = annotated[of_classes(annotated, labels) & in_window(annotated.centre_m, window_m)]
-    seen = predicted[in_window(predicted.centre_m, window_m)]
-    found = int((found_by(seen, wanted) >= 0).sum())
+        return f"{start} {len(predicted)} predictions of {sureness}; this frame is not annotated."
+    wanted = annotated[of_classes(annotated, drawing.labels) & in_window(annotated.centre_m, window_m)]
+    seen = predicted[of_classes(predicted, drawing.labels) & in_window(predicted.centre_m, window_m)]
+    found = int((drawing.finding.found_by(seen, wanted) >= 0).sum())
     wrong = len(seen) - found
     return (
-        f"{start} {found} of {len(wanted)} annotated objects found within 2 m, "
-        f"{wrong} prediction{'' if wrong == 1 else 's'} without one (score {score_min:g} or more)."
+        f"{start} {found} of {len(wanted)} annotated objects found {drawing.finding}, "
+        f"{wrong} prediction{'' if wrong == 1 else 's'} without one ({sureness})."
     )
+
+
+def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
+    """The radar's power from above, where the frame has it in the coordinates of its boxes."""
+    if view.radar_db is None:
+        return []
+    predictions = next(iter(view.by_cloud.values()), None)
+    predicted = None if predictions is None else sure(predictions, drawing.score_min)
+    figure = power_map(
+        view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
+    )
+    caption = "Mean power over height, in decibel: the brighter, the stronger."
+    alt = "The radar's power seen from above, with annotated and predicted boxes"
+    return [Picture(figure_uri(figure, "jpg", dpi=110), alt, caption, heading="Radar map")]
 
 
 def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
@@ -99,11 +131,11 @@ def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
     return pictures
 
 
-def pattern_picture(frame: Frame) -> Picture:
-    """Draw all clouds of a frame side by side as the sensor saw them."""
+def pattern_picture(frame: Frame, edges_m: Sequence[float] = RANGES_M) -> Picture:
+    """Draw the LiDAR clouds of a frame side by side as the sensor saw them; ``edges_m`` are marked by arcs."""
     notes = " ".join(note for name in frame.clouds if (note := pattern_note(name)))
     return Picture(
-        figure_uri(scan_patterns(dict(frame.clouds))),
+        figure_uri(scan_patterns(dict(frame.clouds), edges_m=edges_m)),
         f"The {' and '.join(frame.clouds)} scan patterns of one moment side by side, seen from the sensor, "
         "and their number of points by range",
         f"The same moment in {len(frame.clouds)} patterns: as the sensor sees it, from above, counted. {notes}".strip(),

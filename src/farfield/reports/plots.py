@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.frame import Cloud
-from farfield.reports.figures import draw_birdseye
-from farfield.reports.results import curve_names, curves
+from farfield.metrics.presenting import CurvePanel
+from farfield.metrics.protocol import protocol_of
+from farfield.reports.figures import RANGES_M, draw_birdseye
+from farfield.reports.sensing import returns_word
 from farfield.reports.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, THRESHOLDS, house_style, new_figure
 from farfield.reports.words import pattern_title
 
@@ -19,56 +21,60 @@ if TYPE_CHECKING:
 _RANGE_BINS_M = np.arange(0.0, 260.0, 10.0)
 
 
-def precision_recall(results: Mapping[str, Mapping[str, Any]], *, epsilons: Sequence[float] = (0.0, 0.006)) -> "Figure":
-    """Overall precision over recall: a row of panels for each result, a panel for each epsilon, a line a threshold.
+def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
+    """Overall precision over recall: the panels that a result's protocol draws, a line each of their curves.
 
     Args:
         results: Result JSON by name.
-        epsilons: Which epsilons to show; those that a result lacks stay empty.
     """
+    drawn = [(name, panel) for name, result in results.items() for panel in protocol_of(result).curves(result)]
+    columns = 2 if len(drawn) > 1 else 1
     with house_style():
-        figure = new_figure(5.1 * len(epsilons), 0.5 + 2.6 * len(results))
-        grid = figure.subplots(len(results), len(epsilons), squeeze=False, sharex=True, sharey=True)
-        for row, (name, result) in enumerate(results.items()):
-            for column, epsilon in enumerate(epsilons):
-                axes = grid[row, column]
-                _draw_curves(axes, result, epsilon)
-                kind = "DDS" if epsilon == 0 else "wDDS"
-                axes.set_title(f"{pattern_title(name)}, {kind} (epsilon {epsilon:g})")
-                axes.set_ylabel("precision" if column == 0 else "")
-                axes.set_xlabel("recall" if row == len(results) - 1 else "")
-        handles, names = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=max(len(names), 1), handlelength=1.6)
+        figure = new_figure(10.2, 0.5 + 2.6 * -(-len(drawn) // columns))
+        grid = figure.subplots(max(1, -(-len(drawn) // columns)), columns, squeeze=False, sharex=True, sharey=True)
+        for place, axes in enumerate(grid.ravel()):
+            if place >= len(drawn):
+                axes.set_axis_off()
+                continue
+            name, panel = drawn[place]
+            _draw_curves(axes, panel)
+            axes.set_title(", ".join(filter(None, [pattern_title(name), panel.title])))
+            axes.set_ylabel("precision" if place % columns == 0 else "")
+            axes.set_xlabel("recall" if place + columns >= len(drawn) else "")
+        shown: dict[str, Any] = {}
+        for axes in grid.ravel():
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                shown.setdefault(str(label), handle)
+        if shown:
+            figure.legend([*shown.values()], [*shown], loc="outside lower center", ncols=len(shown), handlelength=1.6)
     return figure
 
 
-def _draw_curves(axes: "Axes", result: Mapping[str, Any], epsilon: float) -> None:
+def _draw_curves(axes: "Axes", panel: CurvePanel) -> None:
     axes.grid(visible=True)
     axes.set(xlim=(0, 1), ylim=(0, 1.02))
     axes.set_xticks(np.linspace(0, 1, 6))
-    found = curves(result, part="overall", epsilon=epsilon)
-    if not any(found.values()):
+    if not panel.lines:
         axes.text(0.5, 0.5, "nothing annotated", ha="center", va="center", color=MUTED, transform=axes.transAxes)
-    for place, threshold in enumerate(curve_names(found)):
-        curve = found[threshold]
-        if curve is None:
-            continue
-        recall, precision = (np.asarray(curve[part], dtype=np.float64) for part in ("recall", "precision"))
+    for place, line in enumerate(panel.lines):
+        recall, precision = (np.asarray(values, dtype=np.float64) for values in (line.recall, line.precision))
         reached = np.flatnonzero(precision > 0)
         end = int(reached[-1]) + 1 if len(reached) else 0
         colour = THRESHOLDS[min(place, len(THRESHOLDS) - 1)]
-        axes.plot(recall[:end], precision[:end], color=colour, lw=1.8, label=f"within {float(threshold):g} m")
+        axes.plot(recall[:end], precision[:end], color=colour, lw=1.8, label=line.name)
         if 0 < end < len(recall):
             axes.plot(recall[end - 1], precision[end - 1], marker="o", ms=3.5, color=colour)
 
 
-def points_against_range(objects: Mapping[str, Mapping[str, Any]]) -> "Figure":
+def points_against_range(objects: Mapping[str, Mapping[str, Any]], *, edges_m: Sequence[float] = RANGES_M) -> "Figure":
     """Points inside each annotated box over its range, found or missed: why far objects are hard.
 
     Args:
         objects: Lists ``range_m``, ``point_count``, ``found`` by result name, see
             :func:`farfield.reports.objects.annotated_objects`.
+        edges_m: Ranges to mark.
     """
+    farthest_m = max(edges_m, default=RANGES_M[-1])
     with house_style():
         figure = new_figure(5.3 * len(objects), 3.9)
         panels = figure.subplots(1, len(objects), squeeze=False, sharex=True, sharey=True)[0]
@@ -86,13 +92,14 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]]) -> "Figure":
             axes.set_ylim(0.4, max(float(count.max(initial=10.0)), 10.0) * 1.6)
             axes.set_yticks([0.5, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])
             axes.minorticks_off()
-            axes.set_xlim(0, 255)
+            axes.set_xlim(0, 1.02 * farthest_m)
             axes.grid(visible=True)
-            _mark_ranges(axes)
+            _mark_ranges(axes, edges_m)
             share = f"{found.mean():.0%} of {len(found)} found" if len(found) else "no objects"
             axes.set_title(f"{pattern_title(name)}: {share}")
             axes.set_xlabel("range (m)")
-        panels[0].set_ylabel("points inside the annotated box")
+        words = {returns_word(str(rows.get("kind", "")), many=True) for rows in objects.values()}
+        panels[0].set_ylabel(f"{' or '.join(sorted(words))} inside the annotated box")
         handles, names = panels[0].get_legend_handles_labels()
         legend = figure.legend(handles, names, loc="outside lower center", ncols=2, markerscale=1.6)
         for handle in legend.legend_handles:
@@ -101,16 +108,17 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]]) -> "Figure":
     return figure
 
 
-def _mark_ranges(axes: "Axes") -> None:
-    for edge_m in (70.0, 150.0):
+def _mark_ranges(axes: "Axes", edges_m: Sequence[float]) -> None:
+    for edge_m in edges_m:
         axes.axvline(edge_m, color=INK, lw=0.8, ls=(0, (1, 3)), zorder=1.5)
 
 
-def scan_patterns(clouds: Mapping[str, Cloud]) -> "Figure":
+def scan_patterns(clouds: Mapping[str, Cloud], *, edges_m: Sequence[float] = RANGES_M) -> "Figure":
     """The scan patterns side by side: as the sensor sees them, from above, and their number of points by range.
 
     Args:
         clouds: One cloud a pattern, of the same moment.
+        edges_m: Ranges to mark.
     """
     with house_style():
         figure = new_figure(11.0, 8.3)
@@ -120,11 +128,11 @@ def scan_patterns(clouds: Mapping[str, Cloud]) -> "Figure":
             dots = _draw_view(view, cloud)
             view.set_title(f"{pattern_title(name)}: {len(cloud):,} points")
             view.set_ylabel("elevation (degrees)" if column == 0 else "")
-            draw_birdseye(above, cloud, point_size=0.6)
+            draw_birdseye(above, cloud, point_size=0.6, rings_m=edges_m)
             above.set_ylabel("y left (m)" if column == 0 else "")
             if column == len(clouds) - 1:
                 figure.colorbar(dots, ax=view, label="range (m)", shrink=0.9, pad=0.02)
-        _draw_range_counts(figure.add_subplot(grid[2, :]), clouds)
+        _draw_range_counts(figure.add_subplot(grid[2, :]), clouds, edges_m)
     return figure
 
 
@@ -154,7 +162,7 @@ def _draw_view(axes: "Axes", cloud: Cloud) -> "PathCollection":
     return dots
 
 
-def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud]) -> None:
+def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud], edges_m: Sequence[float]) -> None:
     for place, (name, cloud) in enumerate(clouds.items()):
         flat = np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1])
         count, _ = np.histogram(flat, bins=_RANGE_BINS_M)
@@ -166,7 +174,7 @@ def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud]) -> None:
     axes.set_ylim(bottom=1)
     axes.set_xlim(0, 250)
     axes.grid(visible=True)
-    _mark_ranges(axes)
+    _mark_ranges(axes, edges_m)
     axes.set_title("Points returned from each 10 m of range")
     axes.set_xlabel("range (m)")
     axes.set_ylabel("points")

@@ -1,10 +1,10 @@
 """Read figures out of result JSON (what ``farfield score`` writes); what is absent or null comes back as None."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.metrics.result import at, leaves
+from farfield.metrics.result import at
 
 Result = Mapping[str, Any]
 
@@ -13,11 +13,6 @@ def part_names(result: Result) -> list[str]:
     """Names of the range bins, near to far."""
     names = result.get("ranges") or {}
     return sorted(names, key=lambda name: float(name.split("-")[0]))
-
-
-def epsilons(result: Result) -> list[str]:
-    """Names of the epsilons, rising: ``["0", "0.003", ...]``."""
-    return sorted(result.get("dds") or {}, key=float)
 
 
 def figure(result: Result, name: str, *, part: str = "overall") -> float | None:
@@ -39,17 +34,6 @@ def _number(value: Any, where: str) -> float:
     return float(value)
 
 
-def ap_names(results: Mapping[str, Result]) -> list[str]:
-    """Names of all APs that at least one result has, such as ``"ap/0.5"`` or ``"ap/3d/r40/moderate"``, in order."""
-    found = [name for result in results.values() for name in leaves(result.get("ap") or {}, "ap")]
-    return sorted(dict.fromkeys(found), key=_by_number)
-
-
-def _by_number(name: str) -> tuple[float, str]:
-    last = name.rpartition("/")[2]
-    return (float(last), "") if last.replace(".", "", 1).isdecimal() else (0.0, "")
-
-
 def interval(result: Result, name: str, *, part: str = "overall") -> tuple[float, float] | None:
     """The bootstrap interval of a figure, or None."""
     value = at(result, ("intervals", part, *name.split("/")))
@@ -64,31 +48,13 @@ def counts(result: Result, *, part: str = "overall") -> dict[str, int]:
     return {name: int(value) for name, value in (found or {}).items() if isinstance(value, int)}
 
 
-def curves(result: Result, *, part: str = "overall", epsilon: float = 0.0) -> dict[str, Mapping[str, Any] | None]:
-    """Sampled curves by threshold (``recall``, ``precision``, ``confidence``); None where nothing is annotated."""
-    found = dict(at(result, ("curves", part, f"{epsilon:g}")) or {})
-    for threshold, curve in found.items():
-        recall, precision = at(curve, ("recall",)), at(curve, ("precision",))
-        good = isinstance(recall, list) and isinstance(precision, list) and len(recall) == len(precision)
-        if curve is not None and not good:
-            raise ConfigError(
-                f"result, curve of {part} at {threshold} m: expected lists 'recall' and 'precision' of equal length. "
-                "Score the predictions again."
-            )
-    return found
-
-
-def curve_names(names: Iterable[str]) -> list[str]:
-    """Threshold names, rising."""
-    return sorted(names, key=float)
-
-
 def scored_labels(results: Mapping[str, Result]) -> tuple[str, ...] | None:
     """Classes that count in the scores, merged ones included; None where the results do not say."""
     for result in results.values():
         settings = result.get("settings") or {}
-        label = result.get("label") or settings.get("label")
-        if label:
-            merged = [name for name, target in (settings.get("relabel") or {}).items() if target == label]
-            return (str(label), *merged)
+        one = result.get("label") or settings.get("label")
+        labels = settings.get("classes") or ([one] if one else [])
+        if labels:
+            merged = [name for name, target in (settings.get("relabel") or {}).items() if target in labels]
+            return tuple(dict.fromkeys([*map(str, labels), *merged]))
     return None

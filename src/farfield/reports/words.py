@@ -1,67 +1,89 @@
 """The sentences of a report: what was reached, what is simulated, what the words mean."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from farfield.reports.results import ap_names, counts, figure, part_names
-from farfield.reports.tables import Results, range_name, score_names, score_title
+from farfield.metrics.presenting import BASICS, Presentation, Words
+from farfield.metrics.protocol import Protocol
+from farfield.metrics.subject import Subject
+from farfield.reports.results import counts, figure, part_names
+from farfield.reports.tables import Results, range_name
 from farfield.vocabulary.patterns import PATTERN_NOTES
 
-GLOSSARY = (
-    (
+_SENSORS: Mapping[str, tuple[str, str]] = {
+    "lidar": (
         "LiDAR",
         "A sensor that sends out laser pulses and times their echoes. Each echo is one point in three dimensions.",
     ),
-    (
-        "Box",
-        "Where an object is, how large it is and which way it faces. Annotated boxes are the truth to be found; "
-        "predicted boxes are what the detector says, each with a score of how sure it is.",
+    "radar": (
+        "Radar",
+        "A sensor that sends out radio waves and measures from where, how strongly and how fast they return. Its cells "
+        "are drawn where their power is high.",
     ),
-    ("Recall", "Of all annotated objects, the share that was found."),
-    (
-        "Precision",
-        "Of all predictions, the share that is right. Asking for more recall means accepting less sure predictions, so "
-        "precision falls along the curve.",
-    ),
-    (
-        "AP",
-        "Average precision: the area under the precision-recall curve, for predictions whose centre lies within 0.5, "
-        "1, 2 or 4 m of the annotated one. mAP is the mean of these four.",
-    ),
-    (
-        "aIoU",
-        "Aligned overlap: how well size and heading of the found boxes fit, once their centres are put on each other.",
-    ),
-    ("DDS", "Mean of mAP and aIoU, from 0 (nothing) to 1 (perfect)."),
-    (
-        "wDDS",
-        "DDS that allows more metres of error the farther an object is: thresholds grow as exp(epsilon x range). At "
-        "epsilon 0.006 and 250 m they are 4.5 times as wide.",
-    ),
-    (
-        "Interval",
-        "How far the score might move had other drives been recorded: the middle 95 % of scores over resampled drives.",
-    ),
-)
+}
 
 
-def headline(results: Results) -> str:
+def glossary(presentation: Presentation, kinds: Collection[str]) -> Words:
+    """The words of a page: of its sensors, of every score, and of the protocol.
+
+    Args:
+        presentation: What the protocol states.
+        kinds: Kinds of the sensors whose clouds are shown.
+    """
+    sensors = tuple(words for kind, words in _SENSORS.items() if kind in kinds)
+    box, recall, precision, interval = BASICS
+    return (*sensors, box, recall, precision, *presentation.glossary, interval)
+
+
+def headline(results: Results, protocol: Protocol, presentation: Presentation) -> str:
     """What was reached, in one or two sentences; plain text."""
     if not results:
         return "Pictures only: nothing was scored."
-    score = next(iter([*score_names(results), *ap_names(results)]), "")
-    scored = {name: figure(result, score) for name, result in results.items()}
+    score = presentation.main
+    scored = {name: figure(result, score) if score else None for name, result in results.items()}
     known = {name: value for name, value in scored.items() if value is not None}
     if not known:
         return "Nothing is annotated in the region that counts, so there is no score."
     label = next((str(r["label"]).replace("_", " ") for r in results.values() if r.get("label")), "object")
-    reached = _joined([f"{value:.2f} on {_short(name)}" for name, value in known.items()])
-    first = f"Overall {label} detection score ({score_title(score)}, 1 is perfect): {reached}."
+    unit = protocol.unit(score)
+    reached = _joined(
+        [
+            _value(value, unit) + _beside(results[n], protocol, presentation) + f" on {_short(n)}"
+            for n, value in known.items()
+        ]
+    )
+    perfect = {"": ", 1 is perfect", "%": ", 100 is perfect"}.get(unit, "")
+    first = f"Overall {label} detection score ({protocol.title(score)}{perfect}): {reached}."
     best = max(known, key=lambda name: known[name])
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
-    falls = [f"{value:.2f} from {name}" for name, value in by_range if value is not None]
+    falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
     only = "" if len(known) == 1 else f"On {_short(best)} it"
     return first + (f" {only or 'It'} is {_joined(falls)}." if len(falls) > 1 else "")
+
+
+def _value(value: float, unit: str) -> str:
+    return f"{100 * value:.1f}" if unit == "%" else f"{value:.2f}"
+
+
+def _beside(result: Mapping[str, Any], protocol: Protocol, presentation: Presentation) -> str:
+    value = figure(result, presentation.beside) if presentation.beside else None
+    name = presentation.beside
+    return "" if value is None else f" ({protocol.title(name)} {_value(value, protocol.unit(name))})"
+
+
+def subjects(results: Results) -> list[str]:
+    """What each result is of, in one line each; nothing for results from before they said so."""
+    found = (Subject.from_json(result.get("subject")) for result in results.values())
+    return [str(subject) for subject in found if subject is not None]
+
+
+def notes(results: Results) -> list[str]:
+    """What was assumed or left out, each once, with the results that it holds for where they are not all."""
+    said: dict[str, list[str]] = {}
+    for name, result in results.items():
+        for note in result.get("notes") or ():
+            said.setdefault(str(note), []).append(name)
+    return [note if len(names) == len(results) else f"{', '.join(names)}: {note}" for note, names in said.items()]
 
 
 def scope(results: Results) -> str:
@@ -90,13 +112,13 @@ def origin(provenance: Mapping[str, Any]) -> tuple[str, str]:
         return "Where the data comes from", f"The evaluation does not say whether its frames are simulated.{learnt}"
     if simulated:
         return "Simulated frames", (
-            "The roads, vehicles and laser returns on this page come from Farfield's ray-casting simulator; no real "
+            "The roads, objects and sensor returns on this page come from Farfield's simulator; no real "
             f"recording is shown.{learnt} The detector, the file formats and the metric are those used on real data. "
             "The scores show that the whole chain works and how it falls with range; they do not say how well the "
             "detector would do on a real road."
         )
     return "Real frames", (
-        f"The LiDAR frames and the annotated boxes on this page are real recordings.{learnt} A detector trained on "
+        f"The frames and the annotated boxes on this page are real recordings.{learnt} A detector trained on "
         "other data, simulated data above all, scores lower on them than one trained on the same sensor."
     )
 
@@ -104,6 +126,11 @@ def origin(provenance: Mapping[str, Any]) -> tuple[str, str]:
 def pattern_note(name: str) -> str:
     """One sentence on a scan pattern, or nothing."""
     return PATTERN_NOTES.get(name.lower(), "")
+
+
+def metres(edges_m: Collection[float]) -> str:
+    """Range edges as people read them: ``"70, 150 and 250 m"``."""
+    return f"{_joined([f'{edge:g}' for edge in edges_m])} m"
 
 
 def _short(name: str) -> str:

@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.detectors import DETECTORS
+from farfield.errors import ConfigError, FarfieldError, FileFormatError
 from farfield.files.atomic import write_bytes
 
 
@@ -91,7 +92,7 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         raise FileFormatError(
             path, where="keys", expected="those of farfield train", found=str(error), mend="Remove it to begin anew."
         ) from error
-    changed = [] if theirs.get("experiment") == provenance.get("experiment") else ["experiment"]
+    changed = [] if _today(theirs.get("experiment")) == provenance.get("experiment") else ["experiment"]
     changed += [] if _fingerprints(theirs) == _fingerprints(provenance) else ["data_fingerprint"]
     if changed:
         raise ConfigError(
@@ -103,6 +104,16 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
     if set(kept) != set(modules.state_dict()):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
     return Run(step, kept, optimizer, average, theirs)
+
+
+def _today(experiment: Any) -> Any:
+    """An experiment of an earlier version with its detector's settings under today's names."""
+    try:
+        described = experiment["detector"]
+        config = DETECTORS[str(described["name"])].config_class.model_validate(described)
+    except (TypeError, KeyError, ValueError, FarfieldError):
+        return experiment
+    return {**experiment, "detector": config.model_dump(mode="json")}
 
 
 def _module_states(state: Mapping[str, Any]) -> dict[str, Tensor]:

@@ -1,7 +1,7 @@
 """Typed settings of a training; unknown keys are errors."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -118,8 +118,17 @@ UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0
 """No random change."""
 
 
+class StartConfig(_Settings):
+    """Where a training starts instead of at random."""
+
+    weights: str = Field(min_length=1, description="a bundled detector's name, a run's folder or a weights file")
+    freeze: tuple[str, ...] = Field(
+        (), description="parts of the network that stay as they are: names such as encoder, or patterns such as *.norm"
+    )
+
+
 class TrainingConfig(_Settings):
-    """The loop."""
+    """The loop. ``start_from: WEIGHTS`` is short for ``start: {weights: WEIGHTS}``."""
 
     steps: int = Field(2000, ge=1)
     batch_size: int = Field(4, ge=1, description="frames a step, over all processes")
@@ -145,5 +154,28 @@ class TrainingConfig(_Settings):
         0.0, ge=0, description="weight that a frame with an average number of far boxes gains; 0 draws all alike"
     )
     far_from_m: float = Field(150.0, gt=0, description="boxes from this range on are far")
+    start: StartConfig | None = Field(None, description="weights to start from: what fits is taken, and said")
     tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
     seed: int = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, settings: Any) -> Any:
+        """Put ``start_from`` into ``start``."""
+        if not isinstance(settings, Mapping) or settings.get("start_from") is None:
+            return settings
+        others = {name: value for name, value in settings.items() if name != "start_from"}
+        start = others.get("start") or {}
+        start = start.model_dump() if isinstance(start, StartConfig) else start
+        weights = str(settings["start_from"])
+        if not isinstance(start, Mapping) or start.get("weights", weights) != weights:
+            raise ValueError(f"expected start_from or start.weights, which are one; got {weights} and {start}")
+        return {**others, "start": {**start, "weights": weights}}
+
+    @model_serializer(mode="wrap")
+    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; the start only where there is one, so that trainings without are known as before."""
+        said = others(self)
+        if self.start is None:
+            said.pop("start", None)
+        return said

@@ -22,11 +22,13 @@ from farfield.training.checkpoints import Run, load_run, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
 from farfield.training.launching import launch, precision_of
-from farfield.training.method import Batch, Method, Pace
+from farfield.training.method import DETECTOR, Batch, Method, Pace
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
+from farfield.training.starting import frozen_modules, frozen_names
 from farfield.training.streams import batch_shares, batches
 
+CHECKPOINT_NAME = "checkpoint.pt"
 _LOOKS = 10  # at held-out frames, in a training
 
 
@@ -102,7 +104,7 @@ class Training:
         for name, samples in self.samples.items():
             samples.prepare(self.step * counts[name], partial(report.reading, what="reading frames"))
         saved_at = time.monotonic()
-        self.modules.train()
+        self._train_mode()
         report.begins(self.step, self.config.steps)
         try:
             for batch in self._batches(counts, fabric):
@@ -134,7 +136,7 @@ class Training:
     @property
     def checkpoint_path(self) -> Path:
         """Where the running state is written."""
-        return self.folder / "checkpoint.pt"
+        return self.folder / CHECKPOINT_NAME
 
     def _begin(self) -> Fabric:
         if self.config.threads:
@@ -147,10 +149,24 @@ class Training:
         self.modules.to(fabric.device, memory_format=torch.channels_last)
         for name in self.method.frozen():
             self.modules[name].requires_grad_(False)
+        frozen = frozen_names(self.modules[DETECTOR], self._frozen)
+        for name, parameter in self.modules[DETECTOR].named_parameters():
+            parameter.requires_grad_(parameter.requires_grad and name not in frozen)
         synchronise_norms(self.modules)
         spread_state(self.modules)
         self.method.begins(self.config.steps, self.config.seed)
         return fabric
+
+    @property
+    def _frozen(self) -> tuple[str, ...]:
+        """Parts of the detector that stay as they started."""
+        return () if self.config.start is None else self.config.start.freeze
+
+    def _train_mode(self) -> None:
+        """Training mode, but for the frozen parts: there batch normalisation keeps its statistics."""
+        self.modules.train()
+        for module in frozen_modules(self.modules[DETECTOR], self._frozen):
+            module.training = False
 
     def _optimizer(self) -> torch.optim.Optimizer:
         groups = []
@@ -173,8 +189,8 @@ class Training:
         return [(self._parameters(party), pace) for party, pace in parties if party]
 
     def _parameters(self, names: Collection[str]) -> list[nn.Parameter]:
-        """The parameters of some modules, each once though modules may share them."""
-        every = [parameter for name in names for parameter in self.modules[name].parameters()]
+        """The parameters of some modules that are not frozen, each once though modules may share them."""
+        every = [p for name in names for p in self.modules[name].parameters() if p.requires_grad]
         return list({id(parameter): parameter for parameter in every}.values())
 
     def _batches(self, counts: Mapping[str, int], fabric: Fabric) -> Iterable[dict[str, list[Sample]]]:
@@ -269,11 +285,12 @@ class Training:
         return {name: [samples[number] for number in range(len(samples))] for name, samples in self.held.items()}
 
     def _note(self, losses: dict[str, float], held: Mapping[str, float], report: Report) -> None:
-        if self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or held:
-            self._log({**losses, **self.method.figures(), **held})
+        """Every step's losses are logged; what the method says besides at some steps, and TensorBoard then too."""
+        shown = self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or bool(held)
+        self._log({**losses, **(self.method.figures() if shown else {}), **held}, board=shown)
         report.step(self.step, losses)
 
-    def _log(self, losses: dict[str, float]) -> None:
+    def _log(self, losses: dict[str, float], *, board: bool) -> None:
         line = {
             "step": self.step,
             "learning_rate": one_cycle(self.step - 1, self.config),
@@ -282,7 +299,7 @@ class Training:
         }
         with (self.folder / "log.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
-        if self.config.tensorboard:
+        if self.config.tensorboard and board:
             for name, value in losses.items():
                 self._board.add_scalar(f"training/{name}", value, self.step)
             self._board.add_scalar("training/learning_rate", line["learning_rate"], self.step)

@@ -66,6 +66,16 @@ KITTI_FROM_CIRRUS = {
     "unknown": "Misc",
 }
 
+NUSCENES_FROM_CIRRUS = {  # the ten classes of its detection results that have one of ours
+    "vehicle": "car",
+    "large_vehicle": "truck",
+    "pedestrian": "pedestrian",
+    "wheeled_pedestrian": "pedestrian",
+    "bicycle": "bicycle",
+    "motorcycle": "motorcycle",
+    "trailer": "trailer",
+}
+
 _KRADAR = (  # long, short, ours
     ("Sedan", "sed", "vehicle"),
     ("Bus or Truck", "bus", "large_vehicle"),

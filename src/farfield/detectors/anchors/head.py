@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.anchors.assigning import AnchorAssigner
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
-from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.contract import ClassRows, DetectorConfig
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import box_loss, direction_loss, focal_loss
 from farfield.detectors.nms import rotated_nms
@@ -85,6 +85,14 @@ class AnchorHead(nn.Conv2d):
             self.weight.normal_(std=0.01)
             if self.bias is not None:
                 self.bias.copy_(bias.reshape(-1))
+
+    def class_rows(self) -> ClassRows:
+        """What each output channel is: of an anchor a logit, or one of the numbers of its box and direction."""
+        headings = range(self.anchors.per_cell // len(self.anchors.names))
+        slots = [(name, heading) for name in self.anchors.names for heading in headings]
+        said = [f"logit of {name}" for name in self.anchors.names] if self.config.head == "openpcdet" else ["logit"]
+        channels = [(*slot, what) for what in (*said, *range(_BOX_NUMBERS)) for slot in slots]
+        return {"weight": (0, channels), "bias": (0, channels)}
 
     def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:
         """Outputs for each anchor, in the order of the anchor grid; targets are not looked at."""

@@ -51,7 +51,7 @@ KITTI_SETTINGS: dict[str, dict[str, Any]] = {
             "half_width_m": 40.0,
             "z_min_m": -3.0,
             "z_max_m": 1.0,
-            "voxel_m": (0.05, 0.05, 0.1),
+            "cell_m": (0.05, 0.05, 0.1),
             "extra_layers": 1,
         },
         "max_points": 5,

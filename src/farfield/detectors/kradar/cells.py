@@ -26,7 +26,7 @@ class RadarGridConfig(VoxelGridConfig):
     half_width_m: float = Field(_NARROW[3], gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
     z_min_m: float = Field(_NARROW[4], description="cells below are dropped")
     z_max_m: float = Field(_NARROW[5], description="cells above are dropped")
-    voxel_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
+    cell_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
 
 
 def cell_columns(use_doppler: bool) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kradar.cells import RadarGridConfig, cell_columns
 from farfield.detectors.kradar.softmax_head import SoftmaxHead
+from farfield.detectors.voxels import OLD_NAMES
 from farfield.vocabulary.kradar import REGIONS_M
 
 _SEDAN = {"size_m": (4.2, 2.1, 2.0), "z_m": 0.0, "positive_iou": 0.5, "negative_iou": 0.2}
@@ -53,6 +54,8 @@ FORMS: dict[str, dict[str, Any]] = {
 class RadarDetectorConfig(AnchorHeadConfig):
     """Settings that RTN and RTNH share. ``form`` decides what the others are unless they are given."""
 
+    old_names = OLD_NAMES
+
     form: Literal["published", "wide"] = Field(
         "published",
         description="published: narrow region, Sedan, softmax head; wide: two classes, OpenPCDet's anchor head",
@@ -75,8 +78,8 @@ class RadarDetectorConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _square_cells(self) -> "RadarDetectorConfig":
-        if self.grid.voxel_m[0] != self.grid.voxel_m[1]:
-            raise ValueError(f"expected cells as long as wide, got {self.grid.voxel_m}: the anchors' cells are square")
+        if self.grid.cell_m[0] != self.grid.cell_m[1]:
+            raise ValueError(f"expected cells as long as wide, got {self.grid.cell_m}: the anchors' cells are square")
         return self
 
     @property
@@ -103,7 +106,7 @@ class RadarDetector(MapDetector):
         """Make the head of the configuration's form, on a map of the raster's resolution."""
         config = self.config
         _, nx, ny = config.grid.shape(multiple)
-        cell_m, y_min_m = config.grid.voxel_m[0], config.grid.y_min_m(multiple)
+        cell_m, y_min_m = config.grid.cell_m[0], config.grid.y_min_m(multiple)
         anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, y_min_m=y_min_m)
         if config.form == "wide":
             self.head = AnchorHead(config, c_in, anchors)

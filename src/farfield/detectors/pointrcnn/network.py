@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import Channels, DetectorConfig, Network
+from farfield.detectors.contract import Channels, ClassRows, DetectorConfig, Network
 from farfield.detectors.features import PointFeatures, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.losses import focal_loss
@@ -71,8 +71,10 @@ def cirrus_backbone() -> BackboneConfig:
 class PointRCNNConfig(DetectorConfig):
     """Everything that decides the shape of the network and its boxes."""
 
+    old_names: ClassVar[Mapping[str, str]] = {"window": "grid"}
+
     name: str = "pointrcnn"
-    window: WindowConfig = WindowConfig()
+    grid: WindowConfig = WindowConfig()
     sizes_m: dict[str, tuple[Metres, Metres, Metres]] = Field(
         default_factory=lambda: dict(CIRRUS_SIZES_M),
         min_length=1,
@@ -103,7 +105,10 @@ class PointRCNNConfig(DetectorConfig):
     @property
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
-        return self.window.range_m
+        return self.grid.range_m
+
+
+_BY_CLASS = ("segmentation", "refinement.confidence")  # a perceptron and a linear layer with a row for each class
 
 
 class Stages(NamedTuple):
@@ -163,6 +168,12 @@ class PointRCNN(Network):
             far_weight=config.far_weight,
         )
 
+    def class_rows(self) -> ClassRows:
+        """The class of each foreground logit and confidence, and of the scores that the second stage reads."""
+        names = self.config.class_names
+        logits = {f"{part}.1.{kind}": (0, names) for part in _BY_CLASS for kind in ("weight", "bias")}
+        return {**logits, "refinement.local.linears.0.weight": (1, (*range(7), *names))}
+
     def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:
         """Chosen points and their features (section 3.1); ``aux`` holds the row of each in its cloud."""
         clouds = batch["points"]
@@ -192,13 +203,13 @@ class PointRCNN(Network):
 
     def _choose(self, cloud: Tensor) -> Tensor:
         """Rows of the points that the network reads: those in the window, by the budget of each band of range."""
-        inside = self.config.window.rows(cloud)
+        inside = self.config.grid.rows(cloud)
         return inside[sample_bands(cloud[inside], self.config.bands, self.config.points)]
 
     def _inputs(self, points: Tensor) -> Tensor | None:
         columns = self.config.columns
         known = {name: points[:, columns.index(column)] for name, column in _COLUMNS.items() if column in columns}
-        known["height"] = points[:, 2] / self.config.window.z_max_m
+        known["height"] = points[:, 2] / self.config.grid.z_max_m
         known["range"] = torch.hypot(points[:, 0], points[:, 1]) / 100.0
         return torch.stack([known[name] for name in self.config.inputs], 1) if self.config.inputs else None
 

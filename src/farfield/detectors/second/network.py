@@ -2,7 +2,7 @@
 
 Points -> voxels -> sparse 3D convolutions -> bird's-eye image -> two blocks of convolutions -> one anchor head ->
 rotated NMS. Differences from the paper, each for long range and one key away from what was published: voxels of 0.1 m
-(``grid.voxel_m``, published 0.05 x 0.05 x 0.1 m), half the widths behind the sparse layers, so that two cores keep up
+(``grid.cell_m``, published 0.05 x 0.05 x 0.1 m), half the widths behind the sparse layers, so that two cores keep up
 (published ``middle_out: 128``, ``widths: [128, 256]``, ``neck_width: 256``), a taller grid, since roads climb over
 250 m, no limit of points (``max_points: 5``), and anchors assigned to a box by the distance of its centre
 (``matching: iou``). ``features`` and ``head`` set to ``openpcdet`` compute what OpenPCDet's checkpoints expect.
@@ -23,7 +23,7 @@ from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.openpcdet_features import use_openpcdet_momentum
 from farfield.detectors.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
-from farfield.detectors.voxels import VoxelGridConfig, first_points_of_voxels, mean_features, mean_voxels
+from farfield.detectors.voxels import OLD_NAMES, VoxelGridConfig, first_points_of_voxels, mean_features, mean_voxels
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks
@@ -31,6 +31,8 @@ _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and pa
 
 class SecondConfig(AnchorHeadConfig):
     """Everything that decides the shape of the network and its boxes."""
+
+    old_names = OLD_NAMES
 
     name: str = "second"
     grid: VoxelGridConfig = VoxelGridConfig()
@@ -51,13 +53,13 @@ class SecondConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _grid_suits(self) -> "SecondConfig":
-        if self.grid.voxel_m[0] != self.grid.voxel_m[1]:
-            raise ValueError(f"expected voxels as long as wide, got {self.grid.voxel_m}: the anchors' cells are square")
+        if self.grid.cell_m[0] != self.grid.cell_m[1]:
+            raise ValueError(f"expected voxels as long as wide, got {self.grid.cell_m}: the anchors' cells are square")
         if folded_layers(self.grid.shape(1)[0]) < 1:
             fewest = next(layers for layers in range(1, 1000) if folded_layers(layers) >= 1)
             raise ValueError(
                 f"expected a grid of at least {fewest} layers along z, since the sparse convolutions halve z four "
-                f"times; got {self.grid.shape(1)[0]}: take a smaller voxel_m along z, or move z_min_m and z_max_m apart"
+                f"times; got {self.grid.shape(1)[0]}: take a smaller cell_m along z, or move z_min_m and z_max_m apart"
             )
         if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
             raise ValueError("expected use_intensity and use_lag off: openpcdet's features are x, y, z and intensity")
@@ -152,7 +154,7 @@ class Second(MapDetector):
             config.anchors,
             nx=nx // stride,
             ny=ny // stride,
-            cell_m=config.grid.voxel_m[0] * stride,
+            cell_m=config.grid.cell_m[0] * stride,
             y_min_m=config.grid.y_min_m(self.multiple),
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)

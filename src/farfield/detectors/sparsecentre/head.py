@@ -15,7 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.contract import ClassRows, DetectorConfig
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.processes import normaliser
@@ -108,6 +108,10 @@ class CentreHead(nn.Module):
             self.heat.weight.normal_(std=0.01)
             self.heat.bias.fill_(-2.2)  # every cell at a score of 0.1
             self.box.weight.normal_(std=0.01)
+
+    def class_rows(self) -> ClassRows:
+        """The class of each heat."""
+        return {f"heat.{kind}": (0, self.config.classes) for kind in ("weight", "bias")}
 
     def forward(self, features: FeatureMap, targets: Sequence[CentreTargets] | None = None) -> CentreMaps:
         """Outputs for the occupied cells; targets are not looked at.

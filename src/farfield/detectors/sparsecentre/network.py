@@ -30,7 +30,7 @@ from farfield.detectors.sparsecentre.backbone import (
 )
 from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
 from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig
-from farfield.detectors.voxels import VoxelGridConfig, mean_features, mean_voxels
+from farfield.detectors.voxels import OLD_NAMES, VoxelGridConfig, mean_features, mean_voxels
 
 Depth = Annotated[int, Field(ge=0, le=64)]
 
@@ -38,8 +38,10 @@ Depth = Annotated[int, Field(ge=0, le=64)]
 class SparseCentreConfig(CentreHeadConfig):
     """Everything that decides the shape of the network and its boxes."""
 
+    old_names = OLD_NAMES
+
     name: str = "sparsecentre"
-    grid: VoxelGridConfig = VoxelGridConfig(voxel_m=(0.2, 0.2, 0.25))
+    grid: VoxelGridConfig = VoxelGridConfig(cell_m=(0.2, 0.2, 0.25))
     use_intensity: bool = False
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     positions: Positions = Field(
@@ -82,8 +84,8 @@ class SparseCentreConfig(CentreHeadConfig):
             raise ValueError("expected 1 to 5 widths, as many depths, and 1 to 6 pyramid_widths")
         if layers % self.map_stride:
             raise ValueError(f"expected voxel layers that {self.map_stride} divides, got {layers}: set extra_layers")
-        if self.grid.voxel_m[0] != self.grid.voxel_m[1]:
-            raise ValueError(f"expected voxels as long as wide, got {self.grid.voxel_m}")
+        if self.grid.cell_m[0] != self.grid.cell_m[1]:
+            raise ValueError(f"expected voxels as long as wide, got {self.grid.cell_m}")
         return self
 
 
@@ -101,7 +103,7 @@ class SparseCentre(MapDetector):
         self.encoder = VoxelEncoder(c_in, config.widths, config.depths)
         self.to_map = normalised(SubmanifoldConv(config.widths[-1], width, (1, 1, 1)), width)
         self.pyramid = SparsePyramid(config.pyramid_widths, config.pyramid_depth)
-        cell_m = config.grid.voxel_m[0] * config.map_stride
+        cell_m = config.grid.cell_m[0] * config.map_stride
         self.diffusion = CentreDiffusion(
             width,
             threshold=config.vote_threshold,

@@ -21,13 +21,15 @@ from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.voxelnet.middle import MiddleLayers, middle_depths
 from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder
-from farfield.detectors.voxels import VoxelGridConfig
+from farfield.detectors.voxels import OLD_NAMES, VoxelGridConfig
 
-_CIRRUS_GRID = VoxelGridConfig(range_m=250.0, half_width_m=50.0, z_min_m=-3.0, z_max_m=1.0, voxel_m=(0.2, 0.2, 0.4))
+_CIRRUS_GRID = VoxelGridConfig(range_m=250.0, half_width_m=50.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.2, 0.2, 0.4))
 
 
 class VoxelNetConfig(AnchorHeadConfig):
     """Everything that decides the shape of the network and its boxes; widths and grid are the published ones."""
+
+    old_names = OLD_NAMES
 
     name: str = "voxelnet"
     grid: VoxelGridConfig = _CIRRUS_GRID
@@ -49,7 +51,7 @@ class VoxelNetConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _fits(self) -> "VoxelNetConfig":
-        dx, dy, _ = self.grid.voxel_m
+        dx, dy, _ = self.grid.cell_m
         if dx != dy:
             raise ValueError(f"expected voxels as long as wide, got {dx} m x {dy} m")
         layers = self.grid.shape(1)[0]
@@ -101,7 +103,7 @@ class VoxelNet(MapDetector):
             config.anchors,
             nx=nx // config.out_stride,
             ny=ny // config.out_stride,
-            cell_m=config.grid.voxel_m[0] * config.out_stride,
+            cell_m=config.grid.cell_m[0] * config.out_stride,
             y_min_m=config.grid.y_min_m(multiple),
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)

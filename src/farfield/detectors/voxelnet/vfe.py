@@ -102,7 +102,7 @@ class VoxelFeatureEncoder(nn.Module):
         grid = self.grid
         scale = xyz.new_tensor([grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m))])
         return torch.cat(
-            [(xyz / scale)[:, self.first :], points[:, self.extra], to_mean / xyz.new_tensor(grid.voxel_m)], 1
+            [(xyz / scale)[:, self.first :], points[:, self.extra], to_mean / xyz.new_tensor(grid.cell_m)], 1
         )
 
 

@@ -27,6 +27,7 @@ class Finding:
         what: What was found.
         where: File or frame.
         mend: How to mend it.
+        absent: Whether it says no more than that something is not there, which nothing needs.
     """
 
     severity: Severity
@@ -34,6 +35,7 @@ class Finding:
     what: str
     where: str = ""
     mend: str = ""
+    absent: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +59,16 @@ class Report:
         """Whether training would fail or score zero."""
         return any(finding.severity == "fail" for finding in self.findings)
 
+    @property
+    def present(self) -> tuple[Finding, ...]:
+        """The findings about what is there, or should be."""
+        return tuple(finding for finding in self.findings if not finding.absent)
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Topics of what is not there and need not be."""
+        return tuple(finding.topic for finding in self.findings if finding.absent)
+
     def to_json(self) -> dict[str, Any]:
         """Return plain values: path, format, failed, facts, findings."""
         findings = [asdict(finding) for finding in self.findings]
@@ -66,8 +78,8 @@ class Report:
 
     def __str__(self) -> str:
         lines = [f"{self.path}: {self.format}"]
-        for finding in self.findings:
+        for finding in self.present:
             where = f" [{finding.where}]" if finding.where else ""
             mend = f"\n       mend: {finding.mend}" if finding.mend else ""
             lines.append(f"{finding.severity:>5}  {finding.topic}: {finding.what}{where}{mend}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([f"not there: {', '.join(self.absent)}"] if self.absent else [])])

@@ -61,7 +61,7 @@ def _modalities(
         known["files"][product] = per
         topic = f"radar {product}" if product in RADAR_PRODUCTS else product
         if not per:
-            yield Finding(severity="ok", topic=topic, what="none")
+            yield Finding(severity="ok", topic=topic, what="none", absent=True)
             continue
         what = f"{counted(sum(per.values()), 'file')} in {_of(per, names)}"
         short = {name: count for name, count in per.items() if count < frames[name]}
@@ -103,7 +103,8 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]
         lacks = [name for name in names if name not in having]
         what = "none" if not having else f"in {_of(having, names)}"
         what += f"; missing in {_listed(lacks)}" if having and lacks else ""
-        yield Finding(severity="ok", topic=topic, what=what + _standing_in(topic, having, lacks))
+        stands_in = _standing_in(topic, having, lacks)
+        yield Finding(severity="ok", topic=topic, what=what + stands_in, absent=not having and not stands_in)
     described = set(there["description"]) | set(there["published conditions"])
     silent = [name for name in names if name not in described]
     if silent:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from farfield.frame.drive import Drive
-from farfield.metrics.centre.protocol import CentreProtocol, evaluate_centre
+from farfield.metrics.centre.protocol import CentreProtocol, distance_words, distances, evaluate_centre
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.presenting import Presentation, Words
 from farfield.metrics.result import Result, table, value_at
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ class DdsSettings(CentreSettings):
     """The options of DDS and wDDS; the defaults are Farfield's reading of the paper (see :class:`CentreSettings`)."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class DdsResult(Result):
     """DDS and wDDS by range and epsilon."""
 
@@ -94,3 +95,54 @@ class Dds(CentreProtocol):
         names = [f"dds/{epsilon}/dds" for epsilon in result.get("dds") or ()]
         plain = ["dds/0/map", "dds/0/aiou"] if "0" in (result.get("dds") or ()) else []
         return {name: value_at(result, name) for name in [*names, *plain]}
+
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """DDS with its mAP, wDDS, and what they are made of."""
+        epsilons = sorted(result.get("dds") or {}, key=float)
+        scores = [f"dds/{epsilon}/dds" for epsilon in epsilons]
+        first = epsilons[0] if epsilons else "0"
+        return Presentation(
+            figures=(*scores[:1], *([f"dds/{first}/map"] if scores else []), *scores[1:]),
+            beside=f"dds/{first}/map" if scores else "",
+            about="DDS is the mean of how reliably objects are found (mAP) and how well their boxes fit. wDDS allows "
+            "more metres of error the farther an object is; the number beside it is epsilon, how fast the allowance "
+            "grows.",
+            parts=(f"dds/{first}/map", f"dds/{first}/aiou", *distances(result)) if scores else (),
+            about_parts="mAP is the mean of the APs, each for another largest distance between predicted and annotated "
+            "centre. aIoU says how well size and heading of the found boxes fit.",
+            groups=tuple(
+                (f"epsilon {e}", tuple(f"dds/{e}/{part}" for part in ("dds", "map", "aiou"))) for e in epsilons
+            ),
+            groups_title="Score, mAP and aIoU for every epsilon",
+            about_curves="Each line allows another distance between the predicted and the annotated centre.",
+            glossary=_glossary(result),
+        )
+
+    def shown_epsilons(self, names: Sequence[str]) -> list[str]:
+        """The first, and 0.006 or else the last one."""
+        return list(dict.fromkeys([*names[:1], *(["0.006"] if "0.006" in names else names[-1:])]))
+
+    def panel_title(self, epsilon: str) -> str:
+        """The score and its epsilon."""
+        return f"{'DDS' if float(epsilon) == 0 else 'wDDS'} (epsilon {epsilon})"
+
+
+def _glossary(result: Mapping[str, Any]) -> Words:
+    return (
+        (
+            "AP",
+            "Average precision: the area under the precision-recall curve, for predictions whose centre lies within "
+            f"{distance_words(result)} of the annotated one. mAP is the mean over these distances.",
+        ),
+        (
+            "aIoU",
+            "Aligned overlap: how well size and heading of the found boxes fit, once their centres are put on each "
+            "other.",
+        ),
+        ("DDS", "Mean of mAP and aIoU, from 0 (nothing) to 1 (perfect)."),
+        (
+            "wDDS",
+            "DDS that allows more metres of error the farther an object is: thresholds grow as exp(epsilon x range). "
+            "At epsilon 0.006 and 250 m they are 4.5 times as wide.",
+        ),
+    )

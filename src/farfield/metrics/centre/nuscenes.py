@@ -5,14 +5,15 @@ Centre distance in the x-y plane; AP above recall and precision 0.1 at 0.5, 1, 2
 index first). Velocity and attributes are not scored, hence no NDS.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from farfield.frame.drive import Drive
-from farfield.metrics.centre.protocol import CentreProtocol, evaluate_centre
+from farfield.metrics.centre.protocol import CentreProtocol, distance_words, distances, evaluate_centre
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.presenting import Presentation
 from farfield.metrics.result import Result, table, value_at
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class NuScenesSettings(CentreSettings):
     scores: Literal["rank", "raw", "sigmoid", "auto"] = "auto"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class NuScenesResult(Result):
     """AP by threshold and the true-positive errors, by range."""
 
@@ -91,3 +92,51 @@ class NuScenes(CentreProtocol):
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
         """The mean AP."""
         return {"map": value_at(result, "map")}
+
+    def title(self, figure: str) -> str:
+        """mAP, AP with its distance, the errors in full."""
+        return {"map": "mAP", **_ERRORS}.get(figure, super().title(figure))
+
+    def setting_title(self, name: str) -> str:
+        """The distance at which errors are taken by what it is here."""
+        return {"aiou_threshold_m": "error_threshold_m"}.get(name, name)
+
+    def unit(self, figure: str) -> str:
+        """Metres and radians of the errors."""
+        return {"errors/trans_err": "m", "errors/orient_err": "rad"}.get(figure, "")
+
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """Mean AP and the APs, then the errors of what was found."""
+        limit = (result.get("settings") or {}).get("aiou_threshold_m", 2.0)
+        within = f" within {limit:g} m" if isinstance(limit, int | float) else ""
+        return Presentation(
+            figures=("map", *distances(result)),
+            about="mAP is the mean of the APs, each for another largest distance between predicted and annotated "
+            "centre, seen from above.",
+            parts=tuple(f"errors/{name}" for name in result.get("errors") or ()),
+            parts_title="Errors of what was found",
+            about_parts=f"Means over the matches{within}: distance of the centres, 1 less the overlap of the sizes, "
+            "difference of the headings. Smaller is better; 1 stands where too little was found.",
+            about_curves="Each line allows another distance between the predicted and the annotated centre.",
+            glossary=(
+                (
+                    "AP",
+                    "Average precision: the area under the precision-recall curve above a recall and a precision of "
+                    f"0.1, for predictions whose centre lies within {distance_words(result)} of the annotated one.",
+                ),
+                ("mAP", "The mean of the APs over these distances, of one class."),
+            ),
+        )
+
+    def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
+        """Besides those of every protocol: how boxes are aligned, and how a distance that does not grow would."""
+        names = [*super().inert(settings), "aiou", "aiou_mean"]
+        grows = any(settings.get("epsilons") or ())
+        return names if grows else [*names, "epsilons", "omega_range"]
+
+
+_ERRORS = {
+    "errors/trans_err": "translation error",
+    "errors/scale_err": "scale error",
+    "errors/orient_err": "orientation error",
+}

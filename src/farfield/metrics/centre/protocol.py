@@ -20,8 +20,9 @@ from farfield.metrics.centre.evaluation import (
 )
 from farfield.metrics.centre.scene import Scene, gather
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.curves import Ranking
+from farfield.metrics.curves import FIRST, RECALL, Ranking
 from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.presenting import CurveLine, CurvePanel, curve_line
 from farfield.metrics.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -38,6 +39,27 @@ class CentreProtocol(Protocol):
             kept["epsilons"] = kept["epsilons"][:1]
         return kept
 
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """Curves by largest distance, a panel for each epsilon that the page shows."""
+        known = (result.get("curves") or {}).get("overall") or {}
+        return [
+            CurvePanel(self.panel_title(name), _lines(name, known[name])) for name in self.shown_epsilons(list(known))
+        ]
+
+    def shown_epsilons(self, names: Sequence[str]) -> list[str]:
+        """Of the epsilons that have curves, those that the page shows."""
+        return list(names)
+
+    def panel_title(self, epsilon: str) -> str:
+        """What a panel of curves is called."""
+        del epsilon
+        return ""
+
+    def title(self, figure: str) -> str:
+        """AP with its distance; other names in full."""
+        kind, _, rest = figure.partition("/")
+        return f"AP {float(rest):g} m" if kind == "ap" and _is_number(rest) else super().title(figure)
+
     def weighted(self, found: "Detections", settings: CentreSettings) -> Weighted:
         """The figures of the region, of each bin and the mean of the bins as functions of group weights."""
         scene = gather(found.boxes, found.annotated, settings, found.drives)
@@ -46,6 +68,27 @@ class CentreProtocol(Protocol):
         mean = partial(_mean_of_bins, parts, _reached(settings, found.reach_m), settings)
         groups = tuple(scene.group.tolist())
         return Weighted(parts={**each, "mean_of_bins": mean}, groups=groups, grouped_by=scene.grouped_by)
+
+
+def _lines(epsilon: str, curves: Mapping[str, Any]) -> tuple[CurveLine, ...]:
+    named = {f"within {float(name):g} m": curves[name] for name in sorted(curves, key=float)}
+    lines = (curve_line(name, curve, (f"of epsilon {epsilon}",)) for name, curve in named.items())
+    return tuple(line for line in lines if line is not None)
+
+
+def _is_number(text: str) -> bool:
+    return text.replace(".", "", 1).isdecimal()
+
+
+def distances(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of the APs of a result, by rising distance."""
+    return tuple(f"ap/{name}" for name in sorted(result.get("ap") or {}, key=float))
+
+
+def distance_words(result: Mapping[str, Any]) -> str:
+    """The distances of a result's APs, such as ``"0.5, 1, 2 or 4 m"``."""
+    names = [f"{float(name):g}" for name in sorted(result.get("ap") or {}, key=float)]
+    return f"{' or '.join([', '.join(names[:-1]), names[-1]] if len(names) > 1 else names)} m" if names else "a limit"
 
 
 def evaluate_centre(
@@ -94,13 +137,36 @@ def evaluate_centre(
         "intervals": drawn,
         "grouped_by": scene.grouped_by,
         "curves": {name: _curves(part, settings) for name, part in parts.items()},
+        "notes": tuple(too_little_found(parts, point, settings)),
     }
+
+
+def too_little_found(parts: Mapping[str, Part], point: Mapping[str, Statistics], settings: CentreSettings) -> list[str]:
+    """Why figures are 0 or 1, the worst, in parts where something was found: recall ends before the averages begin.
+
+    nuScenes' averages begin at a recall of 0.11 (``calc_ap`` and ``calc_tp`` of its devkit).
+    """
+    least, limit = float(RECALL[FIRST]), settings.error_thresholds_m[0]
+    said = list[str]()
+    for name, part in parts.items():
+        ranking = part.ranking[settings.epsilons[0], limit]
+        reached = float(ranking.recall[-1]) if len(ranking.recall) else 0.0
+        worst = settings.with_aiou and point[name].get(f"dds/{settings.epsilons[0]:g}/aiou") == 0
+        if part.annotated and 0 < reached < least and (worst or not settings.with_aiou):
+            where = "over all ranges" if name == "overall" else f"at {name} m"
+            score = "aIoU counts as 0" if settings.with_aiou else "errors count as 1"
+            said.append(
+                f"{where} only {reached:.2f} of the {part.annotated} objects are found within {limit:g} m, and "
+                f"averages begin at a recall of {least:g}: AP there is 0, and {score}"
+            )
+    return said
 
 
 def _figures(
     parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
 ) -> dict[str, Statistics]:
-    found = {name: statistics(part, settings, weight) for name, part in parts.items()}
+    once = {id(part): statistics(part, settings, weight) for part in {id(p): p for p in parts.values()}.values()}
+    found = {name: once[id(part)] for name, part in parts.items()}
     return found | {"mean_of_bins": mean_of_parts([found[name] for name in reached])}
 
 

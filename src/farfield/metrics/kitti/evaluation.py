@@ -31,7 +31,7 @@ _Counted = dict[tuple[str, str, str], ThresholdCounts]  # by part, measure and d
 _Averages = dict[tuple[str, str, str], Statistics]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class KittiResult(Result):
     """KITTI AP by overlap, recall points and difficulty; figures lie in [0, 1], the table shows per cent."""
 

@@ -8,6 +8,7 @@ from farfield.frame.annotation import Annotation
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti, weighted_kitti
 from farfield.metrics.kitti.settings import KittiSettings
+from farfield.metrics.presenting import CurveLine, CurvePanel, Finding, Presentation, panels
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import figure_names, value_at
 
@@ -53,8 +54,71 @@ class Kitti(Protocol):
         )
 
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
-        """AP over 40 recalls, by overlap and difficulty."""
-        return {name: value_at(result, name) for name in figure_names(result) if "r40" in name}
+        """AP over 40 recalls: in space before from above, moderate before the other difficulties."""
+        names = [name for name in figure_names(result) if "_r40/" in name]
+        return {name: value_at(result, name) for name in sorted(names, key=_rank)}
+
+    def title(self, figure: str) -> str:
+        """Overlap, recall points and difficulty: ``AP3D R40 moderate``."""
+        kind, _, difficulty = figure.removeprefix("ap/").partition("/")
+        measure, _, points = kind.partition("_")
+        if measure not in _MEASURES or not points:
+            return super().title(figure)
+        return " ".join([_MEASURES[measure], points.upper(), *([difficulty] if difficulty not in ("", "all") else [])])
+
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """AP over 40 recalls, then over 11."""
+        settings = result.get("settings") or {}
+        least = settings.get("min_overlap")
+        overlap = f"more than {least:g}" if isinstance(least, int | float) else "enough"
+        old = [name for name in figure_names(result) if "_r11/" in name]
+        return Presentation(
+            figures=tuple(self.headline(result)),
+            about=f"A prediction finds a box that it overlaps by {overlap}, in space (AP3D) or seen from above "
+            "(APBEV). R40 is the mean precision at 40 recalls.",
+            parts=tuple(sorted(old, key=_rank)),
+            parts_title="Over 11 recalls",
+            about_parts="R11 is the mean precision at 11 recalls, as until 2019.",
+            about_curves="Each line is a difficulty of the annotated objects.",
+            glossary=_GLOSSARY,
+            finding=Finding("3d", float(least)) if isinstance(least, int | float) else Finding("3d", 0.5),
+        )
+
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """A panel for each overlap, in space first."""
+        known = (result.get("curves") or {}).get("overall") or {}
+        named = {_MEASURES.get(name, name): known[name] for name in sorted(known)}
+        return [CurvePanel(panel.title, _moderate_first(panel.lines)) for panel in panels(named)]
+
+
+_MEASURES = {"3d": "AP3D", "bev": "APBEV"}
+_ORDER = ("moderate", "easy", "hard", "all")
+_GLOSSARY = (
+    (
+        "Overlap",
+        "The intersection of two boxes over their union (IoU): 1 for equal boxes, 0 for boxes apart.",
+    ),
+    ("AP3D, APBEV", "Average precision of boxes that overlap in space, or seen from above."),
+    ("R40, R11", "At how many recalls precision is averaged: at 1/40 ... 1, or at 0, 0.1 ... 1."),
+    (
+        "Difficulty",
+        "Easy, moderate and hard objects, by their height in the image, occlusion and truncation; what is harder may "
+        "be found or not.",
+    ),
+)
+
+
+def _rank(name: str) -> tuple[bool, int]:
+    difficulty = name.rpartition("/")[2]
+    return "bev" in name, _ORDER.index(difficulty) if difficulty in _ORDER else len(_ORDER)
+
+
+def _moderate_first(lines: tuple[CurveLine, ...]) -> tuple[CurveLine, ...]:
+    return tuple(sorted(lines, key=_line_rank))
+
+
+def _line_rank(line: CurveLine) -> tuple[bool, int]:
+    return _rank(f"/{line.name}")
 
 
 def facts_of(annotation: Annotation) -> dict[str, Any]:

@@ -33,7 +33,7 @@ _Counts = dict[tuple[str, float], ThresholdCounts]
 Conditions = Mapping[Key, Mapping[str, str]]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class KRadarResult(Result):
     """AP by class, measure and overlap: overall, by range, condition and visibility.
 

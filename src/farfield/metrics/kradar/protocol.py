@@ -11,7 +11,9 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, weighted_kradar
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
+from farfield.metrics.presenting import CurvePanel, Finding, Presentation, panels
 from farfield.metrics.protocol import Protocol
+from farfield.metrics.result import figure_names
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
 
 if TYPE_CHECKING:
@@ -105,6 +107,44 @@ class KRadar(Protocol):
             drives=found.drives,
         )
 
+    def title(self, figure: str) -> str:
+        """Class, overlap and its least value: ``vehicle AP3D 0.3``."""
+        words = figure.removeprefix("ap/").split("/")
+        if len(words) < 2 or words[-2] not in _MEASURES:
+            return super().title(figure)
+        return " ".join([*(word.replace("_", " ") for word in words[:-2]), _MEASURES[words[-2]], words[-1]])
+
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """AP at the least overlap by class, by weather first; then the stricter overlaps."""
+        names, known = figure_names(result), result.get("settings") or {}
+        ious = [iou for iou in known.get("ious") or () if isinstance(iou, int | float)]
+        least = min(ious, default=0.3)
+        first = [name for name in names if name.endswith(f"/{least:g}")]
+        return Presentation(
+            figures=tuple(sorted(first, key=_bev_last)) or tuple(names),
+            about=f"A prediction finds a box that it overlaps by more than {least:g}, in space (AP3D) or seen from "
+            f"above (APBEV). AP is the mean precision at {known.get('recall_points', 'several')} recalls.",
+            parts=tuple(name for name in names if name not in first),
+            parts_title="At stricter overlaps",
+            about_parts="The number is the overlap that a prediction must exceed.",
+            about_curves="Each line asks for another overlap.",
+            glossary=_GLOSSARY,
+            kinds=("weather", "road", "time", "visibility", "azimuth"),
+            conditions_first=True,
+            finding=Finding("3d", float(least)),
+        )
+
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """A panel for each class and overlap, in space first."""
+        known = (result.get("curves") or {}).get("overall") or {}
+        found = []
+        for label, measures in known.items():
+            for measure in sorted(measures):
+                title = f"{label.replace('_', ' ')}, {_MEASURES.get(measure, measure)}"
+                named = {f"overlap {iou}": curve for iou, curve in measures[measure].items()}
+                found += [CurvePanel(title, panel.lines) for panel in panels(named)]
+        return found
+
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Besides those of every protocol: overlaps and classes, which have figures of their own.
 
@@ -119,6 +159,26 @@ class KRadar(Protocol):
         shown = self.depends_on(settings, by_range=by_range)
         shown = {name: value for name, value in shown.items() if name not in _UNSAID}
         return option_text({name: shown[name] for name in _FIRST if name in shown} | shown)
+
+
+_MEASURES = {"3d": "AP3D", "bev": "APBEV"}
+_GLOSSARY = (
+    (
+        "Overlap",
+        "The intersection of two boxes over their union (IoU): 1 for equal boxes, 0 for boxes apart.",
+    ),
+    ("AP3D, APBEV", "Average precision of boxes that overlap in space, or seen from above."),
+    ("Region", "Boxes count by their place seen from the radar: in a narrow corridor, or in a wide field."),
+    (
+        "Visibility",
+        "Which sensor sees an annotated object: the radar, the LiDAR alone, or not known. What is of the other kinds "
+        "may be found or not.",
+    ),
+)
+
+
+def _bev_last(name: str) -> bool:
+    return "/bev/" in name
 
 
 def _visibility(found: "Detections") -> dict[Key, tuple[str, ...]]:

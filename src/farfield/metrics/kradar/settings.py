@@ -6,7 +6,7 @@ Each of these is an option here, and the variants name the combinations in use.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from typing import Any, Literal
@@ -218,13 +218,37 @@ def kradar_settings(protocol: str = "kradar", **options: Any) -> KRadarSettings:
     variant = protocol.partition(":")[2]
     if variant not in VARIANTS:
         raise ConfigError(
-            f"protocol: expected kradar-compat:VARIANT with one of {', '.join(VARIANTS)}; got {protocol!r}"
+            f"protocol: expected kradar-compat:VARIANT with one of {', '.join(VARIANTS)}; got {protocol!r}. "
+            f"For {_by_labels()}."
         )
     fixed = VARIANTS[variant]
     changed = sorted(name for name in options if name in fixed and options[name] != fixed[name])
     if changed:
         raise ConfigError(
-            f"{protocol} fixes {', '.join(f'{name}={fixed[name]}' for name in changed)}; choose another variant, or "
+            f"{protocol} fixes {', '.join(f'{name}={fixed[name]}' for name in changed)}; {_taking(options)}, or choose "
             "protocol kradar, which takes every option"
         )
     return KRadarSettings(**{**options, **fixed})
+
+
+def _taking(options: Mapping[str, Any]) -> str:
+    """Which variants take some options, in words."""
+    able = [name for name, fixed in VARIANTS.items() if all(fixed.get(o, v) == v for o, v in options.items())]
+    if not able:
+        return "no variant takes these options together"
+    return f"choose a variant that takes {', '.join(f'{o}={v}' for o, v in options.items())}: {_listed(able)}"
+
+
+def _by_labels() -> str:
+    """The variants by the version of the labels that they are for."""
+    groups: dict[str, list[str]] = {}
+    for name, fixed in VARIANTS.items():
+        groups.setdefault(fixed.get("label_version", "any"), []).append(name)
+    return "; for ".join(f"{version} labels: {_listed(names)}" for version, names in groups.items())
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Variants by name, those that differ in the score's cut as one."""
+    plain = dict.fromkeys(name.partition("@")[0] for name in names)
+    cuts = list(dict.fromkeys(f"@{name.partition('@')[2]}" for name in names if "@" in name))
+    return ", ".join(plain) + (f" (also with {', '.join(cuts)})" if cuts else "")

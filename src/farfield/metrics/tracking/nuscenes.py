@@ -63,7 +63,7 @@ class NuScenesTrackingSettings:
         return {f"{low:g}-{high:g}": (low, high) for low, high in pairwise(self.range_bins_m)}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class NuScenesTrackingResult(Result):
     """nuScenes' scores of tracks."""
 

@@ -20,7 +20,7 @@ _OF_TRACKS = ("MT", "ML", "tracks")
 """Counts of whole tracks, which no range bin has."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class TrackingResult(Result):
     """Scores of tracks; figures lie in [0, 1] or are counts, the table shows per cent and counts."""
 

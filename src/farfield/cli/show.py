@@ -1,0 +1,72 @@
+"""``farfield show``: one frame as a picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from farfield.cli._detector_options import OWN, BoxFlags
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
+
+
+def run(
+    data: Positional[Path],
+    /,
+    *,
+    frame: int = 0,
+    radar: bool = False,
+    detector: str = "",
+    cloud: str | None = None,
+    kept: BoxFlags = OWN,
+    out: Path | None = None,
+) -> int:
+    """Draw one frame from above, with its annotated boxes and those of a detector, into a PNG.
+
+    examples:
+      farfield show Cirrus_dataset1
+      farfield show data/kradar --radar --frame 12
+      farfield show data/sim --detector pointpillars-cirrus-sim --score-threshold 0.3 --out frame.png
+
+    Args:
+        data: The data set; its format is recognised.
+        frame: Number of the frame, counted from 0.
+        radar: Draw the radar's power instead of a cloud: of a tesseract, a cube, a polar map or the store's cells, else
+            the radar's points.
+        detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
+        cloud: Which cloud; the first, or the first that suits the detector, unless given.
+        kept: Which of the detector's boxes are drawn.
+        out: The PNG; runs/show-DATA-NUMBER.png unless given.
+    """
+    from farfield.api import load_detector
+    from farfield.detection import as_trained, suitable_clouds
+    from farfield.errors import ConfigError
+    from farfield.frame.provenance import is_simulated
+    from farfield.reports.figures import birdseye
+    from farfield.reports.radar_map import radar_map
+
+    opened, predicted = _opened(data, radar=radar), None
+    if not 0 <= frame < len(opened):
+        raise ConfigError(f"--frame: expected a number from 0 to {len(opened) - 1}, got {frame}")
+    shown = opened[frame]
+    if detector:
+        loaded = load_detector(detector, **kept.options)
+        shown = as_trained(opened, loaded)[frame]
+        cloud = cloud or suitable_clouds(loaded, shown)[0]
+        predicted = loaded.with_cloud(cloud)(shown)
+    figure = radar_map(shown, predicted) if radar else birdseye(shown, predicted, cloud=cloud, window_m="fit")
+    path = out or Path("runs") / f"show-{opened.root.resolve().name}-{frame}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    print("simulated data\n" if is_simulated(opened.root) else "", end="")
+    print(f"{figure.axes[0].get_title(loc='left')}\npicture: {path.resolve()}")
+    return 0
+
+
+def _opened(path: Path, *, radar: bool) -> "Dataset":
+    """The data set; K-Radar for the radar's sake in the radar's coordinates."""
+    from farfield.datasets import open_dataset
+
+    opened = open_dataset(path)
+    return open_dataset(path, reference="radar") if radar and opened.name == "kradar" else opened

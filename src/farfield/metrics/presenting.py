@@ -1,0 +1,181 @@
+"""How results are shown: what a protocol states for a page, which itself knows no protocol."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from farfield.errors import ConfigError
+from farfield.geometry.boxes import Boxes
+from farfield.geometry.iou import pairwise_iou
+
+Words = tuple[tuple[str, str], ...]
+"""Words and what they mean, for readers who are new to them."""
+
+BASICS: Words = (
+    (
+        "Box",
+        "Where an object is, how large it is and which way it faces. Annotated boxes are the truth to be found; "
+        "predicted boxes are what the detector says, each with a score of how sure it is.",
+    ),
+    ("Recall", "Of all annotated objects, the share that was found."),
+    (
+        "Precision",
+        "Of all predictions, the share that is right. Asking for more recall means accepting less sure predictions, so "
+        "precision falls along the curve.",
+    ),
+    (
+        "Interval",
+        "How far the score might move had other drives been recorded: the middle 95 % of scores over resampled drives.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """When an annotated box counts as found in pictures; scores have their own rules.
+
+    Args:
+        kind: Compare centres seen from above (``"centre"``), or overlap from above (``"bev"``) or in space (``"3d"``).
+        limit: A prediction must be nearer than this many metres, or overlap by more than this share.
+    """
+
+    kind: Literal["centre", "bev", "3d"] = "centre"
+    limit: float = 2.0
+
+    def __str__(self) -> str:
+        if self.kind == "centre":
+            return f"within {self.limit:g} m"
+        return f"by a box that overlaps by more than {self.limit:g}{'' if self.kind == '3d' else ' seen from above'}"
+
+    def found_by(self, predictions: Boxes, annotated: Boxes) -> Int[np.ndarray, " m"]:
+        """Index of the prediction that found each annotated box of a frame, or -1, shape (m,).
+
+        Predictions take turns by falling score; each takes the free annotated box that is nearest or overlaps most.
+
+        Args:
+            predictions: Boxes of a detector.
+            annotated: m annotated boxes of the same frame.
+        """
+        finder = np.full(len(annotated), -1, dtype=np.int64)
+        if not len(predictions) or not len(annotated):
+            return finder
+        fit, least = self._fit(predictions, annotated)
+        score = np.zeros(len(predictions)) if predictions.score is None else predictions.score
+        for row in np.argsort(-score, kind="stable"):
+            free = np.where(finder < 0, fit[row], -np.inf)
+            best = int(free.argmax())
+            if free[best] > least:
+                finder[best] = row
+        return finder
+
+    def _fit(self, predictions: Boxes, annotated: Boxes) -> tuple[Float[np.ndarray, "n m"], float]:
+        """How well each pair fits, the more the better, and what it must exceed."""
+        if self.kind != "centre":
+            return pairwise_iou(predictions, annotated, kind=self.kind), self.limit
+        apart_m = predictions.centre_m[:, None, :2] - annotated.centre_m[None, :, :2]
+        return -np.hypot(apart_m[..., 0], apart_m[..., 1]), -self.limit
+
+
+@dataclass(frozen=True)
+class CurveLine:
+    """A curve of precision over recall: its name, and values of equal length."""
+
+    name: str
+    recall: Sequence[float]
+    precision: Sequence[float]
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """Curves that are drawn into one pair of axes; without lines nothing is annotated."""
+
+    title: str
+    lines: tuple[CurveLine, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Presentation:
+    """What a page shows of a result.
+
+    Args:
+        figures: Columns of the table by range, the main figure first.
+        about: What they are, in sentences; plain text.
+        beside: A figure that belongs beside the main one, or nothing.
+        parts: Columns of a second table, of what the figures are made of.
+        about_parts: What those are.
+        parts_title: What stands above them.
+        groups: Columns of a third table that is folded away: titles over columns.
+        groups_title: What it is called.
+        about_curves: What a line of the curves is.
+        glossary: The protocol's own words.
+        kinds: By which parts of the data there are tables, in their order.
+        conditions_first: Whether these stand before the table by range.
+        finding: When a box of a picture counts as found.
+    """
+
+    figures: tuple[str, ...]
+    about: str = ""
+    beside: str = ""
+    parts: tuple[str, ...] = ()
+    about_parts: str = ""
+    parts_title: str = "What the score is made of"
+    groups: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    groups_title: str = ""
+    about_curves: str = ""
+    glossary: Words = ()
+    kinds: tuple[str, ...] = ("weather", "road", "time", "azimuth")
+    conditions_first: bool = False
+    finding: Finding = field(default_factory=Finding)
+
+    @property
+    def main(self) -> str:
+        """The figure that stands for a result; nothing where there are no figures."""
+        return next(iter(self.figures), "")
+
+
+def panels(tree: Any, titles: Sequence[str] = ()) -> list[CurvePanel]:
+    """The curves of a result's JSON as panels: the innermost level gives the lines, those above name the panel.
+
+    Args:
+        tree: Part of the result's curves.
+        titles: Names of the levels so far.
+
+    Raises:
+        ConfigError: If a curve's recall and precision are not lists of equal length.
+    """
+    if not isinstance(tree, Mapping):
+        return []
+    below = {name: inner for name, inner in tree.items() if isinstance(inner, Mapping)}
+    if below and not any("recall" in inner for inner in below.values()):
+        return [panel for name, inner in below.items() for panel in panels(inner, (*titles, str(name)))]
+    lines = (curve_line(str(name), curve, titles) for name, curve in tree.items())
+    return [CurvePanel(" ".join(titles), tuple(line for line in lines if line is not None))] if tree else []
+
+
+def curve_line(name: str, curve: Any, titles: Sequence[str] = ()) -> CurveLine | None:
+    """A curve of a result's JSON; None where nothing is annotated.
+
+    Raises:
+        ConfigError: If recall and precision are not lists of equal length.
+    """
+    if curve is None:
+        return None
+    known = curve if isinstance(curve, Mapping) else {}
+    recall, precision = known.get("recall"), known.get("precision")
+    if not (isinstance(recall, list) and isinstance(precision, list) and len(recall) == len(precision)):
+        raise ConfigError(
+            f"result, curve {' '.join([*titles, name])}: expected lists 'recall' and 'precision' of equal length. "
+            "Score the predictions again."
+        )
+    return CurveLine(name, recall, precision)
+
+
+def edges_m(result: Mapping[str, Any]) -> tuple[float, ...]:
+    """Edges of a result's range bins, without the one at 0 and without an open one; none where it has no bins."""
+    edges = (result.get("settings") or {}).get("range_bins_m") or ()
+    known = [float(edge) for edge in edges if isinstance(edge, int | float) and not isinstance(edge, bool)]
+    return tuple(edge for edge in known if 0 < edge < math.inf)

@@ -1,0 +1,79 @@
+"""A radar frame's power from above, with boxes."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from farfield.frame import Frame
+from farfield.geometry.boxes import Boxes
+from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M
+from farfield.radar.views import PRODUCTS, radar_views
+from farfield.reports.figures import draw_boxes, draw_rings
+from farfield.reports.objects import of_classes
+from farfield.reports.style import house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_QUICK = ("cube", "cells")  # products that need no search for echoes
+_ANNOTATED, _PREDICTED, _OTHERS = "#3ddbd9", "#ffd43b", "#adb5bd"
+_ASIDE_M = 40.0
+
+
+def power_from_above(frame: Frame) -> Float32[np.ndarray, "y x"] | None:
+    """A frame's mean power over height in dB, shape (400, 250), y and x of K-Radar's cube.
+
+    Returns:
+        None where the frame has no such product, or stands in other coordinates than the radar's.
+    """
+    if frame.reference != "radar" or not any(name in frame.radar for name in PRODUCTS):
+        return None
+    quick = next((name for name in _QUICK if name in frame.radar), None)
+    products: Mapping[str, Any] = frame.radar if quick is None else {quick: frame.radar[quick]}
+    views = radar_views(products)
+    return None if views is None else views.bird_db
+
+
+def power_map(
+    power_db: Float[np.ndarray, "y x"],
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    rings_m: Sequence[float] = (),
+) -> "Figure":
+    """Draw the power, x (forward) to the right and y (left) upwards.
+
+    Args:
+        power_db: What :func:`power_from_above` gives.
+        annotated: Annotated boxes.
+        predicted: Predicted boxes.
+        labels: Classes that were asked for; annotated boxes of others are grey.
+        rings_m: Ranges to mark by arcs; the outermost ends the picture.
+    """
+    reach_m = min(max(rings_m, default=CUBE_X_M[-1]), float(CUBE_X_M[-1]))
+    half = CUBE_STEP_M / 2
+    extent = (CUBE_X_M[0] - half, CUBE_X_M[-1] + half, CUBE_Y_M[0] - half, CUBE_Y_M[-1] + half)
+    inside = power_db[np.isfinite(power_db)]
+    low, high = np.percentile(inside, [20.0, 99.8]) if inside.size else (0.0, 1.0)
+    with house_style():
+        figure = new_figure(11.0, 0.9 + 9.6 * 2 * _ASIDE_M / (1.12 * reach_m))
+        axes = figure.add_subplot()
+        axes.set_facecolor("black")
+        shown = axes.imshow(
+            power_db, origin="lower", extent=extent, cmap="magma", vmin=low, vmax=max(high, low + 6.0), aspect="equal"
+        )
+        window = (0.0, reach_m, -_ASIDE_M, _ASIDE_M)
+        draw_rings(axes, window, rings_m, colour="white")
+        if annotated is not None:
+            asked = of_classes(annotated, labels)
+            draw_boxes(axes, annotated[~asked], _OTHERS, line_width=0.8, order=3)
+            draw_boxes(axes, annotated[asked], _ANNOTATED, line_width=1.8, order=4)
+        if predicted is not None:
+            draw_boxes(axes, predicted, _PREDICTED, line_width=1.0, order=5)
+        axes.set(xlim=window[:2], ylim=window[2:], xlabel="x forward (m)", ylabel="y left (m)")
+        axes.set_title("Blue-green: annotated; yellow: predicted")
+        figure.colorbar(shown, ax=axes, label="mean power, dB", shrink=0.8, pad=0.02)
+    return figure

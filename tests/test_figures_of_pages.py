@@ -1,0 +1,112 @@
+"""The figures of README and docs are those that the benchmarks printed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FIGURE = re.compile(r"(?<![\w.])0\.\d{3}(?!\d)")
+ELSEWHERE = {
+    "simulator.md": {"0.948", "0.563"},  # published figures, beside which ours stand
+    "validation.md": {"0.427"},
+    "metrics.md": {"0.003", "0.006", "0.009"},
+}
+BINS = ("0-70", "70-150", "150-250", "overall")
+SECTIONS = {
+    "`cirrus-sim-val-v2`, Gaussian": ("simulated_detection.txt", "pointpillars-cirrus-sim:", "gaussian"),
+    "`cirrus-sim-val-v2`, uniform": ("simulated_detection.txt", "pointpillars-cirrus-sim:", "uniform"),
+    "first simulator's `cirrus-sim-val-v1`, Gaussian": (
+        "simulated_detection_v2_on_v1.txt",
+        "pointpillars-cirrus-sim:",
+        "gaussian",
+    ),
+    "first simulator's `cirrus-sim-val-v1`, uniform": (
+        "simulated_detection_v2_on_v1.txt",
+        "pointpillars-cirrus-sim:",
+        "uniform",
+    ),
+    "real Luminar, three": ("real_frames.txt", "Luminar, as they are", ""),
+    "real Luminar, the same": ("real_frames.txt", "Luminar, turned", ""),
+    "real KITTI, three": ("real_frames.txt", "KITTI, front", ""),
+    "real KITTI, 14": ("real_frames.txt", "KITTI, further", ""),
+}
+
+
+def rounded(text: str) -> set[str]:
+    """A figure to three decimals, both ways where it lies in the middle between two."""
+    value = float(text)
+    return {f"{value - 1e-9:.3f}", f"{value + 1e-9:.3f}"}
+
+
+def printed() -> set[str]:
+    found: set[str] = set()
+    for path in RESULTS.glob("*.txt"):
+        for text in re.findall(r"(?<![\w.])\d+\.\d{3,}(?!\d)", path.read_text(encoding="utf-8")):
+            found |= rounded(text)
+    return found
+
+
+def section(name: str, title: str, inner: str) -> list[str]:
+    """The lines of a results file from a title on, and from an inner title on below it."""
+    lines = (RESULTS / name).read_text(encoding="utf-8").splitlines()
+    start = next(place for place, line in enumerate(lines) if line.startswith(title))
+    return lines[start:] if not inner else lines[next(p for p in range(start, len(lines)) if inner in lines[p][:12]) :]
+
+
+def by_range(name: str, title: str, inner: str) -> tuple[list[str | None], list[str | None], tuple[str, str]]:
+    """DDS and wDDS 0.006 by range and overall, and the interval of DDS overall, as a results file has them."""
+    lines = section(name, title, inner)
+    if not inner:  # one line a detector
+        cells = next(line for line in lines if "pointpillars-cirrus-sim " in line).split()[5:]
+        values = [None if cell == "-" else cell for cell in cells]
+        return values[:4], values[4:8], (cells[8].strip("[],"), cells[9].strip("[],"))
+    rows = {part: next(line for line in lines if line.split()[:1] == [part]).split()[1:] for part in BINS}
+    low, high = (cell.strip("[],") for cell in rows["overall"][-2:])
+    return [rows[part][5] for part in BINS], [rows[part][7] for part in BINS], (low, high)
+
+
+def rows_of(page: str) -> list[list[str]]:
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/detectors.md"])
+@pytest.mark.parametrize("title", SECTIONS)
+def test_scores_by_range_are_those_of_the_results(page: str, title: str) -> None:
+    scores, weighted, interval = by_range(*SECTIONS[title])
+    found = [row for row in rows_of(page) if row[0].startswith(title)]
+    assert found or (page == "README.md" and ("v1" in title or title == "real KITTI, three"))
+    for row in found:
+        for cell, score, wide in zip(row[1:5], scores, weighted, strict=True):
+            if score is None:
+                assert cell == "nothing annotated"
+                continue
+            figures = FIGURE.findall(cell)
+            assert figures[0] in rounded(score), (row[0], cell, score)
+            assert figures[1] in rounded(str(wide)), (row[0], cell, wide)
+            assert tuple(figures[2:]) in ((), interval), (row[0], cell, interval)
+    if page == "README.md" and found:
+        assert FIGURE.findall(found[0][4])[2:] == list(interval)
+
+
+@pytest.mark.parametrize(
+    ("title", "number"), [("real Luminar, three", 284), ("real KITTI, three", 5), ("real KITTI, 14", 58)]
+)
+def test_real_rows_name_their_number_of_objects(title: str, number: int) -> None:
+    name, head, _ = SECTIONS[title]
+    assert f"{number} annotated of class vehicle" in section(name, head, "")[0]
+    for row in (
+        row for page in ("README.md", "docs/detectors.md") for row in rows_of(page) if row[0].startswith(title)
+    ):
+        assert f"{ {5: 'five'}.get(number, number) } vehicles" in row[0]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_figure_of_a_table_was_printed(page: Path) -> None:
+    known = printed() | ELSEWHERE.get(page.name, set())
+    lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    strange = {figure for line in lines for figure in FIGURE.findall(line)} - known
+    assert strange == set()
