@@ -33,7 +33,8 @@ def load_detector(name: Path | str, **options: Any) -> "Detector":
 
     Args:
         name: Which one.
-        **options: ``device``, ``precision`` ("auto", "fp32", "bf16"), ``cloud`` (which of a frame's clouds to read).
+        **options: ``device`` ("auto", "cpu", "cuda:0"), ``precision`` ("auto", "fp32", "bf16", "fp16"), ``cloud``
+            (which of a frame's clouds to read).
 
     Raises:
         FarfieldError: If there is nothing of this name.

@@ -31,7 +31,7 @@ def run(
     region: str = "",
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int | None = None,
-    precision: Literal["auto", "fp32", "bf16"] = "auto",
+    precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
     workers: int = 0,
     engine: str = "local",
@@ -69,8 +69,8 @@ def run(
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
-        precision: fp32, bf16, or what suits the processor.
-        device: Where to run, such as cpu or cuda:0.
+        precision: fp32, bf16, fp16, or what suits the device.
+        device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
         engine: Where the work is done.
         shown_frames: Frames in the report's pictures.

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import torch
 
 from farfield.detectors.contract import Network
+from farfield.detectors.devices import DTYPES, chosen_device, fitting
 from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
@@ -41,6 +42,10 @@ def keep_freed_memory() -> bool:
     )
 
 
+_TOO_LARGE = (
+    "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
+    "cells, or device cpu."
+)
 _RADAR_COLUMNS = ("power", "doppler", "rcs")
 _KRADAR_LIDAR = "os2-64"
 """In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
@@ -52,13 +57,14 @@ class Detector:
     Args:
         network: The network; a folded copy in evaluation mode is kept.
         provenance: What is known of its training.
-        device: Where to run; by default a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
+        device: Where to run; by default, and for ``"auto"``, a GPU if there is one, else the CPU.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies natively.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
 
     Raises:
-        ConfigError: If the precision is unknown.
+        ConfigError: If the precision is unknown, or there is no such device.
+        OutOfMemory: If the network does not fit into the device's memory.
     """
 
     def __init__(
@@ -70,16 +76,16 @@ class Detector:
         precision: str = "auto",
         cloud: str | Mapping[str, str] | None = None,
     ) -> None:
-        if precision not in ("auto", "fp32", "bf16"):
-            raise ConfigError(f"Expected precision to be one of 'auto', 'fp32', 'bf16'; got {precision!r}.")
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        if precision not in ("auto", *DTYPES):
+            raise ConfigError(f"Expected precision to be one of 'auto', {str([*DTYPES])[1:-1]}; got {precision!r}.")
+        self.device = chosen_device(device)
         self.precision = default_precision(self.device) if precision == "auto" else precision
         self.provenance, self.cloud, self.config = provenance or {}, cloud, network.config
         keep_freed_memory()
-        network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
-        if self.precision == "bf16":
-            for name in network.low_precision:
-                network.get_submodule(name).bfloat16()
+        with fitting(_TOO_LARGE):
+            network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
+        for name in network.low_precision if self.precision != "fp32" else ():
+            network.get_submodule(name).to(DTYPES[self.precision])
         self.network = network
 
     @classmethod
@@ -156,11 +162,13 @@ class Detector:
         Raises:
             ConfigError: If a frame stands in other coordinates than those that the detector learnt in, or has no cloud
                 of the kind and with the columns that it reads.
+            OutOfMemory: If the frames do not fit into the device's memory.
         """
         clouds = [self._clouds(frame) for frame in frames]
         sources = self.network.inputs.items()
         named = {name: [cloud_tensor(each[name], source.columns) for each in clouds] for name, source in sources}
-        return self.network.predict(Inputs(named).to(self.device))
+        with fitting(_TOO_LARGE):
+            return self.network.predict(Inputs(named).on(self.device))
 
     def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
         """The cloud of each of the network's inputs."""

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.device_nms import kept_boxes
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.processes import normaliser
@@ -178,7 +179,10 @@ class CentreHead(nn.Module):
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
         found = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
-        found, score, kind, frame = (part.cpu().numpy() for part in (found, score[row, kind].double(), kind, frame))
+        score = score[row, kind].double()
+        if found.is_cuda:
+            return [self._frame_there(found, score, kind, frame == i) for i in range(maps.frames)]
+        found, score, kind, frame = (part.cpu().numpy() for part in (found, score, kind, frame))
         return [self._frame(found[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
 
     def _frame(self, rows: np.ndarray, score: np.ndarray, kind: np.ndarray) -> Boxes:
@@ -188,6 +192,13 @@ class CentreHead(nn.Module):
             centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], label=label.tolist(), score=score[best]
         )
         return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+
+    def _frame_there(self, rows: Tensor, score: Tensor, kind: Tensor, mine: Tensor) -> Boxes:
+        """The same on the device that the boxes are on."""
+        here = mine.nonzero().squeeze(1)
+        best = here[torch.sort(score[here], descending=True, stable=True).indices[: self.config.candidates]]
+        limits = {"iou_threshold": self.config.nms_iou, "limit": self.config.max_boxes}
+        return kept_boxes(rows[best], score[best], kind[best], self.config.classes, **limits)
 
 
 def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], reach: int) -> Tensor:
