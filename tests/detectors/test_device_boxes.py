@@ -16,7 +16,6 @@ from farfield.detectors import device_nms, nms
 from farfield.detectors.anchors import device as on_device
 from farfield.detectors.anchors import grid as on_host
 from farfield.detectors.anchors.head import AnchorHead
-from farfield.detectors.sparsecentre.head import CentreHead
 from farfield.geometry import iou
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
@@ -149,19 +148,13 @@ def test_detectors_with_anchors_give_the_same_boxes(rng, name, style):
         assert_same(got, boxes)
 
 
-def test_the_sparse_detector_gives_the_same_boxes(rng, monkeypatch):
-    network = stirred(small_detector("sparsecentre", score_threshold=0.3))
+def test_the_sparse_detector_gives_the_same_boxes(rng):
+    network = stirred(small_detector("sparsecentre", score_threshold=0.3, candidates=100))
     maps = road(rng, network)
     expected = network.decode(maps)
     assert sum(map(len, expected)) > 20
-    seen = []
-    monkeypatch.setattr(CentreHead, "_frame", lambda self, *part: seen.append(part) or Boxes.empty(scored=True))
-    network.decode(maps)
-    frames = [[torch.from_numpy(np.ascontiguousarray(part)) for part in each] for each in seen]
-    rows, score, kind = (torch.cat(parts) for parts in zip(*frames, strict=True))
-    owner = torch.repeat_interleave(torch.arange(3), torch.tensor([len(part[1]) for part in frames]))
-    for index, boxes in enumerate(expected):
-        assert_same(network.head._frame_there(rows, score, kind, owner == index), boxes)
+    for got, boxes in zip(network.head.boxes_there(*network.head.found(maps), 3), expected, strict=True):
+        assert_same(got, boxes)
 
 
 def test_no_box_is_no_box():
