@@ -6,7 +6,7 @@ given the numbers as the kernel sees them, already rounded to its number type.
 
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from _gpu_common import ABSENT, NEEDS_GPU, PRECISIONS, Row, Site, each
 
 from farfield.detectors.devices import DTYPES
 from farfield.detectors.sparse import Rulebook, functional, strided_rulebook, submanifold_rulebook
+from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
 
 FORWARD = {"fp32": 1e-5, "bf16": 8e-3, "fp16": 2e-3}  # of the largest output; results are rounded to 8, 11 bits
 WEIGHT_GRADIENT = {**FORWARD, "fp32": 1e-4}  # summed in float32 over up to a hundred thousand pairs, then rounded
@@ -49,10 +50,10 @@ def _convolutions(site: Site, precision: str, size: str) -> Iterator[Row]:
     pairs = int(size.split()[0].replace(",", ""))
     widths = WIDTHS[:2] if not site.gpu else WIDTHS
     worst, met = dict.fromkeys(("output", "to features", "to weight"), 0.0), 0
-    for number, book in enumerate(_books(pairs)):
+    for number, (book, there) in enumerate(_books(pairs)):
         met = max(met, sum(book.counts))
         for c_in, c_out in widths[number % 2 :: 2] if not site.gpu else widths:
-            for name, error in _errors(site, book, c_in, c_out, precision).items():
+            for name, error in _errors(site, book, there, c_in, c_out, precision).items():
                 worst[name] = max(worst[name], error)
     what = f"sparse convolution, {precision}, {met:,} pairs"
     bounds = {"output": FORWARD[precision], "to features": FORWARD[precision], "to weight": WEIGHT_GRADIENT[precision]}
@@ -60,31 +61,34 @@ def _convolutions(site: Site, precision: str, size: str) -> Iterator[Row]:
         yield site.bounded(f"{what}, {name}", error, bounds[name])
 
 
-def _books(pairs: int) -> list[Rulebook]:
-    """Rulebooks of clumps of cells: about so many pairs in the first one."""
+def _books(pairs: int) -> list[tuple[Rulebook, Callable[[torch.device], DeviceBook]]]:
+    """Rulebooks of clumps of cells, about so many pairs in the first one; each with what makes its table on a device."""
     generator = torch.Generator().manual_seed(pairs)
     cells = {0: 0, 1: 1}.get(pairs, pairs // 9)  # a cell of a clump meets nine on average
     side = max(4, round((cells / 0.3) ** (1 / 3)))
     shape = (side, side, side)
     keys = torch.randperm(side**3, generator=generator)[:cells].sort().values
+    same, strided = (3, 3, 3), ((3, 3, 3), (2, 2, 2), (1, 1, 1))
     return [
-        submanifold_rulebook(keys, shape, (3, 3, 3)),
-        strided_rulebook(keys, shape, (3, 3, 3), (2, 2, 2), (1, 1, 1)),
+        (submanifold_rulebook(keys, shape, same), lambda device: submanifold_book(keys.to(device), shape, same)),
+        (strided_rulebook(keys, shape, *strided), lambda device: strided_book(keys.to(device), shape, *strided)),
     ]
 
 
-def _errors(site: Site, book: Rulebook, c_in: int, c_out: int, precision: str) -> dict[str, float]:
+def _errors(
+    site: Site, book: Rulebook, there: Callable[..., DeviceBook], c_in: int, c_out: int, precision: str
+) -> dict[str, float]:
     """Largest error of the kernels' output and gradients, relative to the largest number of the truth."""
     generator = torch.Generator().manual_seed(c_in)
     shapes = ((len(book.keys_in), c_in), (len(book.counts), c_in, c_out), (len(book.keys), c_out))
     given = [torch.randn(shape, generator=generator).to(DTYPES[precision]) for shape in shapes]
     truth = _results(*(part.double() for part in given), book, kernels=False)
-    got = _results(*(part.to(site.device) for part in given), _moved(book, site.device), kernels=True)
+    got = _results(*(part.to(site.device) for part in given), there(site.device), kernels=True)
     names = ("output", "to features", "to weight")
     return {name: _error(a, b) for name, a, b in zip(names, got, truth, strict=True)}
 
 
-def _results(features: Any, weight: Any, gradient: Any, book: Rulebook, *, kernels: bool) -> tuple[Any, ...]:
+def _results(features: Any, weight: Any, gradient: Any, book: Any, *, kernels: bool) -> tuple[Any, ...]:
     """Output and both gradients."""
     chosen = functional._gpu_kernels
     functional._gpu_kernels = _with_kernels if kernels else _without
@@ -103,16 +107,6 @@ def _with_kernels(features: Any) -> Any:
 
 def _without(features: Any) -> None:
     del features
-
-
-def _moved(book: Rulebook, device: torch.device) -> Rulebook:
-    """A rulebook on a device."""
-    tensors = {name: getattr(book, name).to(device) for name in ("keys_in", "keys", "sources", "targets")}
-    keys = tensors["keys_in"] if book.symmetric else tensors["keys"]
-    return Rulebook(
-        tensors["keys_in"], book.shape_in, keys, book.shape, tensors["sources"], tensors["targets"],
-        book.counts, book.numbers, book.symmetric,
-    )  # fmt: skip
 
 
 def _error(got: Any, truth: Any) -> float:
