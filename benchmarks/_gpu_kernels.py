@@ -62,7 +62,7 @@ def _convolutions(site: Site, precision: str, size: str) -> Iterator[Row]:
 
 
 def _books(pairs: int) -> list[tuple[Rulebook, Callable[[torch.device], DeviceBook]]]:
-    """Rulebooks of clumps of cells, about so many pairs in the first one; each with what makes its table on a device."""
+    """Rulebooks of clumps of cells, the first of about so many pairs; each with what makes its table on a device."""
     generator = torch.Generator().manual_seed(pairs)
     cells = {0: 0, 1: 1}.get(pairs, pairs // 9)  # a cell of a clump meets nine on average
     side = max(4, round((cells / 0.3) ** (1 / 3)))

@@ -78,17 +78,16 @@ def run_part(name: str, archive: Path, seconds: float) -> dict[str, Any]:
     cpu_before_s = _children_cpu_s()
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         command = [sys.executable, __file__, "--serve", part.place, "--archive", str(archive)]
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=_environment(), start_new_session=True
-        )
-        late = threading.Timer(max(seconds, 0.0), process.kill)
-        late.start()
-        for line in process.stdout or ():
-            if line.startswith("{"):
-                rows.append(json.loads(line))
-                print(f"  {_line(rows[-1])}", file=sys.stderr, flush=True)
-        status, in_time = process.wait(), late.is_alive()
-        late.cancel()
+        options = {"stdout": subprocess.PIPE, "stderr": errors, "text": True, "env": _environment()}
+        with subprocess.Popen(command, **options, start_new_session=True) as process:
+            late = threading.Timer(max(seconds, 0.0), process.kill)
+            late.start()
+            for line in process.stdout or ():
+                if line.startswith("{"):
+                    rows.append(json.loads(line))
+                    print(f"  {_line(rows[-1])}", file=sys.stderr, flush=True)
+            status, in_time = process.wait(), late.is_alive()
+            late.cancel()
         errors.seek(0)
         said = errors.read()
     if not in_time:
