@@ -57,10 +57,11 @@ def boxes_there(maps: Sequence[Tensor], grid: AnchorGrid, config: Any) -> list[B
         grid: The anchors.
         config: The head's settings.
     """
-    return [_frame(*frame, grid, config) for frame in zip(*maps, strict=True)]
+    return [_frame(one, grid, config) for one in zip(*maps, strict=True)]
 
 
-def _frame(logits: Tensor, codes: Tensor, directions: Tensor, grid: AnchorGrid, config: Any) -> Boxes:
+def _frame(maps: tuple[Tensor, ...], grid: AnchorGrid, config: Any) -> Boxes:
+    logits, codes, directions = maps
     kind = None if logits.ndim == 1 else logits.argmax(1)
     strength = logits.float() if kind is None else logits.float().amax(1)
     best, index = torch.topk(strength, min(config.candidates, len(strength)))

@@ -195,8 +195,16 @@ class CentreHead(nn.Module):
         for number in range(frames):
             mine = (frame == number).nonzero().squeeze(1)
             best = mine[torch.sort(score[mine], descending=True, stable=True).indices[: self.config.candidates]]
-            limits = {"iou_threshold": self.config.nms_iou, "limit": self.config.max_boxes}
-            boxes.append(kept_boxes(rows[best], score[best], kind[best], self.config.classes, **limits))
+            boxes.append(
+                kept_boxes(
+                    rows[best],
+                    score[best],
+                    kind[best],
+                    self.config.classes,
+                    iou_threshold=self.config.nms_iou,
+                    limit=self.config.max_boxes,
+                )
+            )
         return boxes
 
     def _frame(self, rows: np.ndarray, score: np.ndarray, kind: np.ndarray) -> Boxes:
