@@ -79,34 +79,29 @@ def _errors(
     site: Site, book: Rulebook, there: Callable[..., DeviceBook], c_in: int, c_out: int, precision: str
 ) -> dict[str, float]:
     """Largest error of the kernels' output and gradients, relative to the largest number of the truth."""
+    from farfield.detectors.sparse import triton_kernels
+
     generator = torch.Generator().manual_seed(c_in)
     shapes = ((len(book.keys_in), c_in), (len(book.counts), c_in, c_out), (len(book.keys), c_out))
     given = [torch.randn(shape, generator=generator).to(DTYPES[precision]) for shape in shapes]
-    truth = _results(*(part.double() for part in given), book, kernels=False)
-    got = _results(*(part.to(site.device) for part in given), there(site.device), kernels=True)
+    truth = _results(functional, *(part.double() for part in given), book)
+    got = _results(triton_kernels, *(part.to(site.device) for part in given), there(site.device))
     names = ("output", "to features", "to weight")
     return {name: _error(a, b) for name, a, b in zip(names, got, truth, strict=True)}
 
 
-def _results(features: Any, weight: Any, gradient: Any, book: Any, *, kernels: bool) -> tuple[Any, ...]:
-    """Output and both gradients."""
-    chosen = functional._gpu_kernels
-    functional._gpu_kernels = _with_kernels if kernels else _without
-    try:
-        features, weight = features.requires_grad_(), weight.requires_grad_()
-        out = functional.sparse_conv(features, weight, book)
-        return (out.detach(), *torch.autograd.grad(out, (features, weight), gradient))
-    finally:
-        functional._gpu_kernels = chosen
+def _results(by: Any, features: Any, weight: Any, gradient: Any, book: Any) -> tuple[Any, ...]:
+    """Output and both gradients, by the kernels from tables or by the plain version from pairs."""
+    back = weight.transpose(1, 2)
+    inverse = (back.flip(0), book) if book.symmetric else (back, book.inverse)
+    out = by.gather_product(features, weight, *_read(by, book))
+    to_features = by.gather_product(gradient, inverse[0], *_read(by, inverse[1]))
+    to_weight = by.weight_gradient(features, gradient, *_read(by, book))
+    return out, to_features, to_weight.to(weight.dtype)
 
 
-def _with_kernels(features: Any) -> Any:
-    del features
-    return functional._import_kernels()
-
-
-def _without(features: Any) -> None:
-    del features
+def _read(by: Any, book: Any) -> tuple[Any, ...]:
+    return (book,) if by is functional else book.similar
 
 
 def _error(got: Any, truth: Any) -> float:

@@ -68,7 +68,8 @@ def _raw(site: Site, name: str) -> Iterator[Row]:
 def _outputs(detector: Detector, cloud: Any) -> dict[str, tuple[Any, Any]]:
     """Numbers of each output, with the numbers of their places where these depend on the values; on the CPU."""
     outputs = detector.network(batch_of(detector, cloud))
-    named = {name: value for name, value in outputs._asdict().items() if torch.is_tensor(value)}
+    fields = zip(type(outputs).__annotations__, outputs, strict=True)
+    named = {name: value for name, value in fields if torch.is_tensor(value)}
     if "vote_keys" in named:  # the sparse detector: cells before and after the diffusion
         pairs = {"logits": "keys", "codes": "keys", "votes": "vote_keys"}
     elif "proposals" in named:  # PointRCNN's first stage: the second one sees a choice of its boxes
@@ -125,7 +126,7 @@ def _boxes(site: Site, name: str) -> Iterator[Row]:
             (got,) = head.boxes_there(*head.found(maps), maps.frames)
         else:
             (got,) = boxes_there(maps, head.anchors, head.config)
-        host = maps._make(value.cpu() if torch.is_tensor(value) else value for value in maps)
+        host = type(maps)(*[value.cpu() if torch.is_tensor(value) else value for value in maps])
         (expected,) = detector.network.decode(host)
         yield _compared(f"{name}, {precision}", got, expected)
 

@@ -1,7 +1,6 @@
 """Training on a GPU beside the CPU's, with the same samples, and a checkpoint of one that the other goes on from."""
 
 import json
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from _gpu_common import FAILED, OK, Row, Site, each, exact_float32
-from _report import ROOT
+from _gpu_small import SETTINGS, small_network
 
 from farfield.datasets import Dataset
 from farfield.errors import FarfieldError
@@ -23,7 +22,7 @@ from farfield.training.method import Supervised
 from farfield.training.report import Report
 from farfield.training.samples import TrainingSamples
 
-NAMES = ("pointpillars", "second", "voxelnet", "pointrcnn", "sparsecentre", "rtn", "rtnh")
+RATE = 1.5e-3
 STEPS, STEPS_ON_CPU, LAST = 50, 8, 10
 FIRST_STEP = 1e-3  # relative difference of the first step's loss: nothing has been learnt, so only rounding differs
 LEAST_NOISE = 0.05  # share of the loss that counts as noise whatever two seeds say
@@ -96,10 +95,7 @@ def trained(name: str, folder: Path, *, device: str, steps: int, seed: int = 0, 
         seed: Of weights and samples.
         stop: Stop before this step is kept.
     """
-    sys.path.append(str(ROOT / "tests" / "detectors"))
-    from small import SMALL, small_detector
-
-    network = small_detector(name, seed=seed)
+    network = small_network(name, seed)
     samples = TrainingSamples(
         Made(network),
         inputs=network.inputs,
@@ -112,7 +108,7 @@ def trained(name: str, folder: Path, *, device: str, steps: int, seed: int = 0, 
     config = TrainingConfig(
         steps=steps,
         batch_size=2,
-        learning_rate=SMALL[name].learning_rate / 4,
+        learning_rate=RATE,
         precision="fp32",
         accelerator=device,
         workers=0,
@@ -132,7 +128,7 @@ def train(site: Site) -> Iterator[Row]:
     exact_float32()
     if not site.gpu:
         yield site.needs_gpu(f"{STEPS} steps on the GPU beside the CPU's", f"below: {STEPS_ON_CPU} steps on the CPU")
-    yield from each(list(NAMES), partial(_train, site))
+    yield from each(list(SETTINGS), partial(_train, site))
 
 
 def _train(site: Site, name: str) -> Iterator[Row]:

@@ -52,7 +52,7 @@ def test_boxes_are_those_that_the_cpu_makes_of_the_same_maps(rng, name, precisio
     rows = torch.from_numpy(np.column_stack([cloud(rng).column(name) for name in columns])).cuda()
     with torch.no_grad():
         maps = there.network({"points": [rows]})
-    host = maps._make(value.cpu() if torch.is_tensor(value) else value for value in maps)
+    host = type(maps)(*[value.cpu() if torch.is_tensor(value) else value for value in maps])
     (got,), (expected,) = there.network.decode(maps), there.network.decode(host)
     assert len(expected) > 10
     assert _compared(name, got, expected).verdict == "ok"
