@@ -6,6 +6,7 @@
 #   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
 #   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py
+#   make gpu-check     prove and measure what needs a GPU; ten minutes on one (docs/gpu.md)
 #
 # A machine with a GPU keeps its own torch:  make install TORCH=torch
 # A machine without one:  make install TORCH_FLAGS="--index-url ..."  with the CPU index that PyTorch's own page names
@@ -32,7 +33,7 @@ PYTEST_FLAGS ?=
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
-.PHONY: help install demo test test-slow test-browser test-core page lint format bench wheel clean
+.PHONY: help install demo test test-slow test-browser test-core page lint format bench gpu-check wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -93,6 +94,11 @@ bench: $(STAMP)
 
 bench-%: $(STAMP) benchmarks/%.py
 	@$(BIN)/python benchmarks/$*.py
+
+# GPU_CHECK="--only speed copies --minutes 5"; see --help
+GPU_CHECK ?=
+gpu-check: $(STAMP)
+	@$(BIN)/python benchmarks/gpu_check.py $(GPU_CHECK)
 
 wheel: $(STAMP)
 	rm -rf build dist

@@ -43,8 +43,8 @@ def load_detector(
 
     Args:
         name: Which one.
-        device: Where to run; by default a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"``, or ``"auto"``: what suits the processor.
+        device: Where to run, such as ``"cpu"`` or ``"cuda:0"``; by default, and for ``"auto"``, a GPU if there is one.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"``, or ``"auto"``: what suits the device.
         cloud: Which of a frame's clouds to read.
         score_threshold: Boxes below are not given; lower or higher than the weights' own, which counts unless given.
         nms_iou: Boxes that overlap a better one by more are not given; likewise.

@@ -217,7 +217,7 @@ def test_bands_that_do_not_fit_together_are_refused(wrong):
         ops.BandConfig(**wrong)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.gpu
 def test_gpu_gives_what_the_cpu_gives(rng):
     clouds = [road(rng, n) for n in (9000, 0, 300)]
     points, lengths = torch.cat(clouds), [9000, 0, 300]

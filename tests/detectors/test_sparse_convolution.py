@@ -356,7 +356,7 @@ for book in [*books, books[1].inverse]:
 """
 PRECISIONS = [("float32", "1e-6"), ("bfloat16", "1e-2"), ("float16", "2e-3")]
 needs_triton = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="Triton is not installed")
-needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+needs_gpu = pytest.mark.gpu
 
 
 def check_kernels(device, dtype, tolerance, **environment):

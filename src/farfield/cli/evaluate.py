@@ -33,7 +33,7 @@ def run(
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int | None = None,
     kept: BoxFlags = OWN,
-    precision: Literal["auto", "fp32", "bf16"] = "auto",
+    precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
     workers: int = 0,
     engine: str = "local",
@@ -75,8 +75,8 @@ def run(
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
         kept: Which of the detector's boxes count.
-        precision: fp32, bf16, or what suits the processor.
-        device: Where to run, such as cpu or cuda:0.
+        precision: fp32, bf16, fp16, or what suits the device.
+        device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU or for few frames.
         engine: Where the work is done.
         shown_frames: Frames in the report's pictures.

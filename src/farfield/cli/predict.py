@@ -33,7 +33,7 @@ def run(
     kept: BoxFlags = OWN,
     rotate_deg: float = 0.0,
     reference: str = "",
-    precision: Literal["auto", "fp32", "bf16"] = "auto",
+    precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
     workers: int = 0,
     engine: str = "local",
@@ -62,8 +62,8 @@ def run(
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
-        precision: fp32, bf16, or what suits the processor.
-        device: Where to run, such as cpu or cuda:0.
+        precision: fp32, bf16, fp16, or what suits the device.
+        device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
         engine: Where the work is done.
         picture: Draw the first frame from above into this file.

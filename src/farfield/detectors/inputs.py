@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from farfield.detectors.devices import sent
 from farfield.errors import ConfigError
 from farfield.frame import Cloud
 
@@ -120,3 +121,7 @@ class Inputs(Mapping[str, list[Tensor]]):
         """The same inputs on another device or in another number type, as ``Tensor.to`` takes them."""
         named = self._named.items()
         return Inputs({name: [tensor.to(*place, **options) for tensor in tensors] for name, tensors in named})
+
+    def on(self, device: torch.device) -> "Inputs":
+        """The same inputs on a device; to a GPU through pinned memory, without waiting for the copies."""
+        return Inputs({name: [sent(tensor, device) for tensor in tensors] for name, tensors in self._named.items()})

@@ -14,6 +14,7 @@ import torch
 
 from farfield.detectors.choosing import ChosenClasses, Classes, reconfigured
 from farfield.detectors.contract import FIXED, Network
+from farfield.detectors.devices import DTYPES, chosen_device, fitting
 from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
@@ -42,6 +43,10 @@ def keep_freed_memory() -> bool:
     )
 
 
+_TOO_LARGE = (
+    "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
+    "cells, or device cpu."
+)
 _RADAR_COLUMNS = ("power", "doppler", "rcs")
 _KRADAR_LIDAR = "os2-64"
 """In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
@@ -53,8 +58,8 @@ class Detector:
     Args:
         network: The network; a folded copy in evaluation mode is kept.
         provenance: What is known of its training.
-        device: Where to run; by default a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"`` or ``"auto"``.
+        device: Where to run; by default, and for ``"auto"``, a GPU if there is one, else the CPU.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies natively.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
         score_threshold: Boxes below are not given; this and the following are the weights' own unless given.
@@ -65,7 +70,9 @@ class Detector:
         name: What to call it.
 
     Raises:
-        ConfigError: If the precision is unknown, a limit is not possible or the network does not know a class.
+        ConfigError: If the precision is unknown, there is no such device, a limit is not possible or the network does
+            not know a class.
+        OutOfMemory: If the network does not fit into the device's memory.
     """
 
     def __init__(
@@ -82,9 +89,9 @@ class Detector:
         classes: Classes | None = None,
         name: str = "",
     ) -> None:
-        if precision not in ("auto", "fp32", "bf16"):
-            raise ConfigError(f"Expected precision to be one of 'auto', 'fp32', 'bf16'; got {precision!r}.")
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        if precision not in ("auto", *DTYPES):
+            raise ConfigError(f"Expected precision to be one of 'auto', {str([*DTYPES])[1:-1]}; got {precision!r}.")
+        self.device = chosen_device(device)
         self.precision = default_precision(self.device) if precision == "auto" else precision
         self.provenance, self.cloud, self._name = provenance or {}, cloud, name
         keep_freed_memory()
@@ -93,10 +100,10 @@ class Detector:
         network = reconfigured(network, changes)
         own = tuple(network.config.class_names)
         self.chosen = None if classes is None else ChosenClasses.of(classes, own, max_boxes or network.config.max_boxes)
-        network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
-        if self.precision == "bf16":
-            for name in network.low_precision:
-                network.get_submodule(name).bfloat16()
+        with fitting(_TOO_LARGE):
+            network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
+        for name in network.low_precision if self.precision != "fp32" else ():
+            network.get_submodule(name).to(DTYPES[self.precision])
         self.network = network
 
     @classmethod
@@ -206,11 +213,13 @@ class Detector:
         Raises:
             ConfigError: If a frame stands in other coordinates than those that the detector learnt in, or has no cloud
                 of the kind and with the columns that it reads.
+            OutOfMemory: If the frames do not fit into the device's memory.
         """
         clouds = [self._clouds(frame) for frame in frames]
         sources = self.network.inputs.items()
         named = {name: [cloud_tensor(each[name], source.columns) for each in clouds] for name, source in sources}
-        found = self.network.predict(Inputs(named).to(self.device))
+        with fitting(_TOO_LARGE):
+            found = self.network.predict(Inputs(named).on(self.device))
         return found if self.chosen is None else [self.chosen(boxes) for boxes in found]
 
     def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:

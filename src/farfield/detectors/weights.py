@@ -12,6 +12,7 @@ from torch import Tensor
 
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
+from farfield.detectors.devices import gpu_precision
 from farfield.errors import FarfieldError, FileFormatError
 from farfield.files.atomic import write_bytes
 
@@ -123,7 +124,7 @@ def resolve_weights(name: str | Path) -> Path:
 
 
 def default_precision(device: torch.device) -> str:
-    """``"bf16"`` where the processor multiplies it natively, else ``"fp32"``."""
+    """``"bf16"`` where the processor multiplies it natively, else ``"fp32"``; ``"fp16"`` on GPUs with that alone."""
     if device.type == "cuda":
-        return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
+        return gpu_precision(device)
     return "bf16" if torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported() else "fp32"

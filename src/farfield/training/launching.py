@@ -39,7 +39,9 @@ def launch(config: TrainingConfig) -> Fabric:
 def precision_of(config: TrainingConfig) -> str:
     """``"fp32"`` or ``"bf16"``: what ``config.precision`` means on this machine."""
     device = torch.device("cuda" if _accelerator(config) in ("gpu", "cuda") else "cpu")
-    return default_precision(device) if config.precision == "auto" else config.precision
+    if config.precision != "auto":
+        return config.precision
+    return "bf16" if default_precision(device) == "bf16" else "fp32"  # float16's gradients would want a scale
 
 
 def _accelerator(config: TrainingConfig) -> str:

@@ -14,6 +14,7 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
+from farfield.detectors.devices import fitting
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
@@ -29,6 +30,10 @@ from farfield.training.starting import frozen_modules, frozen_names
 from farfield.training.streams import batch_shares, batches
 
 CHECKPOINT_NAME = "checkpoint.pt"
+_TOO_LARGE = (
+    "To train in less: a smaller training.batch_size, or as large a one over more training.devices, training.precision "
+    "bf16, or a shorter range or larger cells in detector.grid. The run goes on from its last checkpoint."
+)
 _LOOKS = 10  # at held-out frames, in a training
 
 
@@ -108,7 +113,8 @@ class Training:
         report.begins(self.step, self.config.steps)
         try:
             for batch in self._batches(counts, fabric):
-                losses = self._update(fabric, optimizer, batch)
+                with fitting(_TOO_LARGE):
+                    losses = self._update(fabric, optimizer, batch)
                 self._average(average)
                 self.method.after_step(self.step)
                 self.step += 1
@@ -202,6 +208,7 @@ class Training:
             workers=self.config.workers,
             rank=fabric.global_rank,
             world=fabric.world_size,
+            pinned=fabric.device.type == "cuda",
         )
 
     def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:

@@ -74,6 +74,7 @@ def batches(
     workers: int,
     rank: int = 0,
     world: int = 1,
+    pinned: bool = False,
 ) -> Iterator[dict[str, list[Sample]]]:
     """Batches from ``first_step`` on, by stream; with several processes each takes every ``world``-th sample.
 
@@ -87,6 +88,7 @@ def batches(
         workers: Processes that prepare samples.
         rank: Number of this process.
         world: Number of processes.
+        pinned: Put tensors into pinned memory, from which copies to a GPU need not be waited for.
     """
     places = [
         [
@@ -103,6 +105,7 @@ def batches(
         collate_fn=partial(_by_stream, {name: count // world for name, count in counts.items()}),
         worker_init_fn=_one_thread,
         prefetch_factor=4 if workers else None,
+        pin_memory=pinned,
     )
     return iter(loader)
 

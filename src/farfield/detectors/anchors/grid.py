@@ -15,7 +15,8 @@ from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.vocabulary.sizes import CIRRUS_SIZES_M
 
 HEADINGS_RAD = np.array([0.0, np.pi / 2])
-_DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
+DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
+SIZE_RATIOS = (0.02, 20.0)  # of a decoded box to its anchor
 
 
 class AnchorConfig(BaseModel):
@@ -196,7 +197,7 @@ class AnchorGrid:
 
 def _fixed_direction(yaw_rad: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
     """0 for headings within the half turn that begins at the fixed heading, else 1."""
-    return (np.mod(yaw_rad - _DIRECTION_OFFSET_RAD, 2 * np.pi) >= np.pi).astype(np.int64)
+    return (np.mod(yaw_rad - DIRECTION_OFFSET_RAD, 2 * np.pi) >= np.pi).astype(np.int64)
 
 
 def encode(boxes: Boxes, anchors: Float[np.ndarray, "k 7"]) -> tuple[Float[np.ndarray, "k 7"], Int[np.ndarray, " k"]]:
@@ -220,7 +221,7 @@ def decode(
     """Invert :func:`encode`: rows x, y, z, l, w, h, yaw, shape (k, 7). Sizes are kept within 1/50 to 20 anchors."""
     diagonal = np.hypot(anchors[:, 3], anchors[:, 4])
     centre = code[:, :3] * np.column_stack([diagonal, diagonal, anchors[:, 5]]) + anchors[:, :3]
-    size = np.exp(np.clip(code[:, 3:6], np.log(0.02), np.log(20.0))) * anchors[:, 3:6]
+    size = np.exp(np.clip(code[:, 3:6], *np.log(SIZE_RATIOS))) * anchors[:, 3:6]
     half_turns = np.round(code[:, 6] / np.pi * (1 - 1e-9))  # an encoded residual of exactly pi/2 is not wrapped
     residual = code[:, 6] - np.pi * half_turns
     return np.column_stack([centre, size, wrap_angle_rad(anchors[:, 6] + residual + np.pi * backwards)])

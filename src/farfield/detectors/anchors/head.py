@@ -13,6 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from farfield.detectors.anchors.assigning import AnchorAssigner
+from farfield.detectors.anchors.device import boxes_there
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
 from farfield.detectors.contract import ClassRows, DetectorConfig
 from farfield.detectors.features import FeatureMap, in_type_of
@@ -136,6 +137,8 @@ class AnchorHead(nn.Conv2d):
 
     def decode(self, maps: AnchorMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
+        if maps.logits.is_cuda:
+            return boxes_there(maps, self.anchors, self.config)
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from farfield.detectors.sparse.device_books import DeviceBook
 from farfield.detectors.sparse.rulebook import BLOCK_PAIRS, Rulebook
 from farfield.detectors.sparse.tables import NeighbourTable, table_product
 
@@ -20,7 +21,7 @@ _BATCHED = (torch.bfloat16, torch.float16)
 
 
 def sparse_conv(
-    features: Tensor, weight: Tensor, book: Rulebook | NeighbourTable, bias: Tensor | None = None
+    features: Tensor, weight: Tensor, book: Rulebook | DeviceBook | NeighbourTable, bias: Tensor | None = None
 ) -> Tensor:
     """Convolve the features of occupied cells.
 
@@ -57,7 +58,7 @@ def _add_bias(rows: Tensor, bias: Tensor | None) -> Tensor:
 
 class _SparseConv(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
+    def forward(ctx: Any, features: Tensor, weight: Tensor, book: Rulebook | DeviceBook) -> Tensor:
         ctx.save_for_backward(features, weight)
         ctx.book = book
         return gather_product(features, weight, book)
@@ -65,7 +66,7 @@ class _SparseConv(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         features, weight = ctx.saved_tensors
-        book: Rulebook = ctx.book
+        book: Rulebook | DeviceBook = ctx.book
         gradient = gradients[0].contiguous()
         to_features = to_weight = None
         if ctx.needs_input_grad[0]:
@@ -76,7 +77,7 @@ class _SparseConv(torch.autograd.Function):
         return to_features, to_weight, None
 
 
-def gather_product(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor | None = None) -> Tensor:
+def gather_product(features: Tensor, weight: Tensor, book: Rulebook | DeviceBook, bias: Tensor | None = None) -> Tensor:
     """Each output the sum of ``features[source] @ weight[element]`` over its pairs, and the bias; no gradient.
 
     Products are made one kernel element at a time and written side by side; then each output sums its own. That reads
@@ -86,6 +87,7 @@ def gather_product(features: Tensor, weight: Tensor, book: Rulebook, bias: Tenso
     if kernels is not None:
         out: Tensor = kernels.gather_product(features, weight, *book.similar)
         return _add_bias(out, bias)
+    assert isinstance(book, Rulebook), "a table is for the kernels alone"
     c_out = weight.shape[2]
     if len(book.sources) * c_out * features.element_size() > _MAX_PRODUCT_BYTES:
         return _add_bias(_add_up(features, weight, book), bias)
@@ -129,12 +131,13 @@ def _add_up(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:
     return total.to(features.dtype)
 
 
-def weight_gradient(features: Tensor, gradient: Tensor, book: Rulebook) -> Tensor:
+def weight_gradient(features: Tensor, gradient: Tensor, book: Rulebook | DeviceBook) -> Tensor:
     """Gradient of the weights, shape (K, c_in, c_out), at least float32."""
     kernels = _gpu_kernels(features)
     if kernels is not None:
         total: Tensor = kernels.weight_gradient(features, gradient, *book.similar)
         return total
+    assert isinstance(book, Rulebook), "a table is for the kernels alone"
     total = features.new_zeros(len(book.counts), features.shape[1], gradient.shape[1], dtype=_exact(features))
     for element, pairs in book.elements():
         entered = features.index_select(0, book.sources[pairs])
@@ -169,11 +172,14 @@ def _has_onednn() -> bool:
     return torch.get_num_threads() > 1 and torch.backends.mkldnn.is_available()
 
 
+def has_kernels(device: str, dtype: torch.dtype) -> bool:
+    """Whether there are Triton kernels for numbers of a type on a kind of device."""
+    return device == "cuda" and dtype != torch.float64 and _import_kernels() is not None
+
+
 def _gpu_kernels(features: Tensor) -> ModuleType | None:
     """The Triton kernels, for tensors that they can take."""
-    if features.device.type != "cuda" or features.dtype == torch.float64:
-        return None
-    return _import_kernels()
+    return _import_kernels() if has_kernels(features.device.type, features.dtype) else None
 
 
 @cache

@@ -12,7 +12,8 @@ import torch
 from torch import nn
 
 from farfield.detectors.norm import affine, normalise_rows
-from farfield.detectors.sparse.functional import sparse_conv
+from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
+from farfield.detectors.sparse.functional import has_kernels, sparse_conv
 from farfield.detectors.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
 from farfield.detectors.sparse.tables import (
     NeighbourTable,
@@ -20,6 +21,9 @@ from farfield.detectors.sparse.tables import (
     submanifold_table,
 )
 from farfield.detectors.sparse.tensor import SparseTensor, Triple
+
+Book = Rulebook | DeviceBook | NeighbourTable
+"""What says which input meets which output: pairs, or a table where a GPU or close cells want one."""
 
 
 class _Conv(nn.Module, ABC):
@@ -38,7 +42,7 @@ class _Conv(nn.Module, ABC):
             nn.init.uniform_(self.bias, -bound, bound)
 
     @abstractmethod
-    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+    def rulebook(self, sparse: SparseTensor) -> Book:
         """The rulebook of the layer on these cells, or its table where they lie close together."""
 
     def dtype(self, device: str) -> torch.dtype:
@@ -49,6 +53,11 @@ class _Conv(nn.Module, ABC):
         """Whether to convolve these cells by a neighbour table."""
         device = sparse.keys.device.type
         return sparse.close and device == "cpu" and not torch.is_grad_enabled() and self.dtype(device).itemsize == 2
+
+    def by_kernels(self, sparse: SparseTensor) -> bool:
+        """Whether Triton kernels convolve these cells."""
+        device = sparse.keys.device.type
+        return has_kernels(device, self.dtype(device))
 
     def plan(self, sparse: SparseTensor) -> SparseTensor:
         """Find the rulebook; gives the cells after the layer, without features."""
@@ -82,18 +91,17 @@ class SubmanifoldConv(_Conv):
     ) -> None:
         super().__init__(c_in, c_out, kernel, bias, book)
 
-    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+    def rulebook(self, sparse: SparseTensor) -> Book:
         """The shared rulebook or table, found on first use."""
         # The stored rulebook keeps the keys alive, so that their id stays theirs.
         tabled = self.by_table(sparse)
         name = ("submanifold", tabled, self.kernel, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
+            find = submanifold_book if self.by_kernels(sparse) else submanifold_rulebook
             sparse.rulebooks[name] = (
-                submanifold_table(sparse, self.kernel)
-                if tabled
-                else submanifold_rulebook(sparse.keys, sparse.shape, self.kernel)
+                submanifold_table(sparse, self.kernel) if tabled else find(sparse.keys, sparse.shape, self.kernel)
             )
-        return cast(Rulebook | NeighbourTable, sparse.rulebooks[name])
+        return cast(Book, sparse.rulebooks[name])
 
 
 class SparseConv(_Conv):
@@ -122,17 +130,18 @@ class SparseConv(_Conv):
         super().__init__(c_in, c_out, kernel, bias, book)
         self.stride, self.padding = stride, padding
 
-    def rulebook(self, sparse: SparseTensor) -> Rulebook | NeighbourTable:
+    def rulebook(self, sparse: SparseTensor) -> Book:
         """The shared rulebook or table, found on first use; an :class:`InverseConv` needs the rulebook."""
         tabled = self.book is None and self.by_table(sparse)
         name = ("strided", tabled, self.kernel, self.stride, self.padding, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
+            find = strided_book if self.by_kernels(sparse) else strided_rulebook
             sparse.rulebooks[name] = (
                 strided_table(sparse, self.kernel, self.stride, self.padding)
                 if tabled
-                else strided_rulebook(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
+                else find(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
             )
-        book = cast(Rulebook | NeighbourTable, sparse.rulebooks[name])
+        book = cast(Book, sparse.rulebooks[name])
         if self.book is not None and sparse.rulebooks.setdefault(self.book, book) is not book:
             raise ValueError(f"Expected rulebook {self.book!r} at one set of cells; got a second: name it otherwise.")
         return book
@@ -152,14 +161,14 @@ class InverseConv(_Conv):
     def __init__(self, c_in: int, c_out: int, kernel: Triple, book: str, bias: bool = False) -> None:
         super().__init__(c_in, c_out, kernel, bias, book)
 
-    def rulebook(self, sparse: SparseTensor) -> Rulebook:
+    def rulebook(self, sparse: SparseTensor) -> Rulebook | DeviceBook:
         """That layer's rulebook with input and output exchanged."""
         book = sparse.rulebooks.get(self.book)
         if book is None or book.keys is not sparse.keys:
             raise ValueError(f"Expected cells made by the SparseConv with book={self.book!r}; got others.")
-        if len(book.counts) != len(self.weight):
+        if book.size != len(self.weight):
             raise ValueError(f"Expected the kernel of book {self.book!r}; got {self.kernel}.")
-        return cast(Rulebook, book.inverse)
+        return cast(Rulebook | DeviceBook, book.inverse)
 
 
 class SparseBlock(nn.Module):

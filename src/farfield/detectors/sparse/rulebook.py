@@ -53,6 +53,11 @@ class Rulebook:
     numbers: tuple[int, ...]
     symmetric: bool = False
 
+    @property
+    def size(self) -> int:
+        """Elements of the kernel."""
+        return len(self.counts)
+
     def elements(self) -> Iterator[tuple[int, slice]]:
         """Number of each kernel element that has pairs, and where these are."""
         start = 0

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.contract import ClassRows, DetectorConfig
+from farfield.detectors.device_nms import kept_boxes
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.processes import normaliser
@@ -176,14 +177,39 @@ class CentreHead(nn.Module):
 
     def decode(self, maps: CentreMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
+        found = self.found(maps)
+        if maps.logits.is_cuda:
+            return self.boxes_there(*found, maps.frames)
+        rows, score, kind, frame = (part.cpu().numpy() for part in found)
+        return [self._frame(rows[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
+
+    def found(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The boxes at all peaks, rows (n, 7) float64, their scores, classes and frames, each of shape (n,)."""
         logits = maps.logits.float()
         score = torch.sigmoid(logits)
         passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & (score >= self.config.score_threshold)
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
-        found = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
-        found, score, kind, frame = (part.cpu().numpy() for part in (found, score[row, kind].double(), kind, frame))
-        return [self._frame(found[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
+        rows = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
+        return rows, score[row, kind].double(), kind, frame
+
+    def boxes_there(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
+        """The boxes of each frame after suppression on the device that they are on; arguments as :meth:`found` has."""
+        boxes = []
+        for number in range(frames):
+            mine = (frame == number).nonzero().squeeze(1)
+            best = mine[torch.sort(score[mine], descending=True, stable=True).indices[: self.config.candidates]]
+            boxes.append(
+                kept_boxes(
+                    rows[best],
+                    score[best],
+                    kind[best],
+                    self.config.classes,
+                    iou_threshold=self.config.nms_iou,
+                    limit=self.config.max_boxes,
+                )
+            )
+        return boxes
 
     def _frame(self, rows: np.ndarray, score: np.ndarray, kind: np.ndarray) -> Boxes:
         best = np.argsort(-score, kind="stable")[: self.config.candidates]

@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from farfield.detectors.contract import range_weights
-from farfield.geometry.boxes import Boxes, wrap_angle_rad
+from farfield.detectors.device_nms import wrapped
+from farfield.geometry.boxes import Boxes
 
 _LOG_SIZE = (float(np.log(0.05)), float(np.log(40.0)))
 
@@ -219,6 +220,6 @@ def decode(codes: Tensor, place_m: Tensor, height_m: Tensor, cell_m: float) -> T
     size = torch.exp(codes[:, 3:6].clamp(*_LOG_SIZE))
     yaw = torch.atan2(codes[:, 6], codes[:, 7]) / 2
     backwards = torch.sin(yaw) * codes[:, 8] + torch.cos(yaw) * codes[:, 9] < 0
-    yaw = torch.from_numpy(wrap_angle_rad((yaw + torch.pi * backwards).cpu().numpy())).to(codes.device)
+    yaw = wrapped(yaw + torch.pi * backwards)
     z = height_m.double() + codes[:, 2]
     return torch.cat([place_m.double() + codes[:, :2] * cell_m, z[:, None], size, yaw[:, None]], 1)

@@ -1,0 +1,177 @@
+"""Training on a GPU beside the CPU's, with the same samples, and a checkpoint of one that the other goes on from."""
+
+import json
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _gpu_common import FAILED, OK, Row, Site, each, exact_float32
+from _gpu_small import SETTINGS, small_network
+
+from farfield.datasets import Dataset
+from farfield.errors import FarfieldError
+from farfield.frame import Cloud, Frame
+from farfield.testing.detectors import made_frame
+from farfield.training.config import AugmentationConfig, TrainingConfig
+from farfield.training.loop import Training
+from farfield.training.method import Supervised
+from farfield.training.report import Report
+from farfield.training.samples import TrainingSamples
+
+RATE = 1.5e-3
+STEPS, STEPS_ON_CPU, LAST = 50, 8, 10
+FIRST_STEP = 1e-3  # relative difference of the first step's loss: nothing has been learnt, so only rounding differs
+LEAST_NOISE = 0.05  # share of the loss that counts as noise whatever two seeds say
+RESUMED = 0.02  # relative difference of the losses after a change of device
+_FRAMES = 4
+
+
+class Made(Dataset):
+    """Frames of ground and boxes full of points, in memory.
+
+    Args:
+        network: What reads them.
+    """
+
+    name, root = "made", Path("made")
+
+    def __init__(self, network: Any) -> None:
+        self.sequences, self.frame_ids = ("made",) * _FRAMES, tuple(map(str, range(_FRAMES)))
+        self.frames = [_frame(network, number) for number in range(_FRAMES)]
+
+    def frame(self, index: int) -> Frame:
+        """A frame."""
+        return self.frames[index]
+
+    def files(self, index: int) -> list[Path]:
+        """None: they are made."""
+        del index
+        return []
+
+
+def _frame(network: Any, number: int) -> Frame:
+    inputs, boxes = made_frame(network, seed=number)
+    ((name, (rows,)),) = inputs.items()
+    columns = dict(zip(network.inputs[name].columns, rows.numpy().T, strict=True))
+    xyz = np.ascontiguousarray(rows.numpy()[:, :3])
+    extra = {key: value.copy() for key, value in columns.items() if key not in ("x_m", "y_m", "z_m", "intensity")}
+    strength = columns["intensity"].copy() if "intensity" in columns else None
+    return Frame.of(Cloud(xyz, strength, extra), boxes, name="made", sequence="made", frame_id=str(number))
+
+
+class Stopped(FarfieldError):  # noqa: N818 - nothing went wrong
+    """The training was stopped on purpose."""
+
+
+class StopAt(Report):
+    """Stops a training at a step.
+
+    Args:
+        at: The step that is not kept.
+    """
+
+    def __init__(self, at: int) -> None:
+        self.at = at
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Stop at the step."""
+        del losses
+        if step == self.at:
+            raise Stopped("stopped")
+
+
+def trained(name: str, folder: Path, *, device: str, steps: int, seed: int = 0, stop: int | None = None) -> list[float]:
+    """Train a small detector and give the loss of each step; a folder with a checkpoint goes on.
+
+    Args:
+        name: The detector's.
+        folder: The run's.
+        device: "cpu" or "gpu".
+        steps: Steps in all.
+        seed: Of weights and samples.
+        stop: Stop before this step is kept.
+    """
+    network = small_network(name, seed)
+    samples = TrainingSamples(
+        Made(network),
+        inputs=network.inputs,
+        clouds=("made",),
+        classes=network.config.class_names,
+        assigner=network.assigner,
+        augmentation=AugmentationConfig(),
+        seed=seed,
+    )
+    config = TrainingConfig(
+        steps=steps,
+        batch_size=2,
+        learning_rate=RATE,
+        precision="fp32",
+        accelerator=device,
+        workers=0,
+        log_every_steps=1,
+        checkpoint_every_s=1e-9,
+        seed=seed,
+    )
+    with suppress(Stopped):
+        Training(Supervised(network), {"labelled": samples}, config, folder).run(None if stop is None else StopAt(stop))
+    lines = map(json.loads, (folder / "log.jsonl").read_text("utf-8").splitlines())
+    losses = {line["step"]: line["loss"] for line in lines}
+    return [losses[step] for step in sorted(losses)]
+
+
+def train(site: Site) -> Iterator[Row]:
+    """The course of the loss of every detector."""
+    exact_float32()
+    if not site.gpu:
+        yield site.needs_gpu(f"{STEPS} steps on the GPU beside the CPU's", f"below: {STEPS_ON_CPU} steps on the CPU")
+    yield from each(list(SETTINGS), partial(_train, site))
+
+
+def _train(site: Site, name: str) -> Iterator[Row]:
+    with tempfile.TemporaryDirectory() as place:
+        if not site.gpu:
+            losses = np.array(trained(name, Path(place), device="cpu", steps=STEPS_ON_CPU))
+            good = bool(np.isfinite(losses).all() and losses[-2:].mean() < losses[:2].mean())
+            words = f"CPU: loss {losses[:2].mean():.3f} to {losses[-2:].mean():.3f}, expected to fall"
+            yield Row(f"{name}, {STEPS_ON_CPU} steps", words, OK if good else FAILED, {"cpu": losses.tolist()})
+            return
+        runs = {"gpu": ("gpu", 0), "cpu": ("cpu", 0), "other": ("cpu", 1)}
+        course = {
+            key: np.array(trained(name, Path(place) / key, device=device, steps=STEPS, seed=seed))
+            for key, (device, seed) in runs.items()
+        }
+    numbers = {key: losses.tolist() for key, losses in course.items()}
+    first = abs(course["gpu"][0] / course["cpu"][0] - 1)
+    yield site.bounded(f"{name}, loss of the first step", first, FIRST_STEP, "relative difference")
+    gpu, cpu, other = (float(course[key][-LAST:].mean()) for key in runs)
+    noise = max(abs(other - cpu), LEAST_NOISE * cpu)
+    words = f"last {LAST}: GPU {gpu:.3f}, CPU {cpu:.3f}, another seed {other:.3f}; noise {noise:.3f}"
+    yield Row(f"{name}, {STEPS} steps", words, OK if abs(gpu - cpu) <= noise else FAILED, numbers)
+
+
+def resume(site: Site) -> Iterator[Row]:
+    """A checkpoint of each device, gone on from on the other."""
+    exact_float32()
+    ways = [("cpu", "gpu"), ("gpu", "cpu")] if site.gpu else [("cpu", "cpu")]
+    if not site.gpu:
+        yield site.needs_gpu("a checkpoint of the CPU on the GPU, and back", "below: CPU to CPU")
+    for way in ways:
+        yield from each(["pointpillars", "sparsecentre"], partial(_resume, site, way))
+
+
+def _resume(site: Site, way: tuple[str, str], name: str) -> Iterator[Row]:
+    steps, stop = 6, 4
+    with tempfile.TemporaryDirectory() as place:
+        whole = np.array(trained(name, Path(place) / "whole", device=way[0], steps=steps))
+        trained(name, Path(place) / "parted", device=way[0], steps=steps, stop=stop)
+        parted = np.array(trained(name, Path(place) / "parted", device=way[1], steps=steps))
+    if len(parted) != steps:
+        yield Row(f"{name}, {way[0]} to {way[1]}", f"{len(parted)} steps logged, expected {steps}", FAILED)
+        return
+    error = float(np.abs(parted / whole - 1)[stop - 1 :].max())
+    bound = RESUMED if site.gpu else 0.0
+    yield site.bounded(f"{name}, {way[0]} to {way[1]}", error, bound, f"losses from step {stop} on differ by")

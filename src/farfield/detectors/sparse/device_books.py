@@ -1,0 +1,134 @@
+"""Rulebooks for a GPU: the neighbour table itself, found without a number of it going to the host.
+
+The pairs of :class:`~farfield.detectors.sparse.rulebook.Rulebook` are what a CPU wants; their counts are read on the
+host. The Triton kernels read the table alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from farfield.detectors.sparse.rulebook import conv_shape
+from farfield.detectors.sparse.tensor import Triple, decode_keys
+
+_KEY_BITS = 62
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBook:
+    """One kernel over one set of cells, as a table.
+
+    Attributes:
+        keys_in: Input cells, shape (n_in,), int64, ascending.
+        keys: Output cells, shape (n_out,), int64, ascending.
+        shape: Output grid.
+        table: Row of the input under each kernel element, ``n_in`` for none, shape (n_out, K), int32.
+        back: The table that leads back, shape (n_in, K), int32; None for a symmetric book.
+        shape_in: Input grid.
+        symmetric: Inputs and outputs are the same cells and the kernel is odd: its own inverse, the kernel mirrored.
+    """
+
+    keys_in: Tensor
+    keys: Tensor
+    shape: Triple
+    table: Tensor
+    back: Tensor | None
+    shape_in: Triple
+    symmetric: bool = field(default=False, kw_only=True)
+
+    @property
+    def size(self) -> int:
+        """Elements of the kernel."""
+        return self.table.shape[1]
+
+    @cached_property
+    def inverse(self) -> "DeviceBook":
+        """The rulebook that leads back: input and output change places."""
+        if self.back is None:
+            raise ValueError("Expected a rulebook between different cells; a symmetric one is its own inverse.")
+        book = DeviceBook(self.keys, self.keys_in, self.shape_in, self.back, self.table, self.shape)
+        book.__dict__["inverse"] = self
+        return book
+
+    @cached_property
+    def similar(self) -> tuple[Tensor, Tensor]:
+        """The table with similar rows together; see :attr:`farfield.detectors.sparse.rulebook.Rulebook.similar`."""
+        present = self.table < len(self.keys_in)
+        rarest_first = present.sum(0).argsort()[:_KEY_BITS]
+        chosen = present.index_select(1, rarest_first).long()
+        weight = torch.arange(chosen.shape[1] - 1, -1, -1, device=chosen.device)
+        order = torch.sort(torch.bitwise_left_shift(chosen, weight).sum(1), stable=True).indices
+        return order, self.table[order]
+
+
+def submanifold_book(keys: Tensor, shape: Triple, kernel: Triple) -> DeviceBook:
+    """Outputs where the inputs are; see :func:`farfield.detectors.sparse.rulebook.submanifold_rulebook`.
+
+    Raises:
+        ValueError: If the kernel is even along some axis.
+    """
+    if any(size % 2 == 0 for size in kernel):
+        raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
+    frame, *place = decode_keys(keys, shape).unbind(1)
+    along = [at[:, None] + _counted(size, at) - size // 2 for at, size in zip(place, kernel, strict=True)]
+    return DeviceBook(keys, keys, shape, _rows(keys, frame, along, shape), None, shape, symmetric=True)
+
+
+def strided_book(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> DeviceBook:
+    """Outputs at every cell that some input reaches; see :func:`farfield.detectors.sparse.rulebook.strided_rulebook`.
+
+    Raises:
+        ValueError: If the kernel does not fit the padded grid.
+    """
+    out_shape = conv_shape(shape, kernel, stride, padding)
+    frame, *place = decode_keys(keys, shape).unbind(1)
+    along, even = [], []
+    for at, size, step, border in zip(place, kernel, stride, padding, strict=True):
+        reach = at[:, None] + border - _counted(size, at)
+        along.append(torch.div(reach, step, rounding_mode="floor"))
+        even.append(along[-1] * step == reach)
+    cells = _cells(frame, along, out_shape, even)
+    reached = torch.unique(cells)[int(bool((cells < 0).any())) :]
+    frame, *place = decode_keys(reached, out_shape).unbind(1)
+    given = zip(place, kernel, stride, padding, strict=True)
+    under = [at[:, None] * step - border + _counted(size, at) for at, size, step, border in given]
+    return DeviceBook(keys, reached, out_shape, _rows(keys, frame, under, shape), _found(reached, cells), shape)
+
+
+def _counted(size: int, like: Tensor) -> Tensor:
+    return torch.arange(size, device=like.device)
+
+
+def _cells(frame: Tensor, along: Sequence[Tensor], shape: Triple, fits: Sequence[Tensor] | None = None) -> Tensor:
+    """Key of the cell under each element of a kernel, -1 for those that do not fit or lie outside, shape (n, K).
+
+    Args:
+        frame: Frame of each cell, shape (n,).
+        along: Places along z, x and y, shape (n, k) with as many as the kernel is long there.
+        shape: The grid.
+        fits: Which of them count, likewise; all if left out.
+    """
+    inside = [(at >= 0) & (at < size) for at, size in zip(along, shape, strict=True)]
+    if fits is not None:
+        inside = [one & other for one, other in zip(inside, fits, strict=True)]
+    z, x, y = along
+    planes = (frame[:, None] * shape[0] + z)[:, :, None] * shape[1] + x[:, None]
+    keys = planes[..., None] * shape[2] + y[:, None, None]
+    there = inside[0][:, :, None, None] & inside[1][:, None, :, None] & inside[2][:, None, None]
+    return torch.where(there, keys, -1).flatten(1)
+
+
+def _rows(keys: Tensor, frame: Tensor, along: Sequence[Tensor], shape: Triple) -> Tensor:
+    """Rows of such cells among the keys, ``len(keys)`` where there is none, shape (n, K), int32."""
+    return _found(keys, _cells(frame, along, shape))
+
+
+def _found(keys: Tensor, wanted: Tensor) -> Tensor:
+    """Row of each wanted key, ``len(keys)`` where it is not among them, int32."""
+    if len(keys) == 0:
+        return torch.zeros_like(wanted, dtype=torch.int32)
+    row = torch.searchsorted(keys, wanted.contiguous(), out_int32=True).clamp_(max=len(keys) - 1)
+    return torch.where(keys[row] == wanted, row, len(keys))
