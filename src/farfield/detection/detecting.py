@@ -193,9 +193,9 @@ def _once(frame: Frame, before: Collection[Key]) -> Frame:
     return frame
 
 
-def _named(detector: Any, data: Frames, annotations: Mapping[Key, Annotation]) -> dict[str, str]:
+def _named(detector: Any, data: Frames, annotations: Mapping[Key, Annotation]) -> dict[str, Any]:
     """Who detects in what: names, and what tells equal names apart."""
-    known = {"detector": str(getattr(detector, "name", "") or getattr(detector, "__name__", ""))}
+    known: dict[str, Any] = {"detector": str(getattr(detector, "name", "") or getattr(detector, "__name__", ""))}
     if hasattr(detector, "digest"):
         known["detector_digest"] = detector.digest()
     if isinstance(data, Dataset):
@@ -205,7 +205,7 @@ def _named(detector: Any, data: Frames, annotations: Mapping[Key, Annotation]) -
     return known
 
 
-def _data_names(data: Frames) -> dict[str, str]:
+def _data_names(data: Frames) -> dict[str, Any]:
     return {"data": data.root.name, "fingerprint": data.fingerprint()} if isinstance(data, Dataset) else {}
 
 

@@ -180,7 +180,7 @@ def draw_legend(
     if rings:
         entries += [Line2D([], [], color=INK, lw=0.9, ls=(0, (1, 3)), label="range")]
     entries += [Line2D([], [], color=INK, marker=">", ls="none", ms=6, label="sensor")]
-    loc = "lower center" if figure.get_layout_engine() is None else "outside lower center"
+    loc: Any = "lower center" if figure.get_layout_engine() is None else "outside lower center"
     figure.legend(handles=entries, loc=loc, ncols=len(entries), handlelength=1.6)
 
 

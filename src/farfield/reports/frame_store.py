@@ -113,8 +113,8 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             path, where="the frame", expected="a frame as `save_frame` writes it", found=found
         ) from error
     predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
-    found = predicted.get("") if set(predicted) <= {""} else predicted
-    return frame, found, str(content.get("title", "")), _radar_map(path, arrays.get(_RADAR_MAP))
+    boxes = predicted.get("") if set(predicted) <= {""} else predicted
+    return frame, boxes, str(content.get("title", "")), _radar_map(path, arrays.get(_RADAR_MAP))
 
 
 def _radar_map(path: Path, power_db: np.ndarray | None) -> Float32[np.ndarray, "y x"] | None:
