@@ -36,14 +36,14 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
       fence();
       return performance.now() - started;
     });
-  /** Milliseconds from the next key to the frame that it asks for, drawn. */
+  /** Milliseconds from the next key to the frame that it asks for, drawn with all its points. */
   const keyToFrame = (): Promise<number> =>
     new Promise((resolve) => {
       window.addEventListener("keydown", () => {
         const started = performance.now();
         const before = state.frame;
         const look = (): void => {
-          if (state.frame !== before && stage.drawn.frame === state.frame) fence(), resolve(performance.now() - started);
+          if (state.frame !== before && stage.drawn.frame === state.frame && stage.drawn.whole) fence(), resolve(performance.now() - started);
           else setTimeout(look, 1);
         };
         setTimeout(look, 0);
