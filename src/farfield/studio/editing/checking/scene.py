@@ -14,6 +14,7 @@ GROUND_LOOK_M, BESIDE_M = 15.0, 0.5
 SUPPORT_M, OFF_PLANE_M, FEWEST_CELLS, SHARE = 8.0, 0.2, 8, 0.6
 """The ground beside a box is known where so many square metres within 8 m, and so large a share of those with points,
 lie within 0.2 m of the plane."""
+MOST_GROUNDS = 2000
 Points = Float[np.ndarray, "n 3"]
 
 
@@ -58,6 +59,7 @@ class Surroundings:
         finite = np.isfinite(points_m)  # asking for all at once is much quicker than row by row
         self._finite = points_m if finite.all() else points_m[finite.all(axis=1)]
         self._points = _Cells(self._finite, CELL_M)
+        self._grounds: dict[Numbers, float | None] = {}
 
     @cached_property
     def _lowest(self) -> _Cells:
@@ -72,8 +74,15 @@ class Surroundings:
         """Height of the ground under a box, in the frame's z; None where too little is seen of it.
 
         A plane through the lowest points of square metres within 15 m: beside a box alone, walls and parked cars may
-        hide the ground wholly.
+        hide the ground wholly. Heights are kept: of a frame's boxes an edit moves one.
         """
+        if box not in self._grounds:
+            if len(self._grounds) >= MOST_GROUNDS:
+                self._grounds.clear()
+            self._grounds[box] = self._ground_m(box)
+        return self._grounds[box]
+
+    def _ground_m(self, box: Numbers) -> float | None:
         lowest = self._lowest.near(box[0], box[1], GROUND_LOOK_M)
         ground = fit_ground(lowest, (box[0], box[1]))
         close = lowest[np.abs(lowest[:, :2] - np.array(box[:2])).max(axis=1) <= SUPPORT_M]
