@@ -62,12 +62,14 @@ def run(work: Path, seconds: float) -> Table:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
         for name, frames in (("131k", 80), ("262k", 60)):
             folder = write_folder(work / name, frames, SIZES[name])
-            with started("annotate", str(folder), "--edits", str(work / f"edits-{name}")) as live:
-                with slow_link(int(live.origin.rpartition(":")[2])) as port:
-                    far = replace(live, origin=f"http://127.0.0.1:{port}")
-                    changes(table, chromium, far, name, seconds, drag=name == "131k")
-                    if name == "131k":
-                        edits(table, far)
+            with (
+                started("annotate", str(folder), "--edits", str(work / f"edits-{name}")) as live,
+                slow_link(int(live.origin.rpartition(":")[2])) as port,
+            ):
+                far = replace(live, origin=f"http://127.0.0.1:{port}")
+                changes(table, chromium, far, name, seconds, drag=name == "131k")
+                if name == "131k":
+                    edits(table, far)
         chromium.close()
     return table
 

@@ -93,14 +93,14 @@ def sequence_of(work: Path) -> Path:
     if (root / "made").exists():
         return root
     shutil.copytree(SAMPLE, root, dirs_exist_ok=True)
-    sensors = [("os2-64", "os2-64_{lidar:05d}.pcd", 1), ("cam-front", "cam-front_{lidar:05d}.png", 1)]
+    sensors = [("os2-64", "os2-64_{:05d}.pcd"), ("cam-front", "cam-front_{:05d}.png")]
     label = next((root / "kradar_revised_label_v2_1").rglob("*.txt"))
     record = json.loads((root / "1" / "frame_record" / "00006_00001.json").read_text())
     stamps = []
     for number in range(1, FRAMES + 1):
         radar = number + 5
-        for folder, pattern, _ in sensors:
-            _linked(next((SAMPLE / "1" / folder).iterdir()), root / "1" / folder / pattern.format(lidar=number))
+        for folder, pattern in sensors:
+            _linked(next((SAMPLE / "1" / folder).iterdir()), root / "1" / folder / pattern.format(number))
         _linked(next((SAMPLE / "radar_cells" / "1").iterdir()), root / "radar_cells" / "1" / f"cells_{radar:05d}.h5")
         name = f"{radar:05d}_{number:05d}"
         head, _, rest = label.read_text().partition(", timestamp=")
