@@ -1,6 +1,6 @@
 // What tests read, only with ?test=1: the events themselves are real mouse and keys.
 
-import { fitTimes } from "./annotate";
+import { fitTimes, sketch } from "./annotate";
 import type { Vec3 } from "./boxes";
 import type { CloseUps } from "./closeups";
 import { hold } from "./edits";
@@ -51,7 +51,7 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
     });
   Object.assign(window, {
     farfieldTest: {
-      state, stage, waitIdle, project, fitTimes, fenced, keyToFrame,
+      state, stage, waitIdle, project, fitTimes, sketch, fenced, keyToFrame,
       drawn: () => ({ ...stage.drawn }),
       colours: () => stage.coloursNow(),
       closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),
