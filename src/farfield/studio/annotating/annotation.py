@@ -91,6 +91,10 @@ class Annotating:
         """The boxes of a frame."""
         return self.shown.boxes(index)
 
+    def outlines(self, index: int) -> tuple[BoxRow, ...]:
+        """The boxes of a frame, without their points."""
+        return self.shown.outlines(index)
+
     def centres(self, index: int) -> list[tuple[int, float, float, float]]:
         """Track number, x, y, z of the boxes of a frame."""
         return self.shown.centres(index)
