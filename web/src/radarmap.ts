@@ -41,7 +41,8 @@ export class RadarMap {
 
   constructor(payload: Payload, layer: Layer) {
     this.picture = radarPicture(payload, layer);
-    const { rows, columns, power, polar } = this.picture;
+    const { rows, columns, polar } = this.picture;
+    const power = levelled(this.picture);
     this.texture = new DataTexture(power, columns[2], rows[2], RedFormat);
     this.texture.magFilter = LinearFilter;
     this.texture.unpackAlignment = 1;
@@ -70,6 +71,23 @@ export class RadarMap {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
   }
+}
+
+const FLOOR = 48;
+
+/**
+ * Polar power over what is usual at its range (the median over azimuth, of the nine rings about it), so that echoes stand out near and far alike:
+ * the ground near by is 20 dB above everything beyond it. Maps in metres stay as they are.
+ */
+export function levelled({ polar, power, rows, columns }: RadarPicture): Uint8Array<ArrayBuffer> {
+  if (!polar) return power;
+  const [wide, count] = [columns[2], rows[2]];
+  const usual = Array.from({ length: count }, (_, r) => power.slice(r * wide, (r + 1) * wide).sort()[wide >> 1]!);
+  const smooth = usual.map((_, r) => {
+    const near = usual.slice(Math.max(0, r - 4), r + 5).sort((a, b) => a - b);
+    return near[near.length >> 1]!;
+  });
+  return power.map((value, i) => Math.min(255, Math.max(0, value - smooth[Math.floor(i / wide)]! + FLOOR)));
 }
 
 /** From the 60 % to the 99.9 % quantile of the bytes, as 0..1. */
