@@ -41,7 +41,6 @@ def changes(table: Table, chromium: Any, live: Started, name: str, seconds: floa
             held = ms <= max(limit, ratio * whole)
             table.add(f"link: frame change {name}, {kind}", said, f"<= {limit} ms or {ratio} x", held)
         if drag:
-            page.press("Home")
             drag_box(table, page, seconds, name="link: drag a box, 131k")
 
 
