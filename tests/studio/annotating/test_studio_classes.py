@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset
+from farfield.errors import ConfigError
 from farfield.studio.annotating.annotation import Annotating
 from farfield.studio.annotating.opening import offered_classes
 from farfield.studio.editing.box_edits import add_box
@@ -90,3 +91,22 @@ def test_sizes_that_count_as_usual_are_those_of_the_data_set(tmp_path: Path):
             assert any(row.check == "size" and row.box == "n" for row in known.checks(0)) is expected
         finally:
             known.close()
+
+
+def test_label_files_that_are_not_edited_are_not_promised_to_be_written(tmp_path: Path):
+    """KITTI raw's tracklets: their boxes are begun with, and saved in another format."""
+    drive = tmp_path / "drive"
+    (drive / "velodyne_points" / "data").mkdir(parents=True)
+    (drive / "velodyne_points" / "data" / "0000000000.bin").write_bytes(np.ones((9, 4), "<f4").tobytes())
+    pose = "<item><tx>10</tx><ty>2</ty><tz>-1</tz><rx>0</rx><ry>0</ry><rz>0.5</rz></item>"
+    sizes = "<objectType>Car</objectType><h>1.5</h><w>1.9</w><l>4.6</l><first_frame>0</first_frame>"
+    text = f"<b><tracklets><item>{sizes}<poses>{pose}</poses></item></tracklets></b>"
+    (drive / "tracklet_labels.xml").write_text(text)
+    with pytest.raises(ConfigError, match=r"--write.*Leave it out.*--to"):
+        annotated(drive, write=True)
+    known = annotated(drive)
+    try:
+        assert [row.box[:2] for row in known.rows(0)] == [(10.0, 2.0)]
+    finally:
+        known.close()
+    assert (drive / "tracklet_labels.xml").read_text() == text

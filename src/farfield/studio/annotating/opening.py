@@ -11,7 +11,7 @@ from farfield.datasets.edits import journal_folder
 from farfield.datasets.edits.places import user_folder
 from farfield.datasets.labels import BoxLabel, LabelFormat
 from farfield.datasets.labels.choosing import label_files_in, label_format
-from farfield.errors import FarfieldError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Key
 from farfield.studio.editing.box_edits import LARGEST_M
@@ -43,6 +43,11 @@ def open_store(data: Dataset, settings: StudioSettings) -> Store:
     folder = journal_of(data, settings)
     labels = label_format(data)
     if labels is None:
+        if settings.write:
+            raise ConfigError(
+                f"--write: the label files of this {data.name} data set cannot be edited in their places. Leave it "
+                f"out: edits are kept in {folder.name}, and saved as boxes-csv, or in another format with --to."
+            )
         labels = _copied(data, folder)
     borne = borne_classes(labels, data)
     schema = Schema(
