@@ -1,6 +1,6 @@
 """Objects annotated through the page by a hand with errors, and what then stands in the label files.
 
-usage: python benchmarks/studio_forty.py [REAL] [--work DIR] [--output benchmarks/results/studio_forty.txt]
+usage: python benchmarks/studio_forty.py [REAL] [--only simulated radar real] [--first N] [--work DIR] [--output FILE]
 
 A Chromium clicks, drags and presses keys at the pixels of ``farfield annotate``, which runs as a process of its own;
 the label files that it writes are compared with the truth. The button goes down 0.35 m (standard deviation) beside one
@@ -12,11 +12,13 @@ point of the object, as in studio_fitting.py. Missed is an object without a box 
 """
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +38,10 @@ from farfield.radar.axes import KRADAR_AXES
 from farfield.studio.fitting import prior_of
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
-REAL = {"Luminar": "cirrus_layout/Cirrus_dataset1", "View-of-Delft": "view_of_delft/lidar"}
+REAL = {"View-of-Delft": "view_of_delft/lidar", "Luminar": "cirrus_layout/Cirrus_dataset1"}
 BINS_M = ((0, 30), (30, 60), (60, 100), (100, 300))
 TARGETS = {(0, 30): 0.76, (30, 60): 0.65, (60, 100): 0.55}
+PARTS = ("simulated", "radar", "real")
 FORTY, NEAR_M, MISSED = 40, 40.0, 0.1
 CENTRE_M, YAW_DEG, CELL_DEG = 0.10, 2.0, 1.0
 RADAR = ("--frames", "4", "--sequences", "4", "--sensors", "os2-64,polar3d", "--weather", "fog")
@@ -192,10 +195,11 @@ def polar_errors(
         yield float(np.hypot(*here) - np.hypot(*truth)), float(turn)
 
 
-def real_part(real: Path, work: Path, chromium: Any) -> Iterator[str]:
+def real_part(real: Path, first: int | None, work: Path, chromium: Any) -> Iterator[str]:
+    """Click and drag at the annotated objects of real frames, of all or of the first ones of each set."""
     for title, name in REAL.items():
         data = open_dataset(real / name)
-        chosen = [(index, one) for index in range(len(data)) for one in subjects([(name, data[index])])]
+        chosen = [(index, one) for index in range(len(data))[:first] for one in subjects([(name, data[index])])]
         sizes = _medians(data)
         chosen = [(index, one) for index, one in chosen if str(one.box.label[0]) in sizes]
         copy = emptied(real / name, work / title)
@@ -245,6 +249,8 @@ def _by_range(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("real", type=Path, nargs="?", default=SHARED_REAL)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--first", type=int, help="only so many frames of each real set")
     parser.add_argument("--work", type=Path, help="where frames are simulated and copied to")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
@@ -254,16 +260,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place, sync_playwright() as playwright:
         work = options.work or Path(place)
         chromium = playwright.chromium.launch(executable_path=chromium_path())
-        first = [header(), f"load     {os.getloadavg()[0]:.1f}"]
-        parts: list[Iterable[str]] = [first, simulated_part(work, chromium), radar_part(work, chromium)]
+        parts: dict[str, Callable[..., Iterator[str]]] = {"simulated": simulated_part, "radar": radar_part}
         if options.real.is_dir():
-            parts.append(real_part(options.real, work, chromium))
-        else:
+            parts["real"] = partial(real_part, options.real, options.first)
+        elif "real" in options.only:
             print(f"{options.real}: no real frames, that part is left out", file=sys.stderr)
-        for part in parts:
-            for line in part:
-                print(line, flush=True)
-                lines.append(line)
+        chosen = (part(work, chromium) for name, part in parts.items() if name in options.only)
+        first = [header(), f"load     {os.getloadavg()[0]:.1f}"]
+        for line in itertools.chain(first, itertools.chain.from_iterable(chosen)):
+            print(line, flush=True)
+            lines.append(line)
         chromium.close()
     if options.output is not None:
         write_text(options.output, "\n".join(lines) + "\n")
