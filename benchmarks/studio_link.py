@@ -23,7 +23,7 @@ from _studio_table import Table, reported
 from studio_page import SIZES, drag_box, frame_changes, reference_ms
 
 LIMITS = {"131k": (600, 5.0, 200, 2.0), "262k": (1000, 4.5, 300, 2.0)}  # cold ms, renders; prefetched ms, renders
-REST_MS = {"131k": 1500, "262k": 3000}
+REST_MS = {"131k": 2500, "262k": 4000}
 
 
 def changes(table: Table, chromium: Any, live: Started, name: str, seconds: float, *, drag: bool) -> None:
