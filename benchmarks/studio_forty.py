@@ -1,6 +1,7 @@
 """Objects annotated through the page by a hand with errors, and what then stands in the label files.
 
-usage: python benchmarks/studio_forty.py [REAL] [--only simulated radar real] [--first N] [--work DIR] [--output FILE]
+usage: python benchmarks/studio_forty.py [REAL] [--only simulated radar real] [--sets NAME ...]
+       [--first N] [--work DIR] [--output FILE]
 
 A Chromium clicks, drags and presses keys at the pixels of ``farfield annotate``, which runs as a process of its own;
 the label files that it writes are compared with the truth. The button goes down 0.35 m (standard deviation) beside one
@@ -195,9 +196,9 @@ def polar_errors(
         yield float(np.hypot(*here) - np.hypot(*truth)), float(turn)
 
 
-def real_part(real: Path, first: int | None, work: Path, chromium: Any) -> Iterator[str]:
+def real_part(real: Path, sets: Sequence[str], first: int | None, work: Path, chromium: Any) -> Iterator[str]:
     """Click and drag at the annotated objects of real frames, of all or of the first ones of each set."""
-    for title, name in REAL.items():
+    for title, name in ((title, REAL[title]) for title in sets):
         data = open_dataset(real / name)
         chosen = [(index, one) for index in range(len(data))[:first] for one in subjects([(name, data[index])])]
         sizes = _medians(data)
@@ -250,6 +251,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("real", type=Path, nargs="?", default=SHARED_REAL)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--sets", nargs="+", choices=tuple(REAL), default=tuple(REAL), help="of the real ones")
     parser.add_argument("--first", type=int, help="only so many frames of each real set")
     parser.add_argument("--work", type=Path, help="where frames are simulated and copied to")
     parser.add_argument("--output", type=Path)
@@ -262,7 +264,7 @@ def main() -> None:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
         parts: dict[str, Callable[..., Iterator[str]]] = {"simulated": simulated_part, "radar": radar_part}
         if options.real.is_dir():
-            parts["real"] = partial(real_part, options.real, options.first)
+            parts["real"] = partial(real_part, options.real, options.sets, options.first)
         elif "real" in options.only:
             print(f"{options.real}: no real frames, that part is left out", file=sys.stderr)
         chosen = (part(work, chromium) for name, part in parts.items() if name in options.only)

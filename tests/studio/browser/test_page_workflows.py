@@ -1,4 +1,4 @@
-"""Keys and buttons that docs/studio.md names and no other test presses: fit again, ground, ends, what a person decides."""
+"""Keys and buttons that docs/studio.md names and no other test presses: fit again, ground, ends, whose version."""
 
 import math
 
