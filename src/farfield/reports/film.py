@@ -106,9 +106,10 @@ class FilmWork:
             boxes = self._boxes(earlier, predicted)
             if boxes is None or boxes.track_id is None:
                 continue
+            tracks = boxes.track_id.tolist()
             if poses is not None and earlier != place:
                 boxes = boxes.transform(invert(poses[place]) @ poses[earlier])
-            for row, track in enumerate(boxes.track_id.tolist()):
+            for row, track in enumerate(tracks):
                 if track in found:
                     found[track].append(boxes.centre_m[row])
         return {track: np.array(places) for track, places in found.items()}
