@@ -18,7 +18,7 @@ from farfield.datasets.labels import BoxLabel
 from farfield.datasets.labels.choosing import label_files_in, label_format
 from farfield.frame import Boxes
 
-CSV = "labels.csv"  # beside the journal, of data sets whose own label files are not edited
+CSV = "labels.csv"  # of data sets whose own label files are not edited
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,17 @@ class Emptied:
     def journal(self) -> Path:
         return self.folder.with_name(f"{self.folder.name}-edits")
 
+    @property
+    def saved(self) -> Path:
+        return self.folder.with_name(f"{self.folder.name}-saved")
+
     def open(self) -> Dataset:
         return open_dataset(self.folder)
 
     def boxes(self) -> list[tuple[BoxLabel, ...]]:
         """What stands in the label files, frame by frame."""
         data = self.open()
-        files = label_format(data) or label_files_in(self.journal / CSV, "boxes-csv")
+        files = label_format(data) or label_files_in(self.saved / CSV, "boxes-csv")
         found = []
         for key in data.keys:
             path = files.path(key)
@@ -57,7 +61,8 @@ def emptied(source: Path, folder: Path, frames: Sequence[int] | None = None) -> 
         folder: Where the copy is made; what is there already goes.
         frames: Numbers of the frames that lose their boxes; all unless given.
     """
-    for each in (folder, folder.with_name(f"{folder.name}-edits")):
+    copy = Emptied(folder)
+    for each in (folder, copy.journal, copy.saved):
         shutil.rmtree(each, ignore_errors=True)
     shutil.copytree(source, folder)
     data = open_dataset(folder)
@@ -71,13 +76,14 @@ def emptied(source: Path, folder: Path, frames: Sequence[int] | None = None) -> 
         assert frames is None
         for path in folder.rglob("label_2/*.txt"):
             path.write_bytes(b"")
-    return Emptied(folder)
+    return copy
 
 
 @contextlib.contextmanager
 def annotated(copy: Emptied, chromium: Any, *arguments: str) -> Iterator[Screen]:
-    """A window of ``farfield annotate --write``; its label files are written when this ends."""
-    given = ("--write", "--extent", "full", "--annotator", "hand", "--edits", str(copy.journal), *arguments)
+    """A window of ``farfield annotate``; the label files are written when this ends, in their places where they can."""
+    place = ("--write",) if label_format(copy.open()) is not None else ("--out", str(copy.saved))
+    given = (*place, "--extent", "full", "--annotator", "hand", "--edits", str(copy.journal), *arguments)
     with started("annotate", str(copy.folder), *given) as live, screen(chromium, live) as page:
         assert page.tell("colours()") > 20, "the canvas is blank"
         yield page

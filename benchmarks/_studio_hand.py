@@ -51,7 +51,9 @@ class Hand:
                 page.settled()
                 return at
             page.page.mouse.move(*(at if inside else middle))
+            before = page.tell("stage.eye.distance")
             page.page.mouse.wheel(0, 60 if not inside or near >= 2 else -60)
+            page.until(f"stage.eye.distance !== {before}")
         raise AssertionError(f"the wheel did not bring {place} into sight")
 
     def choose(self, name: str, kind: str = "") -> None:

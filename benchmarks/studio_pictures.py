@@ -85,7 +85,7 @@ def take(name: str, source: str) -> Path:
     place = kept / f"studio_{name}.png"
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
-        edits = str(WORK / f"{name}-edits")
+        edits = str(WORK / f"{name}-{Path(folder).name}-edits")  # a journal is of one data set
         more = ("--extent", "full", "--edits", edits) if mode == "annotate" else ()
         with (
             started(mode, *(() if folder == "samples" else (folder,)), *more) as live,

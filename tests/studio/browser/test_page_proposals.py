@@ -24,7 +24,7 @@ AHEAD = (30, 80)  # where what is proposed is looked at, metres
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory):
     place = tmp_path_factory.mktemp("proposals")
-    return {"edits": place / "edits", "notes": place, "mode": "annotate", "extent": "full", "write": True}
+    return {"edits": place / "edits", "notes": place, "mode": "annotate", "extent": "full", "out": place / "saved"}
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def detect(page: Screen) -> None:
 
 def written(settings) -> list[list[float]]:
     """The boxes of the first frame in the label file."""
-    with (settings["edits"] / "labels.csv").open(newline="") as file:
+    with (settings["out"] / "labels.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if int(row["frame"]) == 0]
     return [[float(row[name]) for name in ("x", "y", "z", "l", "w", "h", "yaw_rad")] for row in rows]
 
