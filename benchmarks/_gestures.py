@@ -132,12 +132,17 @@ def measured(
             ms.append(found.ms)
             found = Boxes(centre_m=row[:, :3], size_m=row[:, 3:6], yaw_rad=row[:, 6])
         made.append(found.plain().replace(label="unknown"))
-    truth = Boxes.concatenate([subject.box.plain() for subject in chosen])
-    boxes = Boxes.concatenate(made)
+    return compared(
+        Boxes.concatenate(made), Boxes.concatenate([subject.box.plain() for subject in chosen]), np.array(ms)
+    )
+
+
+def compared(boxes: Boxes, truth: Boxes, ms: np.ndarray) -> Errors:
+    """Errors of boxes, each beside its true one."""
     turn = np.rad2deg(np.abs(np.mod(boxes.yaw_rad - truth.yaw_rad + np.pi / 2, np.pi) - np.pi / 2))
     return Errors(
         iou=paired_iou(boxes, truth, kind="bev"),
         centre_m=np.hypot(*(boxes.centre_m - truth.centre_m)[:, :2].T),
         yaw_deg=turn,
-        ms=np.array(ms),
+        ms=ms,
     )

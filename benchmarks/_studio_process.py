@@ -16,10 +16,12 @@ class Started:
     Args:
         origin: Scheme, host and port.
         cookie: What its link gave.
+        pid: Its process.
     """
 
     origin: str
     cookie: str
+    pid: int = 0
 
 
 @contextlib.contextmanager
@@ -49,5 +51,5 @@ def _entered(process: "subprocess.Popen[str]") -> Started:
             connection.request("GET", f"/?token={token}")
             cookie = str(connection.getresponse().getheader("set-cookie"))
             connection.close()
-            return Started(f"http://{host}", cookie.partition(";")[0])
+            return Started(f"http://{host}", cookie.partition(";")[0], process.pid)
     raise RuntimeError(f"the studio ended without a link:\n{said}")

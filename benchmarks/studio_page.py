@@ -10,41 +10,21 @@ for, or the frames a second of an orbit that draws the whole cloud. Exit status 
 import argparse
 import contextlib
 import gzip
-import os
 import statistics
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from _report import ROOT, header
+from _report import ROOT
 from _studio_process import started
 from _studio_scenes import write_folder
 from _studio_screen import Screen, chromium_path, screen
-
-from farfield.files.atomic import write_text
+from _studio_table import Table, reported
 
 SIZES = {"131k": 131_072, "262k": 262_144, "500k": 500_000}
 STATIC = ROOT / "src" / "farfield" / "studio" / "static"
-
-
-@dataclass
-class Table:
-    """Rows: what, figure, target, held."""
-
-    rows: list[tuple[str, str, str, bool]] = field(default_factory=list)
-
-    def add(self, what: str, figure: str, target: str, held: bool) -> None:
-        """One row more, printed at once."""
-        self.rows.append((what, figure, target, held))
-        print(f"{what:58s} {figure:34s} {target:34s} {'held' if held else 'MISSED'}", flush=True)
-
-    def text(self) -> str:
-        """All rows."""
-        lines = [f"{'what':58s} {'measured':34s} {'target':34s}"]
-        lines += [f"{w:58s} {f:34s} {t:34s} {'held' if held else 'MISSED'}" for w, f, t, held in self.rows]
-        return "\n".join(lines)
 
 
 @contextlib.contextmanager
@@ -60,12 +40,12 @@ def reference_ms(page: Screen, times: int = 7) -> float:
     return statistics.median(page.tell(f"fenced({times})"))
 
 
-def frame_changes(page: Screen, key: str, times: int) -> list[float]:
-    """Milliseconds from a key to the frame drawn, with a rest between: prefetching ends in it."""
+def frame_changes(page: Screen, key: str, times: int, *, rest_ms: float = 900) -> list[float]:
+    """Milliseconds from a key to the frame drawn with all its points, with a rest between: prefetching ends in it."""
     out = []
     for _ in range(times):
         page.settled()
-        page.page.wait_for_timeout(900)
+        page.page.wait_for_timeout(rest_ms)
         handle = page.page.evaluate_handle("({ms: farfieldTest.keyToFrame()})")
         page.press(key)
         out.append(page.page.evaluate("(held) => held.ms", handle))
@@ -153,7 +133,7 @@ def rest(table: Table, page: Screen, whole: float) -> None:
     )
 
 
-def drag_box(table: Table, page: Screen, seconds: float) -> None:
+def drag_box(table: Table, page: Screen, seconds: float, *, name: str = "drag a box, 131k") -> None:
     """Drag the selected box in its top close-up."""
     slow = whole_rate(page, seconds)
     page.look(20, 0, 40, top=False)
@@ -166,7 +146,7 @@ def drag_box(table: Table, page: Screen, seconds: float) -> None:
     moved = page.box(page.selected["id"])["box"]
     text = f"{rate:.1f} a second = {rate / slow:.1f} x whole ({slow:.1f})"
     table.add(
-        "drag a box, 131k",
+        name,
         text,
         ">= 20 or 2.5 x; the box moved",
         (rate >= 20 or rate >= 2.5 * slow) and moved != row["box"],
@@ -243,15 +223,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    before = os.getloadavg()
-    table = run(options.work, options.seconds)
-    load = f"load     {before[0]:.1f} before, {os.getloadavg()[0]:.1f} after (1 minute)"
-    text = f"{header()}\n{load}\n\n{table.text()}\n"
-    if options.output:
-        write_text(options.output, text)
-    else:
-        print(text)
-    return 0 if all(held for *_, held in table.rows) else 1
+    return reported(partial(run, options.work, options.seconds), options.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""Take the pictures of docs/studio.md in a browser:  python benchmarks/studio_pictures.py NAME=DATA ...
+"""Take the pictures of docs/studio.md in a browser:  python benchmarks/studio_pictures.py [NAME[=DATA]] ...
 
-NAME is annotate, radar, patterns, camera or night; DATA a data set's folder, perhaps with the number of a frame
-(DATA:3). Needs the studio extra, Playwright and a Chromium, see `make test-browser`.
+NAME is annotate, radar, patterns, camera or night; all five unless given. DATA is a data set's folder, perhaps with the
+number of a frame (DATA:3); without it the frames are simulated. With DATA the picture goes to data/studio-pictures/,
+as real frames must not be shown in the docs: their licences do not allow it. Needs the studio extra, Playwright and a
+Chromium, see `make test-browser`.
 """
 
+import subprocess
 import sys
 from io import BytesIO
 from pathlib import Path
@@ -23,9 +26,14 @@ def annotate(page: Screen) -> None:
 
 
 def radar(page: Screen) -> None:
-    """The radar's map under the cloud, its slice beside the close-ups."""
-    annotate(page)
-    page.tell("look([28, 0, 0], 48, false)")
+    """The radar's map alone, from above, with the boxes; the slice of one of them beside it."""
+    far = [row for row in page.boxes if 25 < row["distance_m"] < 60 and abs(row["box"][1]) < 12]
+    row = max(far, key=lambda one: one["radar_points"] or one["points"] or 0)
+    page.look(*row["box"][:2], 30)
+    page.click(row["box"][:3])
+    for name in ("os2-64", "os1-128"):
+        page.page.locator(f"#left input[name='layer {name}']").first.click()
+    page.look(34, 0, 62)
 
 
 def patterns(page: Screen) -> None:
@@ -34,9 +42,9 @@ def patterns(page: Screen) -> None:
     page.settled()
     sides = page.page.locator("#left .layer:has(input[type=range]) button")
     sides.nth(0).click()
-    page.page.locator("#left .layer:has(input[type=range]) button").nth(1).click()
-    page.page.locator("#left .layer:has(input[type=range]) button").nth(1).click()
-    page.tell("look([30, 0, 0], 60, true)")
+    sides.nth(1).click()
+    sides.nth(1).click()
+    page.tell("look([45, 0, 0], 80, true)")
 
 
 def camera(page: Screen) -> None:
@@ -46,6 +54,24 @@ def camera(page: Screen) -> None:
 
 
 SCENES = {"annotate": annotate, "radar": radar, "patterns": patterns, "camera": camera, "night": camera}
+_RADAR = ("kradar-sim", "--frames", "1", "--sequences", "1", "--sensors", "os2-64,os1-128,cam-front,polar3d")
+SIMULATED = {
+    "annotate": _RADAR,
+    "radar": _RADAR,
+    "patterns": ("cirrus-sim", "--frames", "1", "--sequences", "1"),
+    "camera": ("kitti-sim", "--frames", "1", "--sequences", "1"),
+    "night": (*_RADAR, "--weather", "rain", "--time", "night"),
+}
+WORK = ROOT / "data" / "studio-pictures"
+
+
+def simulated(name: str) -> Path:
+    """The frame of a picture; what is there already stays."""
+    preset, *arguments = SIMULATED[name]
+    folder = WORK / ("-".join([preset, *arguments[6:]]).replace("--", ""))
+    command = [sys.executable, "-m", "farfield.cli", "simulate", preset, str(folder), *arguments]
+    subprocess.run([*command, "--workers", "1"], check=True, stdout=subprocess.DEVNULL)
+    return folder
 
 
 def take(name: str, source: str) -> Path:
@@ -53,11 +79,13 @@ def take(name: str, source: str) -> Path:
     from playwright.sync_api import sync_playwright
 
     folder, _, frame = source.partition(":")
+    kept = WORK if source else ROOT / "docs" / "images"
+    folder = folder or str(simulated(name))
     mode = "annotate" if name in ("annotate", "radar") else "view"
-    place = ROOT / "docs" / "images" / f"studio_{name}.png"
+    place = kept / f"studio_{name}.png"
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
-        edits = str(ROOT / "data" / "studio-pictures" / name)
+        edits = str(WORK / f"{name}-{Path(folder).name}-edits")  # a journal is of one data set
         more = ("--extent", "full", "--edits", edits) if mode == "annotate" else ()
         with (
             started(mode, *(() if folder == "samples" else (folder,)), *more) as live,
@@ -68,13 +96,14 @@ def take(name: str, source: str) -> Path:
             page.page.wait_for_timeout(5000)
             picture = Image.open(BytesIO(page.page.screenshot())).convert("RGB")
         chromium.close()
+    place.parent.mkdir(parents=True, exist_ok=True)
     picture.quantize(256, dither=Image.Dither.NONE).save(place, optimize=True)
     return place
 
 
 def main() -> None:
     """Take those that are asked for."""
-    for argument in sys.argv[1:]:
+    for argument in sys.argv[1:] or SCENES:
         name, _, source = argument.partition("=")
         place = take(name, source)
         print(f"{place.relative_to(ROOT)}: {place.stat().st_size / 1e3:.0f} kB")

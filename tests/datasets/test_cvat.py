@@ -111,3 +111,36 @@ def test_nothing_is_no_task(tmp_path: Path) -> None:
     (tmp_path / "annotations" / "a.json").write_text("{}")
     with pytest.raises(DatasetError, match="task of CVAT"):
         Cvat(tmp_path)
+
+
+def test_supervisely_is_edited_where_it_stands(tmp_path: Path) -> None:
+    """One number moved: one line changed; tags, pitch, figures of other kinds and spelling stay as they are."""
+    clouds(tmp_path / "ds0" / "pointcloud", ("a", "b"))
+    file = tmp_path / "ds0" / "ann" / "b.pcd.json"
+    file.parent.mkdir()
+    other = {"objectKey": "k", "geometryType": "point_3d", "geometry": {"x": 1}}
+    tilted = GEOMETRY | {"rotation": {"x": 0.1, "y": 0, "z": 0.5}}
+    figures = [other, *SUPERVISELY["figures"], {"objectKey": "m", "geometryType": "cuboid_3d", "geometry": tilted}]
+    seen = [{"name": "seen", "value": "half"}]
+    objects = [{"key": "k", "classTitle": "Car", "tags": seen}, {"key": "m", "classTitle": "Van"}]
+    file.write_text(json.dumps({"figures": figures, "objects": objects}, indent=3).replace("10.0", "1.00e1"))
+    data = open_dataset(tmp_path)
+    labels = label_format(data)
+    assert labels is not None
+    key, before = data.keys[1], file.read_bytes()
+    car, van = labels.parse(before, file, [key])[key]
+    assert labels.render(before, file, {key: [car, van]}) == before
+    x, y, z, *rest = van.box
+    after = labels.render(before, file, {key: [car, replace(van, box=(x, y + 1.5, z, *rest))]})
+    old, new = before.splitlines(), after.splitlines()
+    assert [line for line, was in zip(new, old, strict=True) if line != was] == [b'               "y": 3.5,']
+    bus = replace(car, id="new", label="Bus", track="7", box=(30.0, *car.box[1:6], 0.25))
+    made = labels.render(before, file, {key: [replace(car, label="Truck"), bus]})
+    again = labels.parse(made, file, [key])[key]
+    assert [(each.label, each.track, each.box) for each in again] == [("Truck", "k", car.box), ("Bus", "7", bus.box)]
+    assert again[0].attributes == {"seen": "half"}
+    assert json.loads(made)["figures"][0] == other
+    first = labels.path(data.keys[0])
+    assert first == file.with_name("a.pcd.json")
+    fresh = labels.render(None, first, {data.keys[0]: [bus]})
+    assert labels.parse(fresh, first, [data.keys[0]])[data.keys[0]][0].box == bus.box

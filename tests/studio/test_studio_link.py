@@ -2,7 +2,7 @@ import socket
 import threading
 import time
 
-from studio.link import slow_link
+from _studio_link import slow_link
 
 
 def echo(listener: socket.socket) -> None:
@@ -25,3 +25,20 @@ def test_the_link_has_its_delay_and_its_rate():
             while got < len(body):
                 got += len(line.recv(65536))
             assert time.monotonic() - started >= len(body) / 2.5e6
+
+
+def test_connections_that_are_open_at_once_share_the_rate():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        for _ in range(2):
+            threading.Thread(target=echo, args=(listener,), daemon=True).start()
+        with slow_link(listener.getsockname()[1]) as port:
+            lines = [socket.create_connection(("127.0.0.1", port)) for _ in range(2)]
+            body, started = b"z" * 250_000, time.monotonic()
+            for line in lines:
+                line.sendall(body)
+            for line in lines:
+                got = 0
+                while got < len(body):
+                    got += len(line.recv(65536))
+                line.close()
+            assert time.monotonic() - started >= 2 * len(body) / 2.5e6

@@ -38,11 +38,19 @@ function presetSize(name: string): [number, number, number] {
   return (type?.size ?? spec?.size ?? [4.5, 1.9, 1.7]) as [number, number, number];
 }
 
+/** The object that was selected in another frame and has no box in this one: what is drawn becomes its box. */
+export function awaited(): { track: number; class_name: string } | null {
+  const { carried } = state;
+  return carried && state.selection === null && !state.boxes.some((row) => row.track === carried.track && row.state !== "rejected") ? carried : null;
+}
+
 function askFit(rest: Pick<Fit, "kind"> & Partial<Fit>, replaces: string | null): void {
   const id = newId();
-  const class_name = rest.class_name ?? state.chosenClass;
-  asked.set(id, { frame: state.frame, replaces, class_name, track: rest.track ?? null, started: performance.now() });
-  const sent = send({ op: "fit", id, frame: state.frame, class_name, type_name: state.chosenType, ...rest });
+  const object = replaces === null ? awaited() : null;
+  const class_name = object?.class_name ?? rest.class_name ?? state.chosenClass;
+  const track = object?.track ?? rest.track ?? null;
+  asked.set(id, { frame: state.frame, replaces, class_name, track, started: performance.now() });
+  const sent = send({ op: "fit", id, frame: state.frame, type_name: object ? "" : state.chosenType, ...rest, class_name, track });
   if (!sent) {
     asked.delete(id);
     report("warning", "The studio is not connected: boxes cannot be fitted now.", "Draw again when the connection is back.");
@@ -68,23 +76,28 @@ onReply("fitted", (message: Fitted) => {
 export function drawGesture(stage: Stage): Gesture | null {
   if (state.tool !== "draw" || state.mode !== "annotate") return null;
   let from: Vec3 = [0, 0, 0];
+  let aside: [number, number] = [0, 0]; // of the point that was pressed from where the pointer was: else it would turn the drag
   let rectangle = false;
   return {
-    down(at, event) {
+    down(at, event, view) {
       if (event.shiftKey) return false;
-      from = at;
+      const here = view.ground(event.clientX, event.clientY, at[2]) ?? at;
       rectangle = event.ctrlKey;
+      from = rectangle ? here : at;
+      aside = [from[0] - here[0], from[1] - here[1]];
       dragAt(at[2]);
-      sketch.points = [at];
+      sketch.points = [from];
       return true;
     },
-    move(at) {
+    move(pointed) {
+      const at: Vec3 = [pointed[0] + aside[0], pointed[1] + aside[1], pointed[2]];
       sketch.closed = rectangle;
       sketch.points = rectangle ? screenRectangle(stage, from, at) : [from, at];
       sketch.box = rectangle ? null : along(from, at);
       stage.request("lines");
     },
-    up(at) {
+    up(pointed) {
+      const at = pointed && [pointed[0] + aside[0], pointed[1] + aside[1]];
       const points = sketch.points;
       Object.assign(sketch, { points: [], closed: false, box: null });
       stage.request("lines");
@@ -99,7 +112,9 @@ export function drawGesture(stage: Stage): Gesture | null {
 }
 
 function along(from: Vec3, to: Vec3): Box {
-  const [l, w, h] = presetSize(state.chosenClass);
+  const object = awaited();
+  const known = object && state.tracks.get(object.track)?.size;
+  const [l, w, h] = (known as [number, number, number] | null) ?? presetSize(object?.class_name ?? state.chosenClass);
   const yaw = Math.atan2(to[1] - from[1], to[0] - from[0]);
   return [(from[0] + to[0]) / 2, (from[1] + to[1]) / 2, from[2] + h / 2, l, w, h, yaw];
 }
@@ -170,7 +185,11 @@ function bindBoxes(stage: Stage): void {
   });
   bind("refit", () => refit(false));
   bind("refit.size", () => refit(true));
-  bind("delete", () => withBox((row) => (row.state === "proposed" ? setBox(row, { state: "rejected" }) : deleteBox(row))));
+  bind("delete", () => withBox((row) => {
+    if (row.state !== "proposed") return deleteBox(row);
+    setBox(row, { state: "rejected" });
+    nextProposal(row);
+  }));
   bind("accept", () => withBox((row) => { setBox(row, { state: "accepted" }); nextProposal(row); }));
   bind("copy", () => withBox((row) => { copied = valueOf(row); report("info", "Copied."); }));
   bind("paste", () => {
@@ -238,6 +257,7 @@ export function driveEnd(): number {
 export function setClass(name: string): void {
   state.chosenClass = name;
   state.chosenType = "";
+  if (awaited()) state.carried = null; // another object is meant
   const row = selected();
   if (row && row.class_name !== name) setBox(row, { class_name: name });
   changed("tool");

@@ -64,6 +64,7 @@ export async function makeFilm(stage: Stage): Promise<void> {
   } catch (error) {
     report("error", `The film stopped: ${(error as Error).message}.`);
   }
+  show(first);
 }
 
 export function makePage(): void {

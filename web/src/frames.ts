@@ -40,6 +40,13 @@ export function show(frame: number): void {
   if (!state.playing) ask(wanted, known || asked.has(wanted) ? "here" : "show");
   else if (!known) ask(wanted, "ahead"); // no checks of frames that fly past
   if (known) void arrive(known);
+  else prefetch(wanted, expected(wanted));
+}
+
+/** The layers that a frame will most likely have, those of the frame that is shown: a slow link is crossed once less. */
+function expected(frame: number): Layer[] {
+  if (!state.shown) return [];
+  return neededLayers(state.shown).map((layer) => ({ ...layer, url: layer.url.replace(/^(layer|radar)\/\d+/, `$1/${frame}`) }));
 }
 
 /** Ask the server for the frame's state anew. */

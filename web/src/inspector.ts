@@ -1,6 +1,6 @@
 // The selected box in numbers: typed values are one edit at Enter (or on leaving the field).
 
-import { setClass } from "./annotate";
+import { awaited, setClass } from "./annotate";
 import type { Box } from "./boxes";
 import { byId, degrees, fill, h, radians, wrapped } from "./dom";
 import { setBox } from "./edits";
@@ -80,7 +80,9 @@ function chooser(): HTMLElement {
   const choice = h("select", { name: "new class", onchange: () => setClass(choice.value) }, ...list.map((spec) => h("option", { value: spec.name, selected: spec.name === state.chosenClass }, spec.title || spec.name)));
   const types = list.find((spec) => spec.name === state.chosenClass)?.types ?? [];
   const type = h("select", { name: "new type", onchange: () => { state.chosenType = type.value; changed("tool"); } }, h("option", { value: "" }, "usual size"), ...types.map((one) => h("option", { value: one.name, selected: one.name === state.chosenType }, `${one.name} ${one.size.join(" × ")}`)));
-  return h("div", { class: "row" }, h("button", { class: state.tool === "draw" ? "main" : "", title: keyFor("draw"), onclick: () => run("draw") }, "Draw"), choice, types.length > 0 ? type : null);
+  const object = awaited();
+  const carried = object ? h("div", { class: "row weak" }, `Object ${object.track} has no box in this frame: draw it (N), or Esc for another one.`) : null;
+  return h("div", {}, carried, h("div", { class: "row" }, h("button", { class: state.tool === "draw" ? "main" : "", title: keyFor("draw"), onclick: () => run("draw") }, "Draw"), choice, types.length > 0 ? type : null));
 }
 
 let built = "";
@@ -109,7 +111,7 @@ function draw(): void {
 }
 
 export function inspectorPanel(): void {
-  on(["selection", "boxes", "tool", "tracks", "welcome"], draw);
+  on(["selection", "frame", "boxes", "tool", "tracks", "welcome"], draw);
   fill(byId("close-none"), "Select a box: click it, or press Tab.");
 }
 

@@ -25,7 +25,7 @@ import { slicesPanel } from "./slices";
 import { connect, onReply } from "./socket";
 import { Stage } from "./stage";
 import { held } from "./standalone";
-import { changed, on, selected, state } from "./state";
+import { changed, keepSelection, on, selected, state } from "./state";
 import { offerTest } from "./testhook";
 import { timeline } from "./timeline";
 import { timeBoxes } from "./timing";
@@ -86,17 +86,6 @@ function follow(stage: Stage): void {
   if (row) stage.eye.target = [row.box[0]!, row.box[1]!, row.box[2]!];
 }
 
-/** A selected object stays selected in the next frame by its track number. */
-function keepSelection(): void {
-  let track: number | null = null;
-  on("selection", () => (track = selected()?.track ?? track));
-  on("frame", () => {
-    if (selected() || track === null) return;
-    const row = state.boxes.find((one) => one.track === track);
-    if (row) state.selection = row.id, changed("selection");
-  });
-}
-
 function welcomed(message: Welcome): void {
   const again = state.welcome !== null;
   Object.assign(state, {
@@ -123,6 +112,7 @@ function cancelled(): boolean {
 }
 
 function start(): void {
+  keepSelection(); // before all others that listen: they draw what it selects
   const stage = new Stage();
   const closeUps = new CloseUps(stage);
   stage.overlay = () => overlay(stage, closeUps);
@@ -135,7 +125,6 @@ function start(): void {
   slicesPanel();
   timeline();
   wallPanel();
-  keepSelection();
   timeBoxes();
   bindViewing(stage);
   bindAnnotation(stage);

@@ -226,6 +226,12 @@ export interface Timing {
   edits?: number;
 }
 
+/** Ask in which frames boxes are missed or detected without a truth: of predictions from a score on. */
+export interface MatchList {
+  op: "match.list";
+  threshold?: number;
+}
+
 /** A drive: which frames of the data set, in time order. */
 export interface DriveRow {
   name: string;
@@ -549,6 +555,21 @@ export interface Checks {
   rows: CheckRow[];
 }
 
+/** How many annotated boxes of a frame a set misses, and how many of its boxes have no truth. */
+export interface MatchRow {
+  frame: number;
+  missed: number;
+  wrong: number;
+}
+
+/** Frames of one set, matched by the protocol. They come in parts; the first one replaces what was known. */
+export interface Matches {
+  op: "matches";
+  set: string;
+  first: boolean;
+  rows: MatchRow[];
+}
+
 /** Progress of something that takes time. A finished detection is shown with the next frame.state. */
 export interface Job {
   op: "job";
@@ -630,7 +651,8 @@ export type Request =
   | Save
   | Export
   | PolicySet
-  | Timing;
+  | Timing
+  | MatchList;
 
 export type Reply =
   | Welcome
@@ -643,6 +665,7 @@ export type Reply =
   | Previewed
   | Fitted
   | Checks
+  | Matches
   | Job
   | Bookmarks
   | Saved

@@ -41,7 +41,8 @@ export class RadarMap {
 
   constructor(payload: Payload, layer: Layer) {
     this.picture = radarPicture(payload, layer);
-    const { rows, columns, power, polar } = this.picture;
+    const { rows, columns, polar } = this.picture;
+    const power = levelled(this.picture);
     this.texture = new DataTexture(power, columns[2], rows[2], RedFormat);
     this.texture.magFilter = LinearFilter;
     this.texture.unpackAlignment = 1;
@@ -57,7 +58,7 @@ export class RadarMap {
     u.u_polar!.value = polar;
     (u.u_rows!.value as Vector2).set(rows[0], rows[1]);
     (u.u_columns!.value as Vector2).set(columns[0], columns[1]);
-    const [low, high] = spread(power);
+    const [low, high] = spread(power, polar ? 0.99 : 0.999);
     (u.u_window!.value as Vector2).set(low, high);
   }
 
@@ -72,8 +73,21 @@ export class RadarMap {
   }
 }
 
-/** From the 60 % to the 99.9 % quantile of the bytes, as 0..1. */
-function spread(power: Uint8Array): [number, number] {
+const FLOOR = 48;
+
+/**
+ * Polar power over what is usual at its range (the median over azimuth), so that echoes stand out near and far alike: the ground near by is tens of
+ * decibels above everything beyond it. Maps in metres stay as they are.
+ */
+export function levelled({ polar, power, rows, columns }: RadarPicture): Uint8Array<ArrayBuffer> {
+  if (!polar) return power;
+  const [wide, count] = [columns[2], rows[2]];
+  const usual = Array.from({ length: count }, (_, r) => power.slice(r * wide, (r + 1) * wide).sort()[wide >> 1]!);
+  return power.map((value, i) => Math.min(255, Math.max(0, value - usual[Math.floor(i / wide)]! + FLOOR)));
+}
+
+/** From the 60 % quantile of the bytes to a high one, as 0..1. */
+function spread(power: Uint8Array, most: number): [number, number] {
   const counts = new Uint32Array(256);
   for (const value of power) counts[value]! += 1;
   const at = (part: number): number => {
@@ -82,7 +96,7 @@ function spread(power: Uint8Array): [number, number] {
     return 255;
   };
   const low = at(0.6);
-  return [low / 255, Math.max(low + 8, at(0.999)) / 255];
+  return [low / 255, Math.max(low + 8, at(most)) / 255];
 }
 
 function material(): ShaderMaterial {

@@ -28,6 +28,8 @@ export interface SmallView {
 const NO_POINTS: PointSet = { count: 0, places: new Int16Array(4), scale: 1, offset: [0, 0, 0], values: new Map() };
 const SETTLE_MS = 120;
 const HELD_MS = 700; // while a button is held: a slow machine must not draw the whole cloud between two movements
+const STEPPING_MS = 300; // a frame that comes so soon after the last one belongs to a key that is held
+const AT_ONCE = 300_000;
 const BACKGROUND = 0x0e1217;
 
 export class Stage {
@@ -49,6 +51,7 @@ export class Stage {
   private settle = 0;
   private moving = false;
   private held = false;
+  private stepped = -STEPPING_MS;
 
   constructor() {
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
@@ -157,7 +160,14 @@ export class Stage {
     for (const { object, layer } of this.maps.values()) this.scene.add(object.mesh), place(object.mesh, layer);
     this.applyLooks();
     this.request("all");
-    if (this.software && this.count > 3 * this.budget) this.touch();
+    if (this.software && this.count > 3 * this.budget) this.arrived();
+  }
+
+  /** A frame has come: its whole cloud at once, but a sample first where frames follow each other or it is very large. */
+  private arrived(): void {
+    const now = performance.now();
+    if (state.playing || now - this.stepped < STEPPING_MS || this.count > AT_ONCE) this.touch();
+    this.stepped = now;
   }
 
   private get count(): number {

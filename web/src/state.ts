@@ -33,6 +33,8 @@ export const state = {
   predictions: [] as PredictionSet[],
   jobs: new Map<string, Job>(),
   selection: null as string | null,
+  selectedIn: -1, // the frame whose box that is: in others the same identity may be another object's
+  carried: null as { track: number; class_name: string } | null, // the selected object, also in frames that have no box of it
   chosenClass: "",
   chosenType: "",
   tool: "none" as Tool,
@@ -97,10 +99,34 @@ export function selected(): BoxRow | null {
   return state.boxes.find((row) => row.id === state.selection) ?? null;
 }
 
+const frameShown = (): number => state.shown?.frame.index ?? -1;
+
+function carry(row: BoxRow | null): void {
+  state.carried = row === null || row.track === null ? null : { track: row.track, class_name: row.class_name };
+}
+
 export function select(id: string | null): void {
-  if (state.selection === id) return;
+  if (state.selection === id && state.selectedIn === frameShown() && (id !== null || state.carried === null)) return;
   state.selection = id;
+  state.selectedIn = frameShown();
+  carry(selected());
   changed("selection");
+}
+
+/** A selected object stays selected in the next frame by its track number, never by the identity of its box. */
+export function keepSelection(): void {
+  on(["frame", "selection", "boxes"], () => {
+    if (state.selectedIn === frameShown()) {
+      const row = selected();
+      if (row) carry(row); // its track or class may have been changed
+      return;
+    }
+    state.selectedIn = frameShown();
+    const next = state.boxes.find((row) => state.carried !== null && row.track === state.carried.track)?.id ?? null;
+    if (next === state.selection) return;
+    state.selection = next;
+    changed("selection");
+  });
 }
 
 export function colourOf(name: string): string {

@@ -1,6 +1,6 @@
 // What tests read, only with ?test=1: the events themselves are real mouse and keys.
 
-import { fitTimes } from "./annotate";
+import { fitTimes, sketch } from "./annotate";
 import type { Vec3 } from "./boxes";
 import type { CloseUps } from "./closeups";
 import { hold } from "./edits";
@@ -36,14 +36,14 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
       fence();
       return performance.now() - started;
     });
-  /** Milliseconds from the next key to the frame that it asks for, drawn. */
+  /** Milliseconds from the next key to the frame that it asks for, drawn with all its points. */
   const keyToFrame = (): Promise<number> =>
     new Promise((resolve) => {
       window.addEventListener("keydown", () => {
         const started = performance.now();
         const before = state.frame;
         const look = (): void => {
-          if (state.frame !== before && stage.drawn.frame === state.frame) fence(), resolve(performance.now() - started);
+          if (state.frame !== before && stage.drawn.frame === state.frame && stage.drawn.whole) fence(), resolve(performance.now() - started);
           else setTimeout(look, 1);
         };
         setTimeout(look, 0);
@@ -51,7 +51,7 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
     });
   Object.assign(window, {
     farfieldTest: {
-      state, stage, waitIdle, project, fitTimes, fenced, keyToFrame,
+      state, stage, waitIdle, project, fitTimes, sketch, fenced, keyToFrame,
       drawn: () => ({ ...stage.drawn }),
       colours: () => stage.coloursNow(),
       closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),

@@ -3,7 +3,7 @@
 import { byId, clamp, fill, h } from "./dom";
 import { show } from "./frames";
 import { bind, keyFor, run } from "./keys";
-import { onReply } from "./socket";
+import { onReply, send } from "./socket";
 import { changed, on, selected, state } from "./state";
 
 const strip = h("canvas", { tabIndex: -1, "aria-label": "frames", role: "slider" });
@@ -61,11 +61,48 @@ function draw(): void {
   marks(paper, x, state.bookmarks.map((mark) => mark.frame), "#56b4e9", 24, 7);
   paper.fillStyle = "#ffffff";
   paper.fillRect(x(state.frame) - 1.5, 5, 3, 22);
+  wrongs(paper, x);
 }
 
 function marks(paper: CanvasRenderingContext2D, x: (frame: number) => number, frames: number[], colour: string, y: number, size: number): void {
   paper.fillStyle = colour;
   for (const frame of frames) paper.fillRect(x(frame) - 1.5, y, 3, size);
+}
+
+/** Frames of each set where something is missed or found without a truth. */
+const matches = new Map<string, Map<number, { missed: number; wrong: number }>>();
+let asked = "";
+let waiting = 0;
+
+/** Ask anew when sets or the least score changed, a detection ended, or the connection came back. */
+function askMatches(): void {
+  const ended = [...state.jobs.values()].filter((job) => job.kind === "infer" && job.state !== "running" && job.state !== "queued").length;
+  const wanted = JSON.stringify([state.predictions.map((set) => set.name), state.filters.score, ended, state.connected]);
+  if (state.predictions.length === 0 || wanted === asked) return;
+  window.clearTimeout(waiting);
+  waiting = window.setTimeout(() => {
+    if (send({ op: "match.list", threshold: state.filters.score })) asked = wanted;
+  }, 400);
+}
+
+/** A cross where a truth is missed, a pink tick where something was found that is not there. */
+function wrongs(paper: CanvasRenderingContext2D, x: (frame: number) => number): void {
+  for (const [set, rows] of matches) {
+    if (state.hiddenSets.has(set)) continue;
+    for (const [frame, { missed, wrong }] of rows) {
+      const at = x(frame);
+      if (wrong > 0) {
+        paper.fillStyle = "#cc79a7";
+        paper.fillRect(at - 1, 19, 2, 4);
+      }
+      if (missed === 0) continue;
+      paper.strokeStyle = "#ffffff";
+      paper.lineWidth = 1.5;
+      paper.beginPath();
+      for (const side of [-3, 3]) paper.moveTo(at - side, 7), paper.lineTo(at + side, 13);
+      paper.stroke();
+    }
+  }
 }
 
 function track(paper: CanvasRenderingContext2D, x: (frame: number) => number): void {
@@ -96,7 +133,13 @@ export function timeline(): void {
   bind("play", () => setPlaying(!state.playing));
   scrub();
   new ResizeObserver(draw).observe(strip);
-  on(["play", "frame", "checks", "bookmarks", "selection", "tracks", "welcome"], draw);
+  on(["play", "frame", "checks", "bookmarks", "selection", "tracks", "welcome", "filters", "looks"], draw);
+  on(["welcome", "jobs", "filters", "connection", "frame"], askMatches);
+  onReply("matches", (message) => {
+    if (message.first || !matches.has(message.set)) matches.set(message.set, new Map());
+    for (const { frame, missed, wrong } of message.rows) matches.get(message.set)!.set(frame, { missed, wrong });
+    draw();
+  });
   onReply("bookmarks", (message) => { state.bookmarks = [...message.rows]; changed("bookmarks"); });
 }
 

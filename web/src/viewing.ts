@@ -1,6 +1,6 @@
 // Keys that look and never change an annotation: frames, objects, colours, panes.
 
-import { setClass, setTool } from "./annotate";
+import { awaited, setClass, setTool } from "./annotate";
 import { byId, fill } from "./dom";
 import type { PointSet } from "./cloud";
 import { show } from "./frames";
@@ -155,9 +155,11 @@ function pointSize(by: number): void {
 
 /** A line under the main view that says what the pointer does now. */
 export function hint(): void {
+  const object = awaited();
+  const known = object ? `Draw object ${object.track}, whose size is known` : "Draw";
   const text =
     state.tool === "draw"
-      ? "Draw: press at the rear of the object and drag along its heading. A click fits there; Ctrl and drag draws a rectangle; Esc ends."
+      ? `${known}: press at the rear of the object and drag along its heading. A click fits there; Ctrl and drag draws a rectangle; Esc ends.`
       : state.tool === "measure"
         ? "Tape: click two places. Esc ends."
         : "";

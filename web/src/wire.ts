@@ -7,6 +7,7 @@ export interface Field {
   items: number;
   low?: number | null;
   high?: number | null;
+  coding?: "differences";
 }
 
 export interface Header {
@@ -51,9 +52,24 @@ export function decode(buffer: ArrayBuffer): Payload {
     const count = header.count * field.items;
     if (!make || field.offset + count * make.BYTES_PER_ELEMENT > buffer.byteLength)
       throw new Error(`a frame arrived cut short: field ${field.name} is incomplete`);
-    arrays.set(field.name, new make(buffer, field.offset, count));
+    arrays.set(field.name, field.coding ? summed(new Uint8Array(buffer, field.offset, count * 2), header.count, field.items) : new make(buffer, field.offset, count));
   }
   return { header, arrays };
+}
+
+/** Rows from zigzag differences: column by column, all low bytes, then all high ones. */
+function summed(bytes: Uint8Array, count: number, items: number): Int16Array {
+  const out = new Int16Array(count * items);
+  for (let column = 0; column < items; column += 1) {
+    const low = column * 2 * count;
+    let value = 0;
+    for (let row = 0, to = column; row < count; row += 1, to += items) {
+      const step = bytes[low + row]! | (bytes[low + count + row]! << 8);
+      value += (step >>> 1) ^ -(step & 1);
+      out[to] = value; // wraps to 16 bits, as the differences do
+    }
+  }
+  return out;
 }
 
 function common(a: number, b: number): number {

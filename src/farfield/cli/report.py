@@ -1,24 +1,59 @@
-"""``farfield report``: an evaluation as one self-contained HTML page."""
+"""``farfield report``: an evaluation as one self-contained HTML page, or a drive as a film."""
 
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import Positional
 
 
-def run(evaluation: Positional[Path], *, out: Path | None = None, title: str = "", shown_score: float = 0.3) -> int:
-    """Turn an evaluation into one self-contained HTML page.
+def run(
+    evaluation: Positional[Path],
+    *,
+    out: Path | None = None,
+    title: str = "",
+    shown_score: float = 0.3,
+    film: Path | None = None,
+    predictions: Path | None = None,
+    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
+    drive: str = "",
+    frames: int = 0,
+    reach_m: float = 100.0,
+    rate_hz: float = 0.0,
+    workers: int = 0,
+    engine: str = "local",
+) -> int:
+    """Turn an evaluation into one self-contained HTML page, or a drive of a data set into a film.
 
     examples:
       farfield report runs/pillars/evaluation
       farfield report runs/pillars/evaluation/evaluation.json --out pillars.html
       farfield report scores.json --out scores.html --title "My detector on my data"
+      farfield report data/kradar --film drive.mp4 --drive 1
+      farfield report Cirrus_dataset1 --film tracks.mp4 --predictions tracks.csv --reach-m 150
+      farfield report velodyne/ --film short.gif --frames 50 --rate-hz 5
+
+    A film shows every sensor of the drive, boxes, and tracks with their trails; annotated boxes are solid, predicted
+    ones dashed. An interrupted film goes on where it stopped.
 
     Args:
-        evaluation: Folder or evaluation.json of `farfield evaluate`, or the JSON of `farfield score --json`.
+        evaluation: Folder or evaluation.json of `farfield evaluate`, or the JSON of `farfield score --json`; with
+            --film a data set.
         out: The page to write; by default beside the evaluation, with the suffix .html.
         title: Title of the page; by default the evaluation's own.
         shown_score: Predictions below this score are left out of the pictures.
+        film: Film to write instead: .mp4, .mov, .m4v or .mkv (extra `video`), .gif or .webp.
+        predictions: Detections or tracks that the film shows; sequence and frame pair them with the data.
+        format: Format of the predictions.
+        drive: Drive that the film shows; the first one unless given.
+        frames: Only so many frames from its beginning; 0: all.
+        reach_m: How far ahead the film's views from above show.
+        rate_hz: Frames a second; 0 takes the drive's own.
+        workers: Processes that draw the film; 0 takes as many as there are cores and memory for.
+        engine: Where its pictures are drawn.
     """
+    if film is not None:
+        boxes = None if predictions is None else (predictions, format)
+        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), (workers, engine))
     from farfield.errors import ConfigError
     from farfield.reports.evaluation import Evaluation
     from farfield.reports.page import write_report
@@ -40,4 +75,35 @@ def run(evaluation: Positional[Path], *, out: Path | None = None, title: str = "
         shown_score=shown_score,
     )
     print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
+    return 0
+
+
+def _film(
+    root: Path,
+    film: Path,
+    predictions: tuple[Path, str] | None,
+    drive: str,
+    frames: int,
+    shown: tuple[float, float, float],
+    hands: tuple[int, str],
+) -> int:
+    from farfield.cli._progress import hands as bulk
+    from farfield.datasets import open_dataset
+    from farfield.metrics.reading import read_predictions
+    from farfield.reports.film import FilmSettings, drive_named, make_film
+
+    data = open_dataset(root)
+    found = drive_named(data, drive)
+    if frames:
+        data = data.select([int(index) for index in found.indices[:frames]])
+    reach_m, rate_hz, score = shown
+    count = make_film(
+        film,
+        data,
+        drive=found.name,
+        predictions=None if predictions is None else read_predictions(predictions[0], format=predictions[1]).boxes,
+        settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
+        bulk=bulk(*hands, "drawing"),
+    )
+    print(f"film: {film.resolve()} ({count} frames, {film.stat().st_size / 1e6:.1f} MB)")
     return 0

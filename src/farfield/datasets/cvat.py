@@ -17,7 +17,7 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
 from farfield.datasets.labels.cuboid_boxes import annotation_of
-from farfield.datasets.labels.tool_labels import DatumaroLabels
+from farfield.datasets.labels.tool_labels import DatumaroLabels, SuperviselyLabels
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
@@ -128,13 +128,24 @@ class Cvat(Dataset):
         )
 
 
-def label_format(data: Cvat) -> DatumaroLabels | None:
-    """The label files of a data set, to edit them: Datumaro's only, of one task or of tasks directly in the root."""
+def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | None:
+    """The label files of a data set, to edit them: Datumaro's of one task or of tasks in the root, or Supervisely's.
+
+    Tracklets are not edited: one object has one size and unbroken frames there.
+    """
+    if all(task.parse is parse_supervisely for task in data.tasks):
+        places = zip(data.keys, data.frames, strict=True)
+        return SuperviselyLabels({key: _ann(task, place) for key, (task, place) in places})
     files = [task.labels[0] for task in data.tasks if task.parse is _datumaro]
     if len(files) == len(data.tasks) == 1:
         return DatumaroLabels(files[0])
     named = all(path == DatumaroLabels(data.root).path((path.parents[1].name, "")) for path in files)
     return DatumaroLabels(data.root) if named and len(files) == len(data.tasks) else None
+
+
+def _ann(task: Task, place: int) -> Path:
+    """The annotation file of a cloud, or where it would stand."""
+    return task.label_file(place) or task.folder / "ann" / f"{task.clouds[place].name}.json"
 
 
 def _annotation(task: Task, place: int) -> Annotation:

@@ -9,13 +9,15 @@ One file a cloud, ``ann/<cloud file>.json``::
 Position is the centre, dimensions the full sizes along the box's own axes, rotation Euler angles in radians.
 """
 
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Value, attributes_of, checked, word, xyz
-from farfield.files.json_text import parse_json
+from farfield.files.cuboids import Cuboid, Placed, Value, attributes_of, checked, word, xyz
+from farfield.files.json_text import append, parse_json, set_value
 
 MAX_BYTES = 64 << 20
 _KIND = "cuboid_3d"
@@ -27,14 +29,59 @@ def parse_supervisely(data: bytes, path: Path | str) -> tuple[Cuboid, ...]:
     Raises:
         FileFormatError: If it is not of this form.
     """
+    return tuple(placed.cuboid for placed in placed_supervisely(data, path))
+
+
+def placed_supervisely(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+    """The same with the way to each figure; errors as above."""
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     held = {name: content.get(name) if isinstance(content, dict) else None for name in ("objects", "figures")}
     for name, value in held.items():
         if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
             raise FileFormatError(path, where="the root", expected=f"a list {name}", found=repr(value)[:80])
     objects = {str(each.get("key")): each for each in held["objects"] or []}
-    figures = [each for each in held["figures"] or [] if each.get("geometryType") == _KIND]
-    return tuple(_cuboid(figure, objects, path, f"figure {number}") for number, figure in enumerate(figures))
+    return tuple(
+        Placed(("figures", place), _cuboid(figure, objects, path, f"figure {place}"))
+        for place, figure in enumerate(held["figures"] or [])
+        if figure.get("geometryType") == _KIND
+    )
+
+
+def values(cuboid: Cuboid) -> dict[tuple[str | int, ...], Any]:
+    """What a figure says of a cuboid; of the rotation only the yaw, so that a pitch that stands there stays."""
+    centre, size = cuboid.box[:3], cuboid.box[3:6]
+    known: dict[tuple[str | int, ...], Any] = {
+        ("geometry", name, axis): value
+        for name, numbers in (("position", centre), ("dimensions", size))
+        for axis, value in zip("xyz", numbers, strict=True)
+    }
+    return known | {("geometry", "rotation", "z"): cuboid.box[6]}
+
+
+def with_class(text: str, key: str, label: str) -> str:
+    """The text with another class of an object."""
+    return set_value(text, ("objects", _object_places(text).index(key), "classTitle"), label)
+
+
+def with_new(text: str, cuboid: Cuboid) -> str:
+    """The text with one figure more, and its object where that is not there yet."""
+    mark = hashlib.blake2b(repr((cuboid, len(text))).encode(), digest_size=16).hexdigest()
+    key = cuboid.track or mark
+    if key not in _object_places(text):
+        text = append(text, ("objects",), {"key": key, "classTitle": cuboid.label, "tags": []})
+    (x, y, z, length, width, height, yaw) = cuboid.box
+    geometry = {
+        "position": {"x": x, "y": y, "z": z},
+        "rotation": {"x": 0, "y": 0, "z": yaw},
+        "dimensions": {"x": length, "y": width, "z": height},
+    }
+    figure = {"key": mark, "objectKey": key, "geometryType": _KIND, "geometry": geometry}
+    return append(text, ("figures",), figure)
+
+
+def _object_places(text: str) -> list[str]:
+    objects = json.loads(text.removeprefix("\ufeff"))["objects"]
+    return [str(each.get("key")) for each in objects]
 
 
 def _cuboid(figure: Mapping[str, Any], objects: Mapping[str, Any], path: Path | str, where: str) -> Cuboid:

@@ -66,6 +66,24 @@ def _av(purpose: str = "reading films") -> ModuleType:
     return av
 
 
+def check_writing(path: Path | str) -> None:
+    """Refuse what :func:`write_film` would refuse, before the pictures are made.
+
+    Raises:
+        ConfigError: If the name has another ending than a film's.
+        MissingExtraError: If PyAV is not installed.
+    """
+    _kind_of(path)
+    _av("writing films")
+
+
+def _kind_of(path: Path | str) -> str:
+    kind = WRITTEN.get(Path(path).suffix.lower())
+    if kind is None:
+        raise ConfigError(f"writing films: expected a name ending in {', '.join(WRITTEN)}, got {Path(path).name!r}")
+    return kind
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """A film and its first video stream; what goes wrong within is said as a damaged file."""
@@ -183,9 +201,7 @@ def write_film(path: Path | str, pictures: Iterator[_Picture], stamps: Sequence[
 @contextmanager
 def _written(av: ModuleType, path: Path | str) -> Iterator[Any]:
     """A container to write into, which appears under its name when it is whole."""
-    kind = WRITTEN.get(Path(path).suffix.lower())
-    if kind is None:
-        raise ConfigError(f"writing films: expected a name ending in {', '.join(WRITTEN)}, got {Path(path).name!r}")
+    kind = _kind_of(path)
     with open_atomic(path) as handle, av.open(handle, "w", format=kind, options=dict(_BITEXACT)) as container:
         yield container
 

@@ -38,7 +38,7 @@ def points_in_boxes(
     Returns:
         One sorted index array a box. A point may be in several boxes.
     """
-    x, y = points_m[:, 0], points_m[:, 1]
+    x, y = np.ascontiguousarray(points_m[:, 0]), points_m[:, 1]
     reach = np.hypot(*(boxes.size_m[:, :2].T / 2 + margin_m)) * (1 + 1e-6) + 1e-3  # also covers float32 rounding
     found = []
     for index, (centre_x, centre_y) in enumerate(boxes.centre_m[:, :2]):

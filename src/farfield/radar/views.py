@@ -131,6 +131,16 @@ def radar_views(
     )
 
 
+def bird_db(radar: Mapping[str, Any]) -> Float32[np.ndarray, "y x"] | None:
+    """BEV-2D alone, as :class:`RadarViews` has it, without a search for echoes; None if there is no product."""
+    used = _used(radar, "mean")
+    if not used:
+        return None
+    low, high = REGIONS_M["wide"][4:]
+    cube = _cube(radar, used, _polar(radar, used, "mean"))
+    return decibel(bev_2d(cube[(low <= CUBE_Z_M) & (high > CUBE_Z_M)], "mean"))
+
+
 def echoes_of(
     polar: Float32[np.ndarray, "2 r a e"], *, kind: Kind = "cell-averaging", false_alarm: float = 1e-6
 ) -> Echoes:

@@ -206,3 +206,14 @@ def test_formats_by_data_set_and_by_name(cirrus: Cirrus, tmp_path: Path) -> None
     assert label_files_in(tmp_path / "a.csv", "boxes-csv").path(("a", "b")) == tmp_path / "a.csv"
     with pytest.raises(DatasetError, match="expected one of"):
         label_files_in(tmp_path, "none")
+
+
+def test_the_authors_text_of_cirrus_keeps_its_bytes_and_is_refused_with_a_way_out(cirrus: Cirrus) -> None:
+    labels = CirrusLabelFormat(cirrus)
+    key, path = cirrus.keys[0], Path("1600000000.txt")
+    text = b"vehicle 0 0 0 0 0 0 0 1.5 4.6 1.9 -3.0 1.65 20.0 0.1\r\n"
+    found = labels.parse(text, path, [key])[key]
+    assert len(found) == 1
+    assert labels.render(text, path, {key: found}) == text
+    with pytest.raises(ConfigError, match=r"safe in the journal.*--to openlabel"):
+        labels.render(text, path, {key: [replace(found[0], label="pedestrian")]})

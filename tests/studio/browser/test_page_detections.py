@@ -86,3 +86,41 @@ def test_a_set_can_be_hidden(page: Screen):
     page.page.locator(f"#left input[name='set {names[0]}']").click()
     assert page.page.evaluate("[...farfieldTest.state.hiddenSets]") == [names[0]]
     page.page.locator(f"#left input[name='set {names[0]}']").click()
+
+
+def marks(page: Screen, colour: tuple[int, int, int]) -> list[float]:
+    """Where on the timeline, from 0 to 1, columns hold a colour."""
+    return page.page.evaluate(
+        """([r, g, b]) => {
+            const strip = document.querySelector("#timeline canvas"), { width, height } = strip;
+            const data = strip.getContext("2d").getImageData(0, 0, width, height).data, out = new Set();
+            for (let i = 0; i < data.length; i += 4)
+                if (data[i] === r && data[i + 1] === g && data[i + 2] === b) out.add(((i / 4) % width) / width);
+            return [...out];
+        }""",
+        list(colour),
+    )
+
+
+PINK = (0xCC, 0x79, 0xA7)
+
+
+def test_the_timeline_marks_frames_with_something_missed_or_false(page: Screen):
+    page.settled()
+    page.until("state.shown !== null")
+    for _ in range(100):
+        if marks(page, PINK):
+            break
+        page.page.wait_for_timeout(100)
+    found = marks(page, PINK)
+    assert min(found) < 0.1, "the first frame has a box without a truth"
+    assert max(found) > 0.9, "so has the last"
+    slider = page.page.locator("#left input[name=score]")
+    slider.fill("0.95")  # above the false box, and above all others: every truth is missed
+    page.page.wait_for_timeout(800)
+    for _ in range(100):
+        if not marks(page, PINK):
+            break
+        page.page.wait_for_timeout(100)
+    assert not marks(page, PINK)
+    page.page.locator("#left input[name=score]").fill("0")

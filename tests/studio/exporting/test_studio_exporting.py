@@ -20,7 +20,7 @@ from studio.showing.test_studio_wire import decode
 
 from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError
-from farfield.studio.exporting.films import write_film
+from farfield.files.animations import write_animation
 from farfield.studio.exporting.pages import standalone
 from farfield.studio.messages.replies import FrameState, Welcome
 from farfield.studio.messages.rows import FrameInfo
@@ -75,7 +75,7 @@ def test_only_pictures_are_kept_and_only_those_sent_make_a_film(live):
 def test_a_damaged_picture_is_named(tmp_path: Path):
     (tmp_path / "a.png").write_bytes(png(0)[:60])
     with pytest.raises(FileFormatError, match=r"a\.png"):
-        write_film(tmp_path / "film.gif", [tmp_path / "a.png"])
+        write_animation(tmp_path / "film.gif", [tmp_path / "a.png"])
 
 
 @pytest.mark.skipif(not (STATIC / "index.html").is_file(), reason="the page is not built: npm run build in web/")

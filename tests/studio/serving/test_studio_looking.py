@@ -117,6 +117,23 @@ def test_boxes_come_with_their_points_and_predictions_with_their_verdicts(live: 
         assert all(row["score"] >= 0.5 for row in few)
 
 
+@pytest.mark.parametrize("threshold", [0.0, 0.5])
+def test_the_marks_of_the_timeline_say_what_the_frames_say(live: Live, threshold: float):
+    with live.window() as client:
+        expected = {}
+        for index in range(2):
+            for found in client.open(index, threshold=threshold)["predicted"]:
+                wrong = sum(row["match"] == "false" for row in found["rows"])
+                if wrong or found["missed"]:
+                    expected[found["set"], index] = (len(found["missed"]), wrong)
+        client.send(op="match.list", threshold=threshold)
+        reply = client.until("matches")
+        marks = {(reply["set"], row["frame"]): (row["missed"], row["wrong"]) for row in reply["rows"]}
+    assert reply["first"]
+    assert expected
+    assert marks == expected
+
+
 def test_times_are_text_because_they_exceed_what_the_browser_holds(live: Live):
     with live.window() as client:
         state = client.open(0)

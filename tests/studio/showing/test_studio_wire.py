@@ -22,8 +22,23 @@ def decode(body: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         assert field["offset"] % 8 == 0
         count = header["count"] * field["items"]
         rows = np.frombuffer(body, TYPES[field["type"]], count, field["offset"])
+        if field.get("coding") == "differences":
+            rows = np.array(summed(rows.view(np.uint8).tolist(), header["count"], field["items"]), dtype=np.int64).T
         arrays[field["name"]] = rows.reshape(header["count"], field["items"])
     return header, arrays
+
+
+def summed(data: list[int], count: int, columns: int) -> list[list[int]]:
+    """Column by column, low bytes first: undo zigzag, add up, wrap to 16 bits."""
+    out = []
+    for start in range(0, 2 * count * columns, max(1, 2 * count)):
+        column, value = [], 0
+        for low, high in zip(data[start : start + count], data[start + count : start + 2 * count], strict=True):
+            step = low + 256 * high
+            value += -(step + 1) // 2 if step % 2 else step // 2
+            column.append((value + 32768) % 65536 - 32768)
+        out.append(column)
+    return out
 
 
 def cloud(points: np.ndarray, **extra: np.ndarray) -> Cloud:

@@ -10,7 +10,7 @@ import numpy as np
 
 from farfield.datasets.cirrus.labels import boxes_from_labels, parse_labels
 from farfield.datasets.cirrus.reader import Cirrus
-from farfield.datasets.labels.contract import Value
+from farfield.datasets.labels.contract import BoxLabel, Value
 from farfield.datasets.labels.json_labels import JsonLabels
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.cuboids import Cuboid, Placed
@@ -77,10 +77,25 @@ class CirrusLabelFormat(JsonLabels):
         }
         return known | {(name,): value for name, value in entry.items() if not isinstance(value, list)}
 
+    def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
+        """The file with other labels in some frames.
+
+        Raises:
+            ConfigError: If it is one of the authors' text files and something changed.
+        """
+        if path.suffix == ".txt" and data is not None:
+            found = self.parse(data, path, list(labels))
+            if all(tuple(wanted) == found[key] for key, wanted in labels.items()):
+                return data
+            raise ConfigError(
+                f"{path.name}: the authors' text holds no tracks and its boxes by way of the camera's axes, so it is "
+                "not edited. Your edits are safe in the journal; save them in another format: start with --to "
+                "openlabel or --to boxes-csv."
+            )
+        return super().render(data, path, labels)
+
     def with_new(self, text: str, cuboid: Cuboid) -> str:
         """A label more."""
-        if self.settings.root not in text:
-            raise ConfigError("Cirrus' annotations as text are not edited: save into a new folder, as JSON")
         return append(text, (self.settings.root,), self._entry(cuboid))
 
     def stale(self) -> Sequence[tuple[str | int, ...]]:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from farfield.datasets.kradar.layout import RESOURCES
 from farfield.datasets.kradar.texts import numbers_of, read_lines, read_odometry
@@ -122,6 +121,8 @@ def read_relative_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
     Raises:
         FileFormatError: If a line is not seven finite numbers, the first four a unit quaternion.
     """
+    from scipy.spatial.transform import Rotation
+
     lines = read_lines(path)
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     for row, line in enumerate(lines):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX
 from farfield.errors import FileFormatError
@@ -87,6 +86,8 @@ def format_camera(camera: Camera, number: int) -> str:
     ``k1`` to ``k5`` are OpenCV's k1, k2, p1, p2, k3. The rotation is intrinsic in z, y, x order reversed, as SciPy's
     ``from_euler("zyx", [yaw, pitch, roll])`` has it, from the os2-64's axes to the camera's; the translation follows.
     """
+    from scipy.spatial.transform import Rotation
+
     matrix, pose = camera.matrix, camera.camera_T_lidar
     angles = Rotation.from_matrix(pose[:3, :3]).as_euler("zyx", degrees=True)
     intrinsics = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion]
@@ -101,6 +102,8 @@ def read_camera(path: Path) -> Camera:
     Raises:
         FileFormatError: If a key is missing or its value no number.
     """
+    from scipy.spatial.transform import Rotation
+
     pairs = [line.partition(":") for line in read_lines(path)]
     cells = {key.strip(): value.strip() for key, _, value in pairs}
     for key in (*_CAMERA_KEYS, *_POSE_KEYS):

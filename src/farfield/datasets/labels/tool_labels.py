@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 from farfield.datasets.labels.contract import BoxLabel
 from farfield.datasets.labels.json_labels import JsonLabels
-from farfield.files import datumaro, openlabel, sustechpoints
+from farfield.errors import DatasetError
+from farfield.files import datumaro, openlabel, supervisely, sustechpoints
 from farfield.files.cuboids import Cuboid, Placed
 from farfield.files.json_text import span
 from farfield.frame import Key
@@ -141,3 +142,55 @@ class DatumaroLabels(JsonLabels):
     def with_new(self, text: str, cuboid: Cuboid) -> str:
         """An annotation more."""
         return datumaro.with_new(text, replace(cuboid, frame=file_name(cuboid.frame)))
+
+
+@dataclass(frozen=True)
+class SuperviselyLabels(JsonLabels):
+    """``ann/<cloud file>.json`` of Supervisely's point clouds, one file a cloud.
+
+    A figure belongs to an object, whose key is the track: changing the class of one changes that of all of its figures
+    in the file. Tags stay as they are.
+
+    Args:
+        paths: The file of each frame, by sequence and frame.
+    """
+
+    name: ClassVar[str] = "supervisely"
+    paths: Mapping[Key, Path]
+
+    def path(self, key: Key) -> Path:
+        """The file of a frame.
+
+        Raises:
+            DatasetError: If there is no such frame.
+        """
+        if key not in self.paths:
+            raise DatasetError(f"expected a frame of this data set, got {'/'.join(key)}")
+        return self.paths[key]
+
+    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+        """All cuboids of the frame."""
+        return supervisely.placed_supervisely(data, path)
+
+    def empty(self) -> str:
+        """A file without objects."""
+        return json.dumps({"description": "", "tags": [], "objects": [], "figures": []}, indent=1) + "\n"
+
+    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+        """Place, size and yaw."""
+        del text, place
+        return supervisely.values(cuboid)
+
+    def prepared(self, text: str, place: Placed | None, cuboid: Cuboid) -> str:
+        """The object's class."""
+        if place is None or place.cuboid.label == cuboid.label:
+            return text
+        return supervisely.with_class(text, place.cuboid.track, cuboid.label)
+
+    def with_new(self, text: str, cuboid: Cuboid) -> str:
+        """A figure more."""
+        return supervisely.with_new(text, cuboid)
+
+    def moves(self, old: Cuboid, new: BoxLabel) -> bool:
+        """Another track is another object."""
+        return old.track != new.track

@@ -2,9 +2,11 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 from farfield.datasets.edits import Change, Record
+from farfield.datasets.labels import BoxLabel
+from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Key
 from farfield.geometry.iou import pairwise_iou
 from farfield.studio.annotating.counting import Points
@@ -15,7 +17,7 @@ from farfield.studio.annotating.planning import plan_of, row_in_drive
 from farfield.studio.annotating.presenting import Presenter
 from farfield.studio.annotating.saves import FORMATS, place_of
 from farfield.studio.editing.box_edits import MADE, add_box
-from farfield.studio.editing.checking import Detected
+from farfield.studio.editing.checking import CheckSettings, Detected, SizeRange, size_ranges
 from farfield.studio.editing.findings import all_findings, findings, settings_of
 from farfield.studio.editing.history import REDO, UNDO
 from farfield.studio.editing.schema import Extent
@@ -29,6 +31,8 @@ from farfield.studio.showing.opened import Opened
 from farfield.studio.showing.rows import boxes_of, numbers
 from farfield.studio.threads import Threads
 
+_LOOKED = 500
+"""Frames whose boxes tell the sizes of the data set's classes."""
 _SAME_IOU = 0.1
 """A detection that overlaps a box so much is not proposed beside it."""
 
@@ -91,6 +95,10 @@ class Annotating:
         """The boxes of a frame."""
         return self.shown.boxes(index)
 
+    def outlines(self, index: int) -> tuple[BoxRow, ...]:
+        """The boxes of a frame, without their points."""
+        return self.shown.outlines(index)
+
     def centres(self, index: int) -> list[tuple[int, float, float, float]]:
         """Track number, x, y, z of the boxes of a frame."""
         return self.shown.centres(index)
@@ -150,7 +158,7 @@ class Annotating:
         found = findings(
             self.store,
             self.store.keys[index],
-            settings_of(self.store),
+            self._limits,
             around=self.points.around(index, "lidar"),
             detections=[] if detections is None else self._detected(detections),
         )
@@ -158,7 +166,28 @@ class Annotating:
 
     def all_checks(self) -> tuple[CheckRow, ...]:
         """Findings of all frames, without points."""
-        return tuple(self.shown.finding(each) for each in all_findings(self.store, settings_of(self.store)))
+        return tuple(self.shown.finding(each) for each in all_findings(self.store, self._limits))
+
+    @property
+    def _limits(self) -> CheckSettings:
+        """Limits of the checks: what the schema says, with the sizes of the data set's own boxes."""
+        return settings_of(self.store, sizes=self._sizes)
+
+    @cached_property
+    def _sizes(self) -> dict[str, SizeRange]:
+        """Sizes by class as the label files have them, of frames from beginning to end."""
+        keys = self.store.keys
+        looked = keys[:: max(1, -(-len(keys) // _LOOKED))]
+        labels = itertools.chain.from_iterable(self._labels(key) for key in looked)
+        presets = settings_of(self.store).sizes
+        return {name: found for name, found in size_ranges(labels, presets).items() if found.low is not None}
+
+    def _labels(self, key: Key) -> Sequence[BoxLabel]:
+        try:
+            with self.store.lock:
+                return self.store.files.labels(key)
+        except FarfieldError:
+            return ()  # said when the frame is opened
 
     def _detected(self, boxes: Boxes) -> Sequence[Detected]:
         scores = [1.0] * len(boxes) if boxes.score is None else boxes.score.tolist()

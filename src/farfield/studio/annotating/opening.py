@@ -1,19 +1,27 @@
 """The store of a data set: which label files, where the journal stands, what may be annotated."""
 
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.edits.places import user_folder
 from farfield.datasets.labels import BoxLabel, LabelFormat
 from farfield.datasets.labels.choosing import label_files_in, label_format
-from farfield.files.atomic import write_bytes
-from farfield.studio.editing.schema import AttributeSettings, ClassSettings, Extent, Schema, fastest
+from farfield.errors import ConfigError, FarfieldError
+from farfield.files.atomic import read_bytes, write_bytes
+from farfield.frame import Key
+from farfield.studio.editing.box_edits import LARGEST_M
+from farfield.studio.editing.schema import AttributeSettings, ClassSettings, Extent, Schema, Size, fastest
 from farfield.studio.editing.store import Store
 from farfield.studio.messages.rows import ClassSpec
 from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.classes import annotated_classes
+from farfield.studio.showing.classes import annotated_classes, shown_classes
 from farfield.studio.showing.rows import numbers
+from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 START = "labels.csv"
 _LOOKED = 50
@@ -35,11 +43,16 @@ def open_store(data: Dataset, settings: StudioSettings) -> Store:
     folder = journal_of(data, settings)
     labels = label_format(data)
     if labels is None:
+        if settings.write:
+            raise ConfigError(
+                f"--write: the label files of this {data.name} data set cannot be edited in their places. Leave it "
+                f"out: edits are kept in {folder.name}, and saved as boxes-csv, or in another format with --to."
+            )
         labels = _copied(data, folder)
-    classes = annotated_classes(data.name, settings.classes)
+    borne = borne_classes(labels, data)
     schema = Schema(
         extent=settings.extent or known_extent(data),
-        classes={spec.name: _class(spec) for spec in classes},
+        classes=offered_classes(data.name, settings.classes, borne),
         attributes={name: AttributeSettings(values=tuple(values)) for name, values in labels.attributes.items()},
     )
     return Store(data, labels, folder, schema)
@@ -62,6 +75,46 @@ def known_extent(data: Dataset) -> Extent | None:
             if annotation is not None and len(annotation):
                 return annotation.extent
     return None
+
+
+def borne_classes(labels: LabelFormat, data: Dataset) -> dict[str, Size]:
+    """The classes that boxes of the first frames bear, as their files spell them, with their median sizes."""
+    files: dict[Path, list[Key]] = {}
+    for key in data.keys[:_LOOKED]:
+        files.setdefault(labels.path(key), []).append(key)
+    sizes: dict[str, list[tuple[float, ...]]] = {}
+    for path, keys in files.items():
+        try:
+            found = labels.parse(bytes(read_bytes(path)), path, keys) if path.is_file() else {}
+        except FarfieldError:
+            continue  # said when a frame of the file is opened
+        for label in itertools.chain.from_iterable(found.values()):
+            if all(0 < length <= LARGEST_M for length in label.box[3:6]):
+                sizes.setdefault(label.label, []).append(label.box[3:6])
+    return {name: _three(np.median(rows, axis=0)) for name, rows in sizes.items()}
+
+
+def offered_classes(format_name: str, given: Sequence[str], borne: Mapping[str, Size]) -> dict[str, ClassSettings]:
+    """The classes to offer: those given, else the data set's; in Cirrus's words where its boxes bear these.
+
+    What boxes bear beside is offered too, with its own size: else such a box could be moved and no second one drawn.
+
+    Args:
+        format_name: Format of the data set.
+        given: As of :func:`~farfield.studio.showing.classes.shown_classes`.
+        borne: Of :func:`borne_classes`.
+    """
+    specs = annotated_classes(format_name, given)
+    if borne and set(borne) <= set(CIRRUS_CLASSES):
+        specs = shown_classes(format_name, given)
+    offered = {spec.name: _class(spec) for spec in specs}
+    others = {name: size for name, size in borne.items() if name and name not in offered}
+    return offered | {name: ClassSettings(size_m=size, fastest_m_s=fastest(name)) for name, size in others.items()}
+
+
+def _three(values: np.ndarray) -> Size:
+    length, width, height = values.tolist()
+    return length, width, height
 
 
 def _class(spec: ClassSpec) -> ClassSettings:

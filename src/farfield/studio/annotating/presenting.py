@@ -35,8 +35,12 @@ class Presenter:
         found = [(self.numbers.number(label.track), label.box) for label in labels]
         return [(track, float(box[0]), float(box[1]), float(box[2])) for track, box in found if track is not None]
 
-    def box(self, index: int, row: Row) -> BoxRow:
-        """One box."""
+    def outlines(self, index: int) -> tuple[BoxRow, ...]:
+        """The boxes of a frame; no point is counted, so that no cloud is read."""
+        return tuple(self.box(index, row, count=False) for row in self.store.rows(self.store.keys[index]))
+
+    def box(self, index: int, row: Row, *, count: bool = True) -> BoxRow:
+        """One box, with the points in it if they are counted."""
         label = row.label
         attributes: Any = dict(label.attributes)
         return BoxRow(
@@ -49,8 +53,8 @@ class Presenter:
             source=label.source or "lidar",  # type: ignore[arg-type]
             attributes=attributes,
             score=label.score,
-            points=self.points.inside(index, "lidar", label.box),
-            radar_points=self.points.inside(index, "radar", label.box),
+            points=self.points.inside(index, "lidar", label.box) if count else None,
+            radar_points=self.points.inside(index, "radar", label.box) if count else None,
             distance_m=math.hypot(label.box[0], label.box[1]),
             keyframe=label.keyframe,
             visibility=str(attributes["availability"]) if "availability" in attributes else None,

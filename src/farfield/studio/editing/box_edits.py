@@ -171,7 +171,11 @@ def _words(store: Store, new: Value, old: Value) -> None:
     label, track = new["label"], new.get("track", "")
     if label != old.get("label") and label not in store.schema.classes:
         known = ", ".join(store.schema.classes)
-        raise RefusedError("class", f"expected one of the classes {known}, got {label!r}")
+        mend = (
+            f"Add it under classes in {store.folder.name}/classes.yaml and start anew, or delete that file and start "
+            "with --classes NAME:LENGTH,WIDTH,HEIGHT."
+        )
+        raise RefusedError("class", f"expected one of the classes {known}, got {label!r}", mend)
     if not isinstance(track, str) or len(track) > 64:
         raise RefusedError("track", f"expected the name of a track, got {str(track)[:70]!r}")
     if new.get("state", "accepted") not in STATES:

@@ -2,9 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 _CELLS = 4.0  # cells to a step: denser clouds are thinned to one point a cell before neighbours are sought
 
@@ -26,6 +23,10 @@ def cluster_at(
         at_m: x and y of the place.
         radius_m: Largest step.
     """
+    from scipy.sparse import coo_array  # scipy takes a third of the studio's start
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     if len(points_m) == 0:
         return np.zeros(0, dtype=np.bool_)
     cell_m = radius_m / _CELLS

@@ -12,6 +12,7 @@ from farfield.studio.messages.rows import (
     DriveRow,
     FrameInfo,
     Layer,
+    MatchRow,
     PlacedRow,
     PredictedFrame,
     PredictionSet,
@@ -178,6 +179,16 @@ class Checks:
 
 
 @message
+class Matches:
+    """Frames of one set, matched by the protocol. They come in parts; the first one replaces what was known."""
+
+    op: Literal["matches"] = "matches"
+    set: str
+    first: bool
+    rows: tuple[MatchRow, ...]
+
+
+@message
 class Job:
     """Progress of something that takes time. A finished detection is shown with the next frame.state."""
 
@@ -260,6 +271,7 @@ Reply = (
     | Previewed
     | Fitted
     | Checks
+    | Matches
     | Job
     | Bookmarks
     | Saved

@@ -286,6 +286,14 @@ class Timing:
     edits: Count = 0
 
 
+@message
+class MatchList:
+    """Ask in which frames boxes are missed or detected without a truth: of predictions from a score on."""
+
+    op: Literal["match.list"] = "match.list"
+    threshold: Part = 0.0
+
+
 Edit = BoxSet | BoxAdd | BoxDelete | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate
 """What changes the annotation, and is answered by ack, conflict or refused."""
 
@@ -312,7 +320,8 @@ Request = Annotated[
     | Save
     | Export
     | PolicySet
-    | Timing,
+    | Timing
+    | MatchList,
     Field(discriminator="op"),
 ]
 """Whatever the page sends."""

@@ -241,6 +241,15 @@ class PredictedFrame:
 
 
 @message
+class MatchRow:
+    """How many annotated boxes of a frame a set misses, and how many of its boxes have no truth."""
+
+    frame: int
+    missed: int
+    wrong: int
+
+
+@message
 class Trail:
     """Where a track was and will be: frame, x, y, z in the coordinates of the frame shown."""
 

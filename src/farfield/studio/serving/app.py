@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 from urllib.parse import urlencode
 
 from starlette.applications import Starlette
@@ -19,6 +19,7 @@ from farfield.studio.session.desk import Desk
 from farfield.studio.showing.opened import STATIC, Payload, plain_error
 from farfield.studio.threads import Threads
 
+T = TypeVar("T")
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -72,8 +73,8 @@ async def _static(request: Request) -> Response:
     path = request.app.state.files.get(name)
     if path is None:
         return PlainTextResponse(_NO_PAGE if name == "index.html" else "There is nothing of this name.", 404)
-    payload = await in_thread(request, lambda: Payload.of(path.read_bytes(), _KINDS[path.suffix]))
-    return _answer(request, payload)
+    kind = _KINDS[path.suffix]
+    return await in_thread(request, lambda: _answer(request, Payload.of(path.read_bytes(), kind)))
 
 
 def _numbered(request: Request) -> Response:
@@ -127,10 +128,11 @@ async def _payload(request: Request, make: Callable[[Desk], Payload]) -> Respons
     desk: Desk = request.app.state.desk
     if not desk.ready:
         return PlainTextResponse("The data set is still being opened.", 503)
-    return _answer(request, await in_thread(request, lambda: make(desk)))
+    return await in_thread(request, lambda: _answer(request, make(desk)))
 
 
 def _answer(request: Request, payload: Payload) -> Response:
+    """The answer; naming and packing the bytes takes milliseconds, so that this too is for a thread."""
     headers = {"etag": payload.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
     if request.headers.get("if-none-match") == payload.tag:
         return Response(status_code=304, headers=headers)
@@ -138,9 +140,10 @@ def _answer(request: Request, payload: Payload) -> Response:
     return Response(body, media_type=payload.kind, headers=headers | ({"content-encoding": coding} if coding else {}))
 
 
-async def in_thread(request: Request, work: Callable[[], Any]) -> Any:
+async def in_thread(request: Request, work: Callable[[], T]) -> T:
     """Run what reads files beside the event loop."""
-    return await request.app.state.readers.do(work)
+    readers: Threads = request.app.state.readers
+    return await readers.do(work)
 
 
 def _number(request: Request, name: str, usual: int, low: int, high: int) -> int:

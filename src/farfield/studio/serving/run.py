@@ -8,6 +8,7 @@ import sys
 import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import uvicorn
@@ -159,6 +160,12 @@ async def _open(server: _Server, late: Late, open_data: "Callable[[], Dataset]",
         from farfield.studio.session.editing import autosave
 
         desk.aside(Window(id="", annotator=""), None, autosave(desk))
+        desk.aside(Window(id="", annotator=""), None, _warmed())
+
+
+async def _warmed() -> None:
+    """Import what the first fit would else wait for."""
+    await asyncio.to_thread(import_module, "scipy.spatial")
 
 
 async def _closed(desk: "Desk") -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
+from farfield.files.animations import write_animation
 from farfield.files.atomic import write_text
 from farfield.studio.annotating.saves import FORMATS, pack
 from farfield.studio.exporting.exports import Made
-from farfield.studio.exporting.films import write_film
 from farfield.studio.exporting.pages import MOST_FRAMES, standalone
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import FrameState, Job
@@ -53,7 +53,7 @@ async def _made(desk: Desk, window: Window, request: asked.Export, work: Work) -
 def _film(desk: Desk, window: Window, request: asked.Export) -> tuple[str, Made]:
     del window
     name, made = desk.exports.new(request.name, f".{request.kind}")
-    write_film(made.path, desk.exports.shots(request.shots), rate_hz=request.rate_hz)
+    write_animation(made.path, desk.exports.shots(request.shots), rate_hz=request.rate_hz)
     return name, made
 
 

@@ -13,6 +13,7 @@ class Window:
     Args:
         id: Its name, its own among those open.
         annotator: Who sits before it.
+        matching: Changes with every request for matches, so that an older one is given up.
         room: How many replies may wait; a window that does not read loses its place.
     """
 
@@ -23,6 +24,7 @@ class Window:
     drive: str | None = None
     threshold: float = 0.0
     sweeps: int = 1
+    matching: object = None
     replies: "asyncio.Queue[Reply | str]" = field(default_factory=asyncio.Queue)
 
     def send(self, reply: "Reply | str") -> None:

@@ -2,7 +2,10 @@
 
 Points are int16 in steps of 1/128 m where all lie within 256 m (error at most 3.9 mm, below the sensors' noise), else
 in coarser steps of a power of two; a fourth int16 makes a stride of 8 bytes and holds the ring, or the age in
-milliseconds. Other columns are bytes between ``low`` and ``high``. Fits run on the original floats, never on these.
+milliseconds. They travel as the differences from one point to the next, zigzag (0, -1, 1, -2 ... become 0, 1, 2, 3
+...), column by column, first all low bytes, then all high ones: a sweep in ring order is half as large after zstd, and
+packed in half the time. Other columns are bytes between ``low`` and ``high``. Fits run on the original floats, never on
+these.
 """
 
 import json
@@ -18,6 +21,8 @@ from farfield.radar.projections import decibel
 _MAGIC = b"FFP1"
 _FINEST_M = 1 / 128
 _STEPS = 255
+DIFFERENCES = "differences"
+"""Coding of a field: see above."""
 
 
 def encode_cloud(cloud: Cloud, facts: Mapping[str, Any]) -> bytes:
@@ -27,10 +32,11 @@ def encode_cloud(cloud: Cloud, facts: Mapping[str, Any]) -> bytes:
         cloud: The points.
         facts: What else the header says: ``frame``, ``layer``, ``time_ns``, ``version``.
     """
-    there = np.isfinite(cloud.points_m).all(axis=1) & (cloud.points_m != 0).any(axis=1)
-    cloud = cloud if there.all() else cloud[there]
+    cloud = _placed(cloud)
     places, scale_m = _places(cloud)
-    arrays: dict[str, tuple[np.ndarray, dict[str, Any]]] = {"place": (places, {})}
+    arrays: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
+        "place": (_differences(places), {"type": "int16", "items": places.shape[1], "coding": DIFFERENCES})
+    }
     for name in cloud.columns[3:]:
         shown, values = _shown(name, np.asarray(cloud.intensity if name == "intensity" else cloud.extra[name]))
         if values.ndim == 1 and values.dtype.kind in "fiub":
@@ -62,6 +68,16 @@ def as_bytes(values: Float[np.ndarray, " n"], low: float, high: float) -> tuple[
     return np.clip(np.nan_to_num(steps, nan=0.0), 0, _STEPS).astype(np.uint8), low, low + span
 
 
+def _placed(cloud: Cloud) -> Cloud:
+    """The returns that have a place. Columns are asked, not rows of three: that is several times as fast."""
+    x, y, z = cloud.points_m.T
+    there = (x != 0) | (y != 0) | (z != 0)
+    finite = np.isfinite(cloud.points_m)
+    if not finite.all():
+        there &= finite.all(axis=1)
+    return cloud if there.all() else cloud[there]
+
+
 def _places(cloud: Cloud) -> tuple[Int16[np.ndarray, "n 4"], float]:
     reach_m = float(np.abs(cloud.points_m).max()) if len(cloud) else 0.0
     scale_m = _FINEST_M
@@ -71,6 +87,13 @@ def _places(cloud: Cloud) -> tuple[Int16[np.ndarray, "n 4"], float]:
     places[:, :3] = np.rint(cloud.points_m * np.float32(1 / scale_m))
     places[:, 3] = _spare(cloud)
     return places, scale_m
+
+
+def _differences(places: Int16[np.ndarray, "n c"]) -> UInt8[np.ndarray, " 2*n*c"]:
+    columns = np.ascontiguousarray(places.T)
+    steps = np.diff(columns, axis=1, prepend=np.int16(0))  # wraps, and so does the sum that undoes it
+    zigzag = ((steps << 1) ^ (steps >> 15)).astype("<i2").view(np.uint8).reshape(*columns.shape, 2)
+    return zigzag.transpose(0, 2, 1).ravel()
 
 
 def _spare(cloud: Cloud) -> Shaped[np.ndarray, " n"] | int:

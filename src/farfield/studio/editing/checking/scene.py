@@ -3,7 +3,7 @@
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64, Shaped
 
 from farfield.datasets.labels import Numbers
 from farfield.studio.fitting.ground import fit_ground
@@ -14,6 +14,7 @@ GROUND_LOOK_M, BESIDE_M = 15.0, 0.5
 SUPPORT_M, OFF_PLANE_M, FEWEST_CELLS, SHARE = 8.0, 0.2, 8, 0.6
 """The ground beside a box is known where so many square metres within 8 m, and so large a share of those with points,
 lie within 0.2 m of the plane."""
+MOST_GROUNDS = 2000
 Points = Float[np.ndarray, "n 3"]
 
 
@@ -27,12 +28,12 @@ class _Cells:
 
     def __init__(self, points_m: Float[np.ndarray, "n 3"], cell_m: float) -> None:
         self._cell_m = cell_m
-        cells = np.floor(points_m[:, :2] / cell_m).astype(np.int32)
-        self._low = cells.min(axis=0) if len(cells) else np.zeros(2, np.int32)
-        self._counts = cells.max(axis=0) - self._low + 1 if len(cells) else np.zeros(2, np.int32)
-        flat = (cells[:, 0] - self._low[0]).astype(np.int64) * int(self._counts[1]) + (cells[:, 1] - self._low[1])
+        x, y = (np.floor(points_m[:, axis] / cell_m).astype(np.int32) for axis in (0, 1))
+        self._low = np.array([x.min(), y.min()]) if len(x) else np.zeros(2, np.int32)
+        self._counts = np.array([x.max(), y.max()]) - self._low + 1 if len(x) else np.zeros(2, np.int32)
+        flat = _short((x - self._low[0]).astype(np.int64) * int(self._counts[1]) + (y - self._low[1]))
         order = np.argsort(flat, kind="stable")
-        self._points, self._flat = points_m[order], flat[order]
+        self._points, self._flat = points_m[order], flat[order].astype(np.int64)
 
     def near(self, x: float, y: float, reach_m: float) -> Points:
         """Points of the cells that a square around a place touches, shape (k, 3)."""
@@ -55,8 +56,10 @@ class Surroundings:
     """
 
     def __init__(self, points_m: Float[np.ndarray, "n 3"]) -> None:
-        self._finite = points_m[np.isfinite(points_m).all(axis=1)]
+        finite = np.isfinite(points_m)  # asking for all at once is much quicker than row by row
+        self._finite = points_m if finite.all() else points_m[finite.all(axis=1)]
         self._points = _Cells(self._finite, CELL_M)
+        self._grounds: dict[Numbers, float | None] = {}
 
     @cached_property
     def _lowest(self) -> _Cells:
@@ -71,8 +74,15 @@ class Surroundings:
         """Height of the ground under a box, in the frame's z; None where too little is seen of it.
 
         A plane through the lowest points of square metres within 15 m: beside a box alone, walls and parked cars may
-        hide the ground wholly.
+        hide the ground wholly. Heights are kept: of a frame's boxes an edit moves one.
         """
+        if box not in self._grounds:
+            if len(self._grounds) >= MOST_GROUNDS:
+                self._grounds.clear()
+            self._grounds[box] = self._ground_m(box)
+        return self._grounds[box]
+
+    def _ground_m(self, box: Numbers) -> float | None:
         lowest = self._lowest.near(box[0], box[1], GROUND_LOOK_M)
         ground = fit_ground(lowest, (box[0], box[1]))
         close = lowest[np.abs(lowest[:, :2] - np.array(box[:2])).max(axis=1) <= SUPPORT_M]
@@ -80,6 +90,11 @@ class Surroundings:
         heights = ground.heights_m(close[beside].astype(np.float64))
         known = int((np.abs(heights) <= OFF_PLANE_M).sum())
         return ground.z_m(box[0], box[1]) if known >= max(FEWEST_CELLS, SHARE * len(heights)) else None
+
+
+def _short(cells: Int64[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
+    """Numbers of cells as 16 bits where they fit: numpy sorts those by radix, ten times as fast."""
+    return cells.astype(np.uint16) if not len(cells) or cells.max() < 2**16 else cells
 
 
 def _lowest(points: Points) -> Float[np.ndarray, "m 3"]:

@@ -1,4 +1,4 @@
-"""Films of pictures: GIF for everybody, WebP at a fifth of its size."""
+"""Animated pictures: GIF for everybody, WebP at a fifth of its size."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from farfield.errors import ConfigError, FileFormatError
 _MAX_PIXELS = 20_000_000
 
 
-def write_film(path: Path, pictures: Sequence[Path], *, rate_hz: float = 10.0) -> None:
+def write_animation(path: Path, pictures: Sequence[Path], *, rate_hz: float = 10.0) -> None:
     """Write an animated GIF or WebP, by the file's ending; all pictures take the size of the first.
 
     Args:

@@ -1,0 +1,112 @@
+"""Which classes are offered, what is said of others, and which sizes count as usual."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield.datasets import open_dataset
+from farfield.errors import ConfigError
+from farfield.studio.annotating.annotation import Annotating
+from farfield.studio.annotating.opening import offered_classes
+from farfield.studio.editing.box_edits import add_box
+from farfield.studio.editing.errors import RefusedError
+from farfield.studio.editing.store import Author
+from farfield.studio.settings import StudioSettings
+from farfield.studio.showing.opened import Opened
+
+TANK = (7.0, 3.0, 2.5)
+
+
+def sweeps(folder: Path, frames: int, tanks: int = 1) -> Path:
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for number in range(frames):
+        np.save(folder / f"{number:04d}.npy", rng.uniform(-9, 9, (50, 4)).astype(np.float32).clip(0, 1))
+        boxes = [
+            {"label": "tank", "centre_m": [10 + 9 * row, 2, 0], "size_m": list(TANK), "yaw_rad": 0.0}
+            for row in range(tanks)
+        ]
+        (folder / f"{number:04d}.json").write_text(json.dumps({"boxes": boxes}))
+    return folder
+
+
+def annotated(folder: Path, **settings) -> Annotating:
+    return Annotating(Opened(open_dataset(folder)), StudioSettings(mode="annotate", extent="full", **settings))
+
+
+def test_classes_that_boxes_bear_are_offered_with_their_size(tmp_path: Path):
+    known = annotated(sweeps(tmp_path / "a", 2))
+    try:
+        spec = next(spec for spec in known.classes if spec.name == "tank")
+        assert spec.size == TANK
+        assert {"vehicle", "pedestrian"} < {spec.name for spec in known.classes}
+        key = known.store.keys[0]
+        value = {"label": "tank", "box": [20.0, 0, 0, *TANK, 0], "state": "edited"}
+        known.store.edit(
+            Author("kim"), "e1", "box.add", partial(add_box, key=key, name="n", value=value)
+        ).saved.result()
+        assert [row.class_name for row in known.rows(0)] == ["tank", "tank"]
+    finally:
+        known.close()
+
+
+def test_a_class_that_nobody_offers_is_refused_with_what_to_do(tmp_path: Path):
+    known = annotated(sweeps(tmp_path / "a", 1), classes=("car:4.5,1.9,1.7",))
+    try:
+        value = {"label": "ship", "box": [20.0, 0, 0, *TANK, 0], "state": "edited"}
+        plan = partial(add_box, key=known.store.keys[0], name="n", value=value)
+        with pytest.raises(RefusedError, match=r"car, tank.*ship.*classes\.yaml.*--classes"):
+            known.store.edit(Author("kim"), "e1", "box.add", plan)
+    finally:
+        known.close()
+
+
+def test_kradar_speaks_its_own_words_unless_its_boxes_speak_cirrus():
+    assert "Sedan" in offered_classes("kradar", (), {"Sedan": (4.6, 2.2, 1.9)})
+    assert "Sedan" in offered_classes("kradar", (), {})
+    cirrus = offered_classes("kradar", (), {"vehicle": (4.6, 2.2, 1.9)})
+    assert "Sedan" not in cirrus
+    assert "vehicle" in cirrus
+    both = offered_classes("kradar", (), {"Sedan": (4.6, 2.2, 1.9), "tank": TANK})
+    assert both["tank"].size_m == TANK
+    assert set(offered_classes("kradar", ("car:4,2,1",), {"Sedan": (4.6, 2.2, 1.9)})) == {"car", "Sedan"}
+
+
+def test_sizes_that_count_as_usual_are_those_of_the_data_set(tmp_path: Path):
+    """Among 200 boxes of one size, one a quarter longer is found; among fewer, up to twice the preset is let stand."""
+    folder = sweeps(tmp_path / "a", 11, tanks=20)
+    longer = [TANK[0] * 1.25, *TANK[1:]]
+    for frames, expected in ((11, True), (9, False)):
+        for path in sorted(folder.glob("*.json"))[frames:]:
+            path.unlink()
+        known = annotated(folder, edits=tmp_path / f"edits{frames}")
+        try:
+            key = known.store.keys[0]
+            value = {"label": "tank", "box": [20.0, -20, 0, *longer, 0], "state": "edited"}
+            plan = partial(add_box, key=key, name="n", value=value)
+            known.store.edit(Author("kim"), "e1", "box.add", plan).saved.result()
+            assert any(row.check == "size" and row.box == "n" for row in known.checks(0)) is expected
+        finally:
+            known.close()
+
+
+def test_label_files_that_are_not_edited_are_not_promised_to_be_written(tmp_path: Path):
+    """KITTI raw's tracklets: their boxes are begun with, and saved in another format."""
+    drive = tmp_path / "drive"
+    (drive / "velodyne_points" / "data").mkdir(parents=True)
+    (drive / "velodyne_points" / "data" / "0000000000.bin").write_bytes(np.ones((9, 4), "<f4").tobytes())
+    pose = "<item><tx>10</tx><ty>2</ty><tz>-1</tz><rx>0</rx><ry>0</ry><rz>0.5</rz></item>"
+    sizes = "<objectType>Car</objectType><h>1.5</h><w>1.9</w><l>4.6</l><first_frame>0</first_frame>"
+    text = f"<b><tracklets><item>{sizes}<poses>{pose}</poses></item></tracklets></b>"
+    (drive / "tracklet_labels.xml").write_text(text)
+    with pytest.raises(ConfigError, match=r"--write.*Leave it out.*--to"):
+        annotated(drive, write=True)
+    known = annotated(drive)
+    try:
+        assert [row.box[:2] for row in known.rows(0)] == [(10.0, 2.0)]
+    finally:
+        known.close()
+    assert (drive / "tracklet_labels.xml").read_text() == text
