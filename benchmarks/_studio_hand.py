@@ -52,6 +52,9 @@ class Hand:
                 return at
             page.page.mouse.move(*(at if inside else middle))
             before = page.tell("stage.eye.distance")
+            if before >= 700:  # all of the scene was passed by: back to the road ahead
+                page.press("Enter")
+                continue
             page.page.mouse.wheel(0, 60 if not inside or near >= 2 else -60)
             page.until(f"stage.eye.distance !== {before}")
         raise AssertionError(f"the wheel did not bring {place} into sight")
