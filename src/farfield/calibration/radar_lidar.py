@@ -1,0 +1,308 @@
+"""Radar to LiDAR: x, y, yaw, height, frame offset and the time offset within a frame, from many frames of one sequence.
+
+``p_radar = R(yaw) (p_lidar + v (dt - lag)) + t`` (the LiDAR's near faces, moved to the time of the radar), with
+residuals in range and azimuth. x and dt separate only where relative speeds differ; otherwise the solution says so and
+the prior on dt stands. A mean range bias of the radar moves with x and is part of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from farfield.calibration.bird import Start, correlate
+from farfield.calibration.moments import Moment
+from farfield.calibration.problems import Parameter, Solution, solve
+from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
+from farfield.errors import DatasetError
+
+RANGE_CELL_M = 0.462890625  # of K-Radar
+AZIMUTH_CELL_RAD = np.radians(1.0)
+_SIGMA_RANGE_M = 0.2
+_SIGMA_AZIMUTH_RAD = np.radians(0.45)
+_SIGMA_FACE_M = 0.12
+_GATES_M = (1.6, 1.0, 0.8, 0.8)
+_LEAST_MATCHES = 12
+_BLOCK = 4  # neighbouring frames see the same objects
+_CLEAR = 2.0
+
+PARAMETERS = (
+    Parameter(name="x", unit="m", scale=0.01, prior_sigma=1.2),
+    Parameter(name="y", unit="m", scale=0.01, prior_sigma=1.2),
+    Parameter(name="yaw", unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(2.0)),
+    Parameter(name="time offset", unit="s", scale=0.005, prior_sigma=0.03),
+)
+_HEIGHT = (Parameter(name="z", unit="m", scale=0.01, prior_sigma=0.2),)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadarPose:
+    """A calibration: ``radar_T_lidar`` has yaw and translation only; the radar runs ``frames`` frames and dt ahead.
+
+    Args:
+        x_m: Translation of ``radar_T_lidar``.
+        y_m: Its y.
+        z_m: Its z.
+        yaw_rad: Its yaw.
+        frames: Radar frames to add to those that the data set pairs.
+        time_offset_s: How much later the radar measured than the sweep's own time, after that.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float = 0.0
+    frames: int = 0
+    time_offset_s: float = 0.0
+
+    @property
+    def vector(self) -> Float[np.ndarray, " 4"]:
+        """The four values that are solved for."""
+        return np.array([self.x_m, self.y_m, self.yaw_rad, self.time_offset_s])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RadarCalibration:
+    """What was found.
+
+    Args:
+        pose: The calibration.
+        solution: x, y, yaw and time offset with covariance.
+        height: Solution of z alone.
+        notes: What the data cannot tell, as sentences.
+        range_m: Residuals in range of the matches, shape (n,).
+        azimuth_rad: Their residuals in azimuth, shape (n,).
+        rivals: Cost of each frame offset that was tried, against the best in standard errors.
+    """
+
+    pose: RadarPose
+    solution: Solution
+    height: Solution
+    notes: tuple[str, ...]
+    range_m: Float[np.ndarray, " n"]
+    azimuth_rad: Float[np.ndarray, " n"]
+    rivals: dict[int, float]
+
+    @property
+    def residual(self) -> dict[str, float]:
+        """Median absolute residuals in centimetres, degrees and radar cells."""
+        ranges, angles = (float(np.median(np.abs(each))) for each in (self.range_m, self.azimuth_rad))
+        return {
+            "matches": float(len(self.range_m)),
+            "range_cm": 100 * ranges,
+            "range_cells": ranges / RANGE_CELL_M,
+            "azimuth_deg": float(np.degrees(angles)),
+            "azimuth_cells": angles / AZIMUTH_CELL_RAD,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """Maps and objects of all frames, made once.
+
+    Args:
+        moments: Consecutive frames.
+        targets: LiDAR targets of each.
+        peaks: Radar peaks of each.
+        period_s: Time between frames.
+    """
+
+    moments: Sequence[Moment]
+    targets: Sequence[Targets]
+    peaks: Sequence[Peaks]
+    period_s: float = 0.1
+
+    @classmethod
+    def of(cls, moments: Sequence[Moment], *, period_s: float = 0.1) -> "Evidence":
+        """Find the objects of all frames."""
+        return cls(
+            moments=moments,
+            targets=find_targets(moments),
+            peaks=[find_peaks(each) for each in moments],
+            period_s=period_s,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Pairs:
+    """Matched objects: LiDAR place, velocity in m/s, lag, radar place, number of the radar frame."""
+
+    lidar_m: Float[np.ndarray, "n 3"]
+    velocity_m_s: Float[np.ndarray, "n 2"]
+    lag_s: Float[np.ndarray, " n"]
+    radar_m: Float[np.ndarray, "n 3"]
+    frame: Int[np.ndarray, " n"]
+
+
+def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4) -> RadarCalibration:
+    """Find the radar's pose and time from a rough start.
+
+    Args:
+        evidence: Frames of one sequence; 20 or more.
+        guess: About right: +-2 m, +-3 degrees, +-3 frames.
+        reach_m: How far x and y are searched.
+        frames: How many frame offsets to each side are tried.
+
+    Raises:
+        DatasetError: If too few objects match.
+    """
+    around = Start(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
+    starts = correlate(evidence.moments, around, reach_m=reach_m, frames=frames)
+    tried = [found for start in starts if (found := _refined(evidence, start, guess)) is not None]
+    if not tried:
+        raise DatasetError(
+            f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer in "
+            f"{len(evidence.moments)} frames. Take more frames, a busier road, or a nearer start."
+        )
+    costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
+    best = int(np.argmin(np.nanmean(costs, axis=1)))
+    pose, pairs, solution = tried[best]
+    rivals = {other[0].frames: _standing(costs[i], costs[best]) for i, other in enumerate(tried) if i != best}
+    height = _solve_height(pairs, guess)
+    residual = _polar(solution.value, pairs)
+    return RadarCalibration(
+        pose=RadarPose(**(vars(pose) | {"z_m": float(height.value[0])})),
+        solution=solution,
+        height=height,
+        notes=_notes(pose, solution, height, rivals, pairs),
+        range_m=residual[:, 0],
+        azimuth_rad=residual[:, 1],
+        rivals=rivals,
+    )
+
+
+def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> tuple[RadarPose, _Pairs, Solution] | None:
+    """Match and solve in turn, with a narrower gate each time."""
+    prior = guess.vector
+    value = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s])
+    pairs = solution = None
+    for gate_m in _GATES_M:
+        pairs = _match(evidence, value, start.frames, gate_m)
+        if len(pairs.frame) < _LEAST_MATCHES:
+            return None
+        solution = solve(partial(_whitened, pairs=pairs), prior, PARAMETERS, group=pairs.frame // _BLOCK)
+        value = solution.value
+    assert pairs is not None and solution is not None
+    x, y, yaw, late = (float(each) for each in value)
+    pose = RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=start.frames, time_offset_s=late)
+    return pose, pairs, solution
+
+
+def _place(
+    value: Float[np.ndarray, " 4"],
+    lidar_m: Float[np.ndarray, "n 3"],
+    velocity_m_s: Float[np.ndarray, "n 2"],
+    lag_s: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 2"]:
+    """LiDAR targets in the radar's frame at the radar's time."""
+    at = lidar_m[:, :2] + velocity_m_s * (value[3] - lag_s)[:, None]
+    cos, sin = np.cos(value[2]), np.sin(value[2])
+    return at @ np.array([[cos, sin], [-sin, cos]]) + value[:2]
+
+
+def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
+    """Velocities; where they are not known, the usual one of the frame."""
+    known = np.isfinite(targets.velocity[:, 0])
+    usual = np.median(targets.velocity[known], axis=0) if known.any() else np.zeros(2)
+    return np.where(known[:, None], targets.velocity, usual) / period_s
+
+
+def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:
+    """Pairs that are each other's nearest."""
+    rows: list[tuple[np.ndarray, ...]] = []
+    for index, targets in enumerate(evidence.targets):
+        other = index + offset
+        if not 0 <= other < len(evidence.peaks):
+            continue
+        peaks = evidence.peaks[other].place_m
+        if not len(targets.place_m) or not len(peaks):
+            continue
+        speed = _speeds(targets, evidence.period_s)
+        at = _place(value, targets.place_m, speed, targets.lag_s)
+        distance, partner = cKDTree(peaks[:, :2]).query(at)
+        back = cKDTree(at).query(peaks[:, :2])[1]
+        kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
+        number = np.full(int(kept.sum()), other)
+        rows.append((targets.place_m[kept], speed[kept], targets.lag_s[kept], peaks[partner[kept]], number))
+    if not rows:
+        return _Pairs(
+            lidar_m=np.zeros((0, 3)),
+            velocity_m_s=np.zeros((0, 2)),
+            lag_s=np.zeros(0),
+            radar_m=np.zeros((0, 3)),
+            frame=np.zeros(0, dtype=int),
+        )
+    lidar, speed, lag, radar, frame = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return _Pairs(lidar_m=lidar, velocity_m_s=speed, lag_s=lag, radar_m=radar, frame=frame)
+
+
+def _polar(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+    """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
+    at = _place(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
+    seen = pairs.radar_m[:, :2]
+    turn = np.arctan2(at[:, 1], at[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+    return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
+
+
+def _whitened(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+    reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
+    across = np.hypot(_SIGMA_AZIMUTH_RAD, 2 * _SIGMA_FACE_M / np.maximum(reach, 1.0))
+    return _polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
+
+
+def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
+    """Mean truncated squared distance of each radar frame's peaks to LiDAR targets, NaN where there is none.
+
+    A radar frame counts for every frame offset alike, whatever it matched; the priors' cost is spread over the frames.
+    """
+    costs = np.full(len(evidence.peaks), np.nan)
+    away = (pose.vector - guess.vector) / [each.prior_sigma for each in PARAMETERS]
+    for other, peaks in enumerate(evidence.peaks):
+        index = other - pose.frames
+        if not 0 <= index < len(evidence.targets) or not len(peaks.place_m):
+            continue
+        targets = evidence.targets[index]
+        if not len(targets.place_m):
+            continue
+        at = _place(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
+        distance, partner = cKDTree(at).query(peaks.place_m[:, :2])
+        near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
+        sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
+        costs[other] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())
+    return costs + 0.5 * float(away @ away) / max(int(np.isfinite(costs).sum()), 1)
+
+
+def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
+    """By how many standard errors a rival is worse, over the frames that both have, in blocks."""
+    gap = costs - best
+    blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]
+    spread = float(np.std(blocks, ddof=1) * np.sqrt(len(blocks)))
+    return float(np.sum(blocks)) / max(spread, 1e-9)
+
+
+def _solve_height(pairs: _Pairs, guess: RadarPose) -> Solution:
+    sigma = np.hypot(0.5, np.radians(0.6) * np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]))
+    rows = partial(_heights, pairs=pairs, sigma=sigma)
+    return solve(rows, np.array([guess.z_m]), _HEIGHT, group=np.zeros(len(sigma), dtype=int))
+
+
+def _heights(value: Float[np.ndarray, " 1"], pairs: _Pairs, sigma: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 1"]:
+    return ((pairs.lidar_m[:, 2] + value[0] - pairs.radar_m[:, 2]) / sigma)[:, None]
+
+
+def _notes(
+    pose: RadarPose, solution: Solution, height: Solution, rivals: dict[int, float], pairs: _Pairs
+) -> tuple[str, ...]:
+    notes = [*solution.unobserved, *height.unobserved]
+    notes.append("x includes the mean range bias of the radar's echoes")
+    spread = float(np.percentile(pairs.velocity_m_s[:, 0], 90) - np.percentile(pairs.velocity_m_s[:, 0], 10))
+    if solution.sigma[3] > 0.6 * PARAMETERS[3].prior_sigma:
+        notes.append(f"x and time offset cannot be told apart here (speed spread {spread:.1f} m/s)")
+    close = sorted(offset for offset, worse in rivals.items() if worse < _CLEAR)
+    if close:
+        named = ", ".join(f"{offset - pose.frames:+d}" for offset in close)
+        notes.append(f"frame offset is not certain: {named} frames explain the objects nearly as well")
+    return tuple(dict.fromkeys(notes))

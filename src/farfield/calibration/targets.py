@@ -1,0 +1,153 @@
+"""Objects that both sensors can place: near faces of LiDAR clusters with their velocity, and peaks of the radar.
+
+Near faces are used on both sides: the centre of a car would move x by half its length.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from farfield.calibration.moments import Moment
+
+_CELL_M = 0.4
+_LEAST_POINTS = 6
+_LARGEST_M = 6.5
+_FACE_M = 0.6
+_STEP_M = 8.0
+_AGREE_M = 0.45
+_PEAK_M = 0.9
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Targets:
+    """LiDAR targets of one frame.
+
+    Args:
+        place_m: Middle of the near face, shape (n, 3).
+        size_m: Extent of the whole cluster in x and y, shape (n, 2).
+        lag_s: When the face was measured, after the sweep's own time, shape (n,).
+        velocity: Metres a frame relative to the LiDAR, shape (n, 2); NaN where it was not seen three times.
+    """
+
+    place_m: Float[np.ndarray, "n 3"]
+    size_m: Float[np.ndarray, "n 2"]
+    lag_s: Float[np.ndarray, " n"]
+    velocity: Float[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Peaks:
+    """Radar peaks of one frame, in the radar's frame.
+
+    Args:
+        place_m: Power-weighted places, shape (n, 3).
+        power_db: Power of the strongest echo, shape (n,).
+    """
+
+    place_m: Float[np.ndarray, "n 3"]
+    power_db: Float[np.ndarray, " n"]
+
+
+def find_targets(moments: Sequence[Moment]) -> list[Targets]:
+    """Clusters of each frame with velocities from the frames before and after."""
+    raw = [_clusters(each) for each in moments]
+    nothing = np.zeros((0, 3))
+    places = [one[0] for one in raw]
+    found = []
+    for index, (place, size, lag) in enumerate(raw):
+        before = places[index - 1] if index else nothing
+        after = places[index + 1] if index + 1 < len(raw) else nothing
+        found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=_velocities(before, place, after)))
+    return found
+
+
+def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+    points = moment.points_m
+    places, sizes, lags = [], [], []
+    for members in _components(points):
+        part = points[members]
+        size = np.ptp(part[:, :2], axis=0)
+        if len(part) < _LEAST_POINTS or size.max() > _LARGEST_M or np.ptp(part[:, 2]) < 0.3:
+            continue
+        reach = np.hypot(part[:, 0], part[:, 1])
+        front = float(np.percentile(reach, 5))
+        face = reach < front + _FACE_M
+        bearing = np.arctan2(part[face, 1], part[face, 0])
+        middle = 0.5 * (bearing.min() + bearing.max())
+        near = front + 0.05
+        places.append([near * np.cos(middle), near * np.sin(middle), float(part[face, 2].mean())])
+        sizes.append(size)
+        lags.append(float(moment.lag_s[members][face].mean()))
+    return np.reshape(places, (-1, 3)), np.reshape(sizes, (-1, 2)), np.array(lags)
+
+
+def _components(points_m: Float[np.ndarray, "n 3"]) -> list[Int[np.ndarray, " _"]]:
+    """Indices of the points of each connected part of the occupied cells."""
+    if not len(points_m):
+        return []
+    cell = np.floor(points_m[:, :2] / _CELL_M).astype(int)
+    cell -= cell.min(axis=0)
+    grid = np.zeros(cell.max(axis=0) + 1, dtype=bool)
+    grid[cell[:, 0], cell[:, 1]] = True
+    labels, _ = ndimage.label(grid, structure=np.ones((3, 3)))
+    label = labels[cell[:, 0], cell[:, 1]]
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _velocities(
+    before: Float[np.ndarray, "a 3"], now: Float[np.ndarray, "n 3"], after: Float[np.ndarray, "b 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Steps that carry a cluster evenly from the frame before to the frame after; NaN where none or several do."""
+    velocity = np.full((len(now), 2), np.nan)
+    if not len(before) or not len(after):
+        return velocity
+    tree = cKDTree(before[:, :2])
+    candidates = []
+    for index, place in enumerate(now[:, :2]):
+        step = after[:, :2] - place
+        near = (np.abs(step[:, 0]) < _STEP_M) & (np.abs(step[:, 1]) < 1.0)
+        steps = step[near]
+        distance, partner = tree.query(place - steps) if len(steps) else (np.zeros(0), np.zeros(0, dtype=int))
+        good = distance < _AGREE_M
+        candidates.append(0.5 * (steps[good] + place - before[partner[good], :2]))
+    usual = _usual(candidates)
+    for index, steps in enumerate(candidates):
+        if len(steps) == 1:
+            velocity[index] = steps[0]
+        elif len(steps):  # several explain it: the one that stands still, if there is one
+            away = np.linalg.norm(steps - usual, axis=1)
+            velocity[index] = steps[np.argmin(away)] if away.min() < _AGREE_M else np.nan
+    return velocity
+
+
+def _usual(candidates: list[Float[np.ndarray, "_ 2"]]) -> Float[np.ndarray, " 2"]:
+    """The step with most others nearby: that of the standing world."""
+    steps = np.concatenate([np.zeros((0, 2)), *candidates])
+    if not len(steps):
+        return np.zeros(2)
+    near = cKDTree(steps).query_ball_point(steps, _AGREE_M / 2)
+    best = max(near, key=len)
+    return np.asarray(np.median(steps[best], axis=0))
+
+
+def find_peaks(moment: Moment) -> Peaks:
+    """Local maxima of the radar's echoes with their places within the cell: means of the echoes around, by power."""
+    places, power = moment.echoes_m, moment.power_db
+    if not len(places):
+        return Peaks(place_m=np.zeros((0, 3)), power_db=np.zeros(0))
+    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], _PEAK_M)
+    top = _tops(around, power)
+    linear = 10 ** (power / 10)
+    means = [linear[around[i]] @ places[around[i]] / linear[around[i]].sum() for i in np.flatnonzero(top)]
+    return Peaks(place_m=np.reshape(means, (-1, 3)), power_db=power[top])
+
+
+def _tops(around: Sequence[Sequence[int]], power: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which echoes are the strongest among those around; of equal ones the first."""
+    best = [min(near, key=lambda i: (-power[i], i)) for near in around]
+    return np.asarray(np.array(best) == np.arange(len(power)))
