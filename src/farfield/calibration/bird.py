@@ -5,7 +5,7 @@ offset. On a road at constant speed, frame offset and x explain the standing wor
 speed decides, so the best few of each frame offset are kept for the objects to judge.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,18 +50,18 @@ def correlate(
     """Best explanation of each frame offset, best first.
 
     Args:
-        moments: Consecutive frames.
+        moments: Frames of one sequence.
         guess: Where to look around.
         reach_m: How far x and y may be off.
         frames: How many frames the offset may be off.
         yaw_rad: How far the yaw may be off.
         step_rad: Step of the yaw.
     """
-    radar = [_spectrum(each.echoes_m, each.power_db) for each in moments]
+    radar = {each.number: _spectrum(each.echoes_m, each.power_db) for each in moments}
     best: dict[int, Start] = {}
     count = round(yaw_rad / step_rad)
     for yaw in guess.yaw_rad + step_rad * np.arange(-count, count + 1):
-        lidar = [_spectrum(_moved(each.points_m, yaw, guess), None) for each in moments]
+        lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments}
         for offset in range(guess.frames - frames, guess.frames + frames + 1):
             found = _peak(lidar, radar, offset, reach_m)
             if found and (offset not in best or found[0] > best[offset].score):
@@ -100,9 +100,12 @@ def _spectrum(points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"
 
 
 def _peak(
-    lidar: list[Complex64[np.ndarray, "h w"]], radar: list[Complex64[np.ndarray, "h w"]], offset: int, reach_m: float
+    lidar: Mapping[int, Complex64[np.ndarray, "h w"]],
+    radar: Mapping[int, Complex64[np.ndarray, "h w"]],
+    offset: int,
+    reach_m: float,
 ) -> tuple[float, float, float] | None:
-    pairs = [(each, radar[i + offset]) for i, each in enumerate(lidar) if 0 <= i + offset < len(radar)]
+    pairs = [(each, radar[number + offset]) for number, each in lidar.items() if number + offset in radar]
     if not pairs:
         return None
     cross = sum(np.conj(one) * other for one, other in pairs)

@@ -21,12 +21,14 @@ class Moment:
     """One LiDAR sweep and the radar frame that the data set pairs with it.
 
     Args:
+        number: Number of the sweep in its sequence; neighbours differ by one.
         points_m: LiDAR points that stand above the ground, in the LiDAR's frame, shape (n, 3).
         lag_s: When each was measured after the sweep's own time, shape (n,); zero where it is not known.
         echoes_m: Radar echoes in the radar's own frame, shape (m, 3).
         power_db: Their power over what is usual at that range, shape (m,), positive.
     """
 
+    number: int
     points_m: Float[np.ndarray, "n 3"]
     lag_s: Float[np.ndarray, " n"]
     echoes_m: Float[np.ndarray, "m 3"]
@@ -39,7 +41,7 @@ def read_moments(
     """Reduce consecutive frames of one sequence.
 
     Args:
-        frames: Frames in order, without gaps.
+        frames: Frames in order; runs of consecutive ones, the more the better.
         lidar: Name of the LiDAR's cloud, in the frame's coordinates.
         radar: Name of the radar's cloud; its sensor's ``frame_T_sensor`` is taken back.
         node_m: Added to the echoes along each axis: 0.2 m for K-Radar's clouds, whose points stand half a cell below
@@ -48,10 +50,10 @@ def read_moments(
     Raises:
         DatasetError: If a frame lacks one of the clouds, or the radar has no pose or no ``power``.
     """
-    return [_moment(frame, lidar, radar, node_m) for frame in frames]
+    return [_moment(frame, frame.indices.get(lidar, place), lidar, radar, node_m) for place, frame in enumerate(frames)]
 
 
-def _moment(frame: Frame, lidar: str, radar: str, node_m: float) -> Moment:
+def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) -> Moment:
     missing = [name for name in (lidar, radar) if name not in frame.clouds]
     pose = frame.sensors[radar].frame_T_sensor if radar in frame.sensors else None
     if missing or pose is None:
@@ -73,7 +75,11 @@ def _moment(frame: Frame, lidar: str, radar: str, node_m: float) -> Moment:
     excess = over_usual_db(own, decibel)
     strong = excess > (_LEAST_DB if strength == "power" else 3.0)
     return Moment(
-        points_m=points[standing], lag_s=lag[standing], echoes_m=own[strong], power_db=np.minimum(excess[strong], 40.0)
+        number=int(number),
+        points_m=points[standing],
+        lag_s=lag[standing],
+        echoes_m=own[strong],
+        power_db=np.minimum(excess[strong], 40.0),
     )
 
 

@@ -1,12 +1,12 @@
-"""Radar to LiDAR: x, y, yaw, height, frame offset and the time offset within a frame, from many frames of one sequence.
+"""Radar to LiDAR: x, y, yaw, frame offset and the time offset within a frame, from many frames of one sequence.
 
 ``p_radar = R(yaw) (p_lidar + v (dt - lag)) + t`` (the LiDAR's near faces, moved to the time of the radar), with
 residuals in range and azimuth. x and dt separate only where relative speeds differ; otherwise the solution says so and
 the prior on dt stands. A mean range bias of the radar moves with x and is part of it.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -26,8 +26,10 @@ _SIGMA_AZIMUTH_RAD = np.radians(0.45)
 _SIGMA_FACE_M = 0.12
 _GATES_M = (1.6, 1.0, 0.8, 0.8)
 _LEAST_MATCHES = 12
+_GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
 _BLOCK = 4  # neighbouring frames see the same objects
 _CLEAR = 2.0
+_LOOSE_S = 0.3
 
 PARAMETERS = (
     Parameter(name="x", unit="m", scale=0.01, prior_sigma=1.2),
@@ -35,7 +37,6 @@ PARAMETERS = (
     Parameter(name="yaw", unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(2.0)),
     Parameter(name="time offset", unit="s", scale=0.005, prior_sigma=0.03),
 )
-_HEIGHT = (Parameter(name="z", unit="m", scale=0.01, prior_sigma=0.2),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +72,7 @@ class RadarCalibration:
     Args:
         pose: The calibration.
         solution: x, y, yaw and time offset with covariance.
-        height: Solution of z alone.
+        echoes_above_m: How much higher than the LiDAR's faces the radar's echoes lie with the given z, the median.
         notes: What the data cannot tell, as sentences.
         range_m: Residuals in range of the matches, shape (n,).
         azimuth_rad: Their residuals in azimuth, shape (n,).
@@ -80,7 +81,7 @@ class RadarCalibration:
 
     pose: RadarPose
     solution: Solution
-    height: Solution
+    echoes_above_m: float
     notes: tuple[str, ...]
     range_m: Float[np.ndarray, " n"]
     azimuth_rad: Float[np.ndarray, " n"]
@@ -104,37 +105,35 @@ class Evidence:
     """Maps and objects of all frames, made once.
 
     Args:
-        moments: Consecutive frames.
-        targets: LiDAR targets of each.
-        peaks: Radar peaks of each.
+        moments: Frames of one sequence.
+        targets: LiDAR targets by number of the frame.
+        peaks: Radar peaks by number of the LiDAR frame that they are paired with.
         period_s: Time between frames.
     """
 
     moments: Sequence[Moment]
-    targets: Sequence[Targets]
-    peaks: Sequence[Peaks]
+    targets: Mapping[int, Targets]
+    peaks: Mapping[int, Peaks]
     period_s: float = 0.1
 
     @classmethod
     def of(cls, moments: Sequence[Moment], *, period_s: float = 0.1) -> "Evidence":
         """Find the objects of all frames."""
-        return cls(
-            moments=moments,
-            targets=find_targets(moments),
-            peaks=[find_peaks(each) for each in moments],
-            period_s=period_s,
-        )
+        peaks = {each.number: find_peaks(each) for each in moments}
+        targets = dict(zip(peaks, find_targets(moments), strict=True))
+        return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Pairs:
-    """Matched objects: LiDAR place, velocity in m/s, lag, radar place, number of the radar frame."""
+    """Matched objects: LiDAR place, width, velocity in m/s, lag, radar place, number of the object."""
 
     lidar_m: Float[np.ndarray, "n 3"]
+    width_m: Float[np.ndarray, " n"]
     velocity_m_s: Float[np.ndarray, "n 2"]
     lag_s: Float[np.ndarray, " n"]
     radar_m: Float[np.ndarray, "n 3"]
-    frame: Int[np.ndarray, " n"]
+    track: Int[np.ndarray, " n"]
 
 
 def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4) -> RadarCalibration:
@@ -158,37 +157,67 @@ def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.
             f"{len(evidence.moments)} frames. Take more frames, a busier road, or a nearer start."
         )
     costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
-    best = int(np.argmin(np.nanmean(costs, axis=1)))
+    order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
+    best = int(order[0])
     pose, pairs, solution = tried[best]
-    rivals = {other[0].frames: _standing(costs[i], costs[best]) for i, other in enumerate(tried) if i != best}
-    height = _solve_height(pairs, guess)
+    rivals: dict[int, float] = {}
+    for i in order[1:]:  # the best of each frame offset
+        if tried[i][0].frames != pose.frames:
+            rivals.setdefault(tried[i][0].frames, _standing(costs[i], costs[best]))
+    above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
     residual = _polar(solution.value, pairs)
     return RadarCalibration(
-        pose=RadarPose(**(vars(pose) | {"z_m": float(height.value[0])})),
+        pose=pose,
         solution=solution,
-        height=height,
-        notes=_notes(pose, solution, height, rivals, pairs),
+        echoes_above_m=above,
+        notes=_notes(pose, solution, rivals, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals=rivals,
     )
 
 
-def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> tuple[RadarPose, _Pairs, Solution] | None:
+_Tried = tuple[RadarPose, _Pairs, Solution]
+
+
+def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | None:
+    """Solve from a start of the maps; a time offset of whole frames goes into the frame offset.
+
+    Where speeds differ, the objects tell the whole time, however many frames the start is off.
+    """
+    value, frames = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s]), start.frames
+    loose = (*PARAMETERS[:3], replace(PARAMETERS[3], prior_sigma=_LOOSE_S))
+    first = _solved(evidence, value, frames, guess, loose, _GATES_M)
+    if first is None:
+        return None
+    late = round(float(first[1].value[3] / evidence.period_s))
+    value = first[1].value - [0.0, 0.0, 0.0, late * evidence.period_s]
+    found = _solved(evidence, value, frames - late, guess, PARAMETERS, _GATES_M[-2:])
+    if found is None:
+        return None
+    x, y, yaw, time_s = (float(each) for each in found[1].value)
+    pose = RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames - late, time_offset_s=time_s)
+    return pose, *found
+
+
+def _solved(
+    evidence: Evidence,
+    value: Float[np.ndarray, " 4"],
+    frames: int,
+    guess: RadarPose,
+    parameters: tuple[Parameter, ...],
+    gates_m: tuple[float, ...],
+) -> tuple[_Pairs, Solution] | None:
     """Match and solve in turn, with a narrower gate each time."""
-    prior = guess.vector
-    value = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s])
-    pairs = solution = None
-    for gate_m in _GATES_M:
-        pairs = _match(evidence, value, start.frames, gate_m)
-        if len(pairs.frame) < _LEAST_MATCHES:
+    found = None
+    for gate_m in gates_m:
+        pairs = _match(evidence, value, frames, gate_m)
+        if len(pairs.track) < _LEAST_MATCHES:
             return None
-        solution = solve(partial(_whitened, pairs=pairs), prior, PARAMETERS, group=pairs.frame // _BLOCK)
-        value = solution.value
-    assert pairs is not None and solution is not None
-    x, y, yaw, late = (float(each) for each in value)
-    pose = RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=start.frames, time_offset_s=late)
-    return pose, pairs, solution
+        rows = partial(_whitened, pairs=pairs)
+        solution = solve(rows, guess.vector, parameters, group=pairs.track)
+        value, found = solution.value, (pairs, solution)
+    return found
 
 
 def _place(
@@ -212,31 +241,27 @@ def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
 
 def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:
     """Pairs that are each other's nearest."""
-    rows: list[tuple[np.ndarray, ...]] = []
-    for index, targets in enumerate(evidence.targets):
-        other = index + offset
-        if not 0 <= other < len(evidence.peaks):
-            continue
-        peaks = evidence.peaks[other].place_m
-        if not len(targets.place_m) or not len(peaks):
-            continue
-        speed = _speeds(targets, evidence.period_s)
+    rows = [_matched(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
+    lidar, width, speed, lag, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return _Pairs(lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track)
+
+
+def _matched(
+    evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
+) -> tuple[np.ndarray, ...]:
+    """Columns of the pairs of one LiDAR frame and one radar frame."""
+    targets = evidence.targets[number]
+    peaks = evidence.peaks[other].place_m if other in evidence.peaks else np.zeros((0, 3))
+    kept, partner = np.zeros(len(targets.place_m), dtype=bool), np.zeros(len(targets.place_m), dtype=int)
+    speed = _speeds(targets, evidence.period_s)
+    if len(kept) and len(peaks):
         at = _place(value, targets.place_m, speed, targets.lag_s)
         distance, partner = cKDTree(peaks[:, :2]).query(at)
         back = cKDTree(at).query(peaks[:, :2])[1]
         kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
-        number = np.full(int(kept.sum()), other)
-        rows.append((targets.place_m[kept], speed[kept], targets.lag_s[kept], peaks[partner[kept]], number))
-    if not rows:
-        return _Pairs(
-            lidar_m=np.zeros((0, 3)),
-            velocity_m_s=np.zeros((0, 2)),
-            lag_s=np.zeros(0),
-            radar_m=np.zeros((0, 3)),
-            frame=np.zeros(0, dtype=int),
-        )
-    lidar, speed, lag, radar, frame = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return _Pairs(lidar_m=lidar, velocity_m_s=speed, lag_s=lag, radar_m=radar, frame=frame)
+    width = targets.size_m.max(axis=1, initial=0.0)
+    columns = (targets.place_m, width, speed, targets.lag_s)
+    return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
 
 
 def _polar(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
@@ -249,7 +274,7 @@ def _polar(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "
 
 def _whitened(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
     reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
-    across = np.hypot(_SIGMA_AZIMUTH_RAD, 2 * _SIGMA_FACE_M / np.maximum(reach, 1.0))
+    across = np.hypot(_SIGMA_AZIMUTH_RAD, np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m) / np.maximum(reach, 1.0))
     return _polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
 
 
@@ -260,18 +285,15 @@ def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.nd
     """
     costs = np.full(len(evidence.peaks), np.nan)
     away = (pose.vector - guess.vector) / [each.prior_sigma for each in PARAMETERS]
-    for other, peaks in enumerate(evidence.peaks):
-        index = other - pose.frames
-        if not 0 <= index < len(evidence.targets) or not len(peaks.place_m):
-            continue
-        targets = evidence.targets[index]
-        if not len(targets.place_m):
+    for row, (other, peaks) in enumerate(evidence.peaks.items()):
+        targets = evidence.targets.get(other - pose.frames)
+        if targets is None or not len(targets.place_m) or not len(peaks.place_m):
             continue
         at = _place(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
         distance, partner = cKDTree(at).query(peaks.place_m[:, :2])
         near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
         sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
-        costs[other] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())
+        costs[row] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())
     return costs + 0.5 * float(away @ away) / max(int(np.isfinite(costs).sum()), 1)
 
 
@@ -283,21 +305,13 @@ def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " fra
     return float(np.sum(blocks)) / max(spread, 1e-9)
 
 
-def _solve_height(pairs: _Pairs, guess: RadarPose) -> Solution:
-    sigma = np.hypot(0.5, np.radians(0.6) * np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]))
-    rows = partial(_heights, pairs=pairs, sigma=sigma)
-    return solve(rows, np.array([guess.z_m]), _HEIGHT, group=np.zeros(len(sigma), dtype=int))
-
-
-def _heights(value: Float[np.ndarray, " 1"], pairs: _Pairs, sigma: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 1"]:
-    return ((pairs.lidar_m[:, 2] + value[0] - pairs.radar_m[:, 2]) / sigma)[:, None]
-
-
 def _notes(
-    pose: RadarPose, solution: Solution, height: Solution, rivals: dict[int, float], pairs: _Pairs
+    pose: RadarPose, solution: Solution, rivals: dict[int, float], pairs: _Pairs, above_m: float
 ) -> tuple[str, ...]:
-    notes = [*solution.unobserved, *height.unobserved]
-    notes.append("x includes the mean range bias of the radar's echoes")
+    notes = [*solution.unobserved, "x includes the mean range bias of the radar's echoes"]
+    notes.append(
+        f"z is not observed: kept as given (one cell of elevation is 0.7 m at 40 m; echoes lie {above_m:+.1f} m off)"
+    )
     spread = float(np.percentile(pairs.velocity_m_s[:, 0], 90) - np.percentile(pairs.velocity_m_s[:, 0], 10))
     if solution.sigma[3] > 0.6 * PARAMETERS[3].prior_sigma:
         notes.append(f"x and time offset cannot be told apart here (speed spread {spread:.1f} m/s)")

@@ -31,12 +31,14 @@ class Targets:
         size_m: Extent of the whole cluster in x and y, shape (n, 2).
         lag_s: When the face was measured, after the sweep's own time, shape (n,).
         velocity: Metres a frame relative to the LiDAR, shape (n, 2); NaN where it was not seen three times.
+        track: Number of the object over the frames, shape (n,): what it gets wrong, it gets wrong in each of them.
     """
 
     place_m: Float[np.ndarray, "n 3"]
     size_m: Float[np.ndarray, "n 2"]
     lag_s: Float[np.ndarray, " n"]
     velocity: Float[np.ndarray, "n 2"]
+    track: Int[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,16 +55,32 @@ class Peaks:
 
 
 def find_targets(moments: Sequence[Moment]) -> list[Targets]:
-    """Clusters of each frame with velocities from the frames before and after."""
-    raw = [_clusters(each) for each in moments]
-    nothing = np.zeros((0, 3))
-    places = [one[0] for one in raw]
-    found = []
-    for index, (place, size, lag) in enumerate(raw):
-        before = places[index - 1] if index else nothing
-        after = places[index + 1] if index + 1 < len(raw) else nothing
-        found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=_velocities(before, place, after)))
+    """Clusters of each frame with velocities from the frames before and after, and the objects that they are of."""
+    raw = {each.number: _clusters(each) for each in moments}
+    nothing = np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0)
+    found: list[Targets] = []
+    count, last = 0, None
+    for number, (place, size, lag) in raw.items():
+        before, after = raw.get(number - 1, nothing)[0], raw.get(number + 1, nothing)[0]
+        velocity = _velocities(before, place, after)
+        track = count + np.arange(len(place))
+        if found and last == number - 1:
+            track = _continued(found[-1], place, velocity, track)
+        count, last = count + len(place), number
+        found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=velocity, track=track))
     return found
+
+
+def _continued(
+    earlier: Targets, place_m: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 2"], new: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " n"]:
+    """Numbers of the tracks that clusters go on; new ones where they come from nowhere."""
+    if not len(earlier.place_m) or not len(place_m):
+        return new
+    usual = np.nan_to_num(np.nanmedian(velocity, axis=0)) if np.isfinite(velocity).any() else np.zeros(2)
+    back = place_m[:, :2] - np.where(np.isfinite(velocity), velocity, usual)
+    distance, partner = cKDTree(earlier.place_m[:, :2]).query(back)
+    return np.where(distance < 2 * _AGREE_M, earlier.track[partner], new)
 
 
 def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
