@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.problems import Parameter
+from farfield.calibration.problems import Parameter, unobserved
 from farfield.geometry.cameras import Camera
 
 SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
@@ -250,3 +250,61 @@ def _lacking(
     """What is to be minimised: minus the mean score, and the prior's little pull."""
     score = edge_score(moved(camera, x * scale), views, level).mean()
     return float(-score + _PULL * ((x / prior) ** 2).sum())
+
+
+def edge_spread(
+    camera: Camera, views: Views, *, level: int = 2
+) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
+    """Sigma of an aligned camera from how far single frames disagree, and what the edges cannot tell.
+
+    The score's curvature H and the frames' gradients g give H^-1 cov(g) H^-1 / frames (an M-estimator's sandwich:
+    Huber, 1967). A direction along which the score does not bend, or less well known than the prior, is not observed.
+
+    Args:
+        camera: The aligned camera.
+        views: Frames; with fewer than seven the gradients' covariance has no full rank and the sigma is too small.
+        level: Scale at which the score is taken to bend.
+
+    Returns:
+        Sigma of the six values of :data:`PARAMETERS`, shape (6,), infinite where H is not definite; sentences.
+    """
+    scale = np.array([each.scale for each in PARAMETERS])
+    score = partial(_moved_score, camera=camera, views=views, level=level, scale=scale)
+    eye = np.eye(6)
+    gradient = np.stack([(score(step) - score(-step)) / 2 for step in eye], axis=1)
+    bend = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i, 6):
+            corners = [score(a * eye[i] + b * eye[j]).mean() * a * b for a in (-1, 1) for b in (-1, 1)]
+            bend[i, j] = bend[j, i] = -sum(corners) / 4
+    noise = np.atleast_2d(np.cov(gradient.T)) / max(len(gradient), 1) + 1e-12 * eye
+    information = bend @ np.linalg.inv(noise) @ bend
+    eigenvalues, vectors = np.linalg.eigh(bend)
+    flat = vectors[:, eigenvalues <= 0]
+    if flat.shape[1]:  # no maximum along these: nothing is known of them
+        kept = eye - flat @ flat.T
+        information = kept @ information @ kept
+    sentences, _ = unobserved(information, PARAMETERS)
+    if flat.shape[1]:
+        return np.full(6, np.inf), sentences
+    return np.sqrt(np.diag(np.linalg.inv(information))) * scale, sentences
+
+
+def _moved_score(
+    x: Float[np.ndarray, " 6"], camera: Camera, views: Views, level: int, scale: Float[np.ndarray, " 6"]
+) -> Float[np.ndarray, " frames"]:
+    return edge_score(moved(camera, x * scale), views, level)
+
+
+def edge_residual_px(camera: Camera, views: Views, *, reach_px: int = 6) -> Float[np.ndarray, " n"]:
+    """How far from each LiDAR edge the picture's strongest gradient across it lies, signed, shape (n,), in pixels.
+
+    Only where that gradient is three times the usual one; within ``reach_px`` to each side.
+    """
+    pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
+    pixels = np.nan_to_num(pixels, nan=-1e6)
+    steps = np.arange(-reach_px, reach_px + 0.5, 0.5)
+    across = np.eye(2)[views.axis]
+    found = np.stack([_sampled(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
+    clear = found.max(axis=0) > 3.0
+    return steps[np.argmax(found, axis=0)][clear]

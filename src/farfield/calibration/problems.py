@@ -180,14 +180,30 @@ def _spread(
     blocks += inverse @ np.diag(factor**2 / prior**2) @ inverse  # what the prior itself may be off
     diagonal = np.sqrt(np.maximum(np.diag(blocks), np.diag(plain)) / np.diag(plain))
     covariance = plain * np.outer(diagonal, diagonal)
-    eigenvalues, vectors = np.linalg.eigh(fisher / factor)
+    return covariance, *unobserved(fisher / factor, parameters)
+
+
+def unobserved(
+    information: Float[np.ndarray, "k k"], parameters: Sequence[Parameter]
+) -> tuple[tuple[str, ...], Float[np.ndarray, " k"]]:
+    """Name the directions that the data tell less well than the prior does.
+
+    Args:
+        information: Inverse covariance of the data alone, in steps of the parameters' scales; need not be definite.
+        parameters: What its rows are.
+
+    Returns:
+        A sentence a direction, and the roots of the eigenvalues, weakest first.
+    """
+    prior = np.array([each.prior_sigma / each.scale for each in parameters])
+    eigenvalues, vectors = np.linalg.eigh(information)
     roots = np.sqrt(np.maximum(eigenvalues, 0.0))
     named = [
         _sentence(vector, parameters)
         for root, vector in zip(roots, vectors.T, strict=True)
         if root**2 < float(vector @ (vector / prior**2))
     ]
-    return covariance, tuple(named), roots
+    return tuple(named), roots
 
 
 def _sentence(vector: Float[np.ndarray, " k"], parameters: Sequence[Parameter]) -> str:
