@@ -92,7 +92,9 @@ def bird_map(
     return grid
 
 
-def _spectrum(points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None) -> Complex64[np.ndarray, "h w"]:
+def _spectrum(
+    points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
+) -> Complex64[np.ndarray, "h w"]:
     grid = ndimage.gaussian_filter(bird_map(points_m, values), _SMOOTH)
     grid -= ndimage.uniform_filter(grid, 25)  # what is slow across the map says little
     norm = float(np.linalg.norm(grid)) or 1.0

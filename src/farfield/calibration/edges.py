@@ -252,9 +252,7 @@ def _lacking(
     return float(-score + _PULL * ((x / prior) ** 2).sum())
 
 
-def edge_spread(
-    camera: Camera, views: Views, *, level: int = 2
-) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
+def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
     """Sigma of an aligned camera from how far single frames disagree, and what the edges cannot tell.
 
     The score's curvature H and the frames' gradients g give H^-1 cov(g) H^-1 / frames (an M-estimator's sandwich:

@@ -75,9 +75,7 @@ def calibrate_pairs(
     residuals = partial(_residuals, points_m=points_m, pixels=pixels, camera=start, sigma_px=sigma_px)
     solution = solve(residuals, np.zeros(len(parameters)), parameters)
     found = changed(start, solution.value)
-    return PairCalibration(
-        camera=found, solution=solution, residual_px=solution.after * sigma_px, inlier=inlier
-    )
+    return PairCalibration(camera=found, solution=solution, residual_px=solution.after * sigma_px, inlier=inlier)
 
 
 def changed(camera: Camera, value: Float[np.ndarray, " k"]) -> Camera:

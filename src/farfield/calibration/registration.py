@@ -22,7 +22,10 @@ _PLANAR = 0.05  # of the variance of a neighbourhood across its plane
 _NEAR_M = 50.0
 
 PARAMETERS = (
-    *(Parameter(name=n, unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(5.0)) for n in ("roll", "pitch", "yaw")),
+    *(
+        Parameter(name=n, unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(5.0))
+        for n in ("roll", "pitch", "yaw")
+    ),
     *(Parameter(name=n, unit="m", scale=0.01, prior_sigma=1.0) for n in ("x", "y", "z")),
 )
 
@@ -67,7 +70,9 @@ def register(
     found = np.eye(4) if start is None else start.copy()
     solution, pairs = None, 0
     for gate_m in gates_m:
-        rows = [_pairs(plane, source, found, gate_m, i) for i, (plane, source) in enumerate(zip(planes, thin, strict=True))]
+        rows = [
+            _pairs(plane, source, found, gate_m, i) for i, (plane, source) in enumerate(zip(planes, thin, strict=True))
+        ]
         point, foot, normal, frame = (np.concatenate(column) for column in zip(*rows, strict=True))
         if (pairs := len(point)) < _LEAST_POINTS:
             raise DatasetError(

@@ -24,6 +24,7 @@ VERBS = {
     "evaluate": "run a detector over a data set and score it by range",
     "track": "give detections identities and velocities over time",
     "sync": "match streams of stamps to one of them: offsets, drift, gaps",
+    "calibrate": "solve where radar, camera or a second LiDAR stands, with residuals",
     "anonymize": "cover faces in pictures, originals untouched; resumes by itself",
     "score": "score the files of any detector, without a model",
     "compare-results": "set results side by side, never two conventions in one column",
