@@ -84,7 +84,7 @@ def bird_map(
     points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
 ) -> Float[np.ndarray, "192 160"]:
     """Largest value in each cell, or 1 where there is a point; x along the first axis."""
-    index = np.floor(points_m[:, :2] / CELL_M).astype(int) + [0, _SHAPE[1] // 2]
+    index = np.floor(points_m[:, :2] / CELL_M).astype(int) + np.array([0, _SHAPE[1] // 2])
     kept = ((index >= 0) & (index < _SHAPE)).all(axis=1)
     grid = np.zeros(_SHAPE, dtype=np.float32)
     weight = np.ones(len(points_m)) if values is None else values

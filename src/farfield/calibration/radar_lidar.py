@@ -294,7 +294,7 @@ def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.nd
         if targets is None or not len(targets.place_m) or not len(peaks.place_m):
             continue
         at = _place(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
-        distance, partner = cKDTree(at).query(peaks.place_m[:, :2])
+        distance, _ = cKDTree(at).query(peaks.place_m[:, :2])
         near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
         sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
         costs[row] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())

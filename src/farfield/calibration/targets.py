@@ -126,7 +126,7 @@ def _velocities(
         return velocity
     tree = cKDTree(before[:, :2])
     candidates = []
-    for index, place in enumerate(now[:, :2]):
+    for place in now[:, :2]:
         step = after[:, :2] - place
         near = (np.abs(step[:, 0]) < _STEP_M) & (np.abs(step[:, 1]) < 1.0)
         steps = step[near]
@@ -158,7 +158,7 @@ def find_peaks(moment: Moment) -> Peaks:
     places, power = moment.echoes_m, moment.power_db
     if not len(places):
         return Peaks(place_m=np.zeros((0, 3)), power_db=np.zeros(0))
-    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], _PEAK_M)
+    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], _PEAK_M).tolist()
     top = _tops(around, power)
     linear = 10 ** (power / 10)
     means = [linear[around[i]] @ places[around[i]] / linear[around[i]].sum() for i in np.flatnonzero(top)]

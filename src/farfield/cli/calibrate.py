@@ -29,7 +29,7 @@ def run(
 
     examples:
       farfield calibrate radar-lidar K-Radar --sequence 3
-      farfield calibrate radar-lidar K-Radar --sequence 3 --x -2.0 --y 0 --save K-Radar/3/info_calib/calib_radar_lidar.txt
+      farfield calibrate radar-lidar K-Radar --x -2 --y 0 --save K-Radar/1/info_calib/calib_radar_lidar.txt
       farfield calibrate lidar-camera kitti --frames 20
       farfield calibrate lidar-camera K-Radar --camera cam-front --pairs picks.csv --save calibration.json
       farfield calibrate lidar-lidar K-Radar --lidars os2-64 os1-128 --frames 3

@@ -53,7 +53,7 @@ def _above(
     image = np.zeros((*(_SCALE * np.array(power.shape)), 3), dtype=np.uint8)
     image[..., 2] = np.kron(255 * power, np.ones((_SCALE, _SCALE))).astype(np.uint8)
     image[..., 1] = image[..., 2] // 2
-    cell = np.floor(at * _SCALE / 0.4).astype(int) + [0, image.shape[1] // 2]
+    cell = np.floor(at * _SCALE / 0.4).astype(int) + np.array([0, image.shape[1] // 2])
     inside = ((cell >= 0) & (cell < image.shape[:2])).all(axis=1)
     image[cell[inside, 0], cell[inside, 1]] = ink
     return image[::-1, ::-1].copy()  # ahead is up, left is left
