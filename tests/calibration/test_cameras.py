@@ -34,12 +34,8 @@ def scene(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     _, grey = cast(rays, boards, transform_points(invert(CAMERA.camera_T_lidar), np.zeros((1, 3)))[0])
     azimuth, ring = np.meshgrid(np.radians(np.arange(-50, 50, 0.18)), np.arange(64))
     elevation = np.radians(-22.5 + 45 * ring / 63)
-    shots = np.column_stack(
-        [
-            a.ravel()
-            for a in (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
-        ]
-    )
+    flat = np.cos(elevation)
+    shots = np.column_stack([a.ravel() for a in (flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation))])
     reach, _ = cast(shots, boards, np.zeros(3))
     return np.repeat(grey.reshape(360, 640, 1), 3, 2).astype(np.uint8), shots * reach[:, None], ring.ravel()
 
@@ -77,12 +73,8 @@ def test_a_jump_is_an_edge_and_a_slope_is_none() -> None:
     azimuth, ring = np.meshgrid(np.radians(np.arange(-20, 20, 0.18)), np.arange(-20, -2))
     down = np.radians(-ring * 0.7)
     reach = 1.7 / np.sin(down)
-    ground = np.column_stack(
-        [
-            a.ravel()
-            for a in (reach * np.cos(down) * np.cos(azimuth), reach * np.cos(down) * np.sin(azimuth), -1.7 + 0 * down)
-        ]
-    )
+    flat = reach * np.cos(down)
+    ground = np.column_stack([a.ravel() for a in (flat * np.cos(azimuth), flat * np.sin(azimuth), -1.7 + 0 * down)])
     found = lidar_edges(ground, ring.ravel() + 20)
     assert len(found.upright_m) == 0
     assert len(found.level_m) == 0

@@ -118,7 +118,7 @@ def _jumps(
 
 def image_edges(
     image: Shaped[np.ndarray, "height width ..."], sigma_px: float
-) -> Float16[np.ndarray, "2 height width"]:
+) -> Float16[np.ndarray, "2 rows columns"]:
     """Gradient across and down, blurred, each in units of its mean; shape (2, height, width).
 
     At coarse scales every second pixel only.

@@ -184,5 +184,5 @@ def read_pairs(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, 
     head, _, rest = read_bytes(path, max_bytes=_MAX_PAIRS_BYTES).partition(b"\n")
     if head.decode("utf-8", errors="replace").strip() != _PAIRS_HEADER:
         raise FileFormatError(path, where="line 1", expected=_PAIRS_HEADER, found=repr(head[:80]))
-    columns = parse_table(rest, dtypes=[np.dtype(np.float64)] * 5, separator=",", path=path, line=2)
+    columns = parse_table(rest.rstrip(), dtypes=[np.dtype(np.float64)] * 5, separator=",", path=path, line=2)
     return np.column_stack(columns[:3]), np.column_stack(columns[3:])
