@@ -73,7 +73,7 @@ def test_maps_find_the_shift() -> None:
 
 
 def test_targets_have_velocities_and_keep_their_numbers() -> None:
-    targets = find_targets(road(np.random.default_rng(4), 3))
+    targets = find_targets(road(np.random.default_rng(4), 8))
     known = np.isfinite(targets[1].velocity[:, 0])
     assert known.mean() > 0.5
     speeds = targets[1].velocity[known, 0] * 10

@@ -204,7 +204,7 @@ def edge_score(camera: Camera, views: Views, level: int = -1) -> Float[np.ndarra
     """Weighted mean strength of the picture's edges under the LiDAR's, 1 for edges that fall anywhere, each frame."""
     pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
     found = _sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
-    return np.bincount(views.frame, weights=found * views.weight, minlength=views.count)
+    return np.bincount(views.frame, weights=found * views.weight, minlength=views.count).astype(np.float64)
 
 
 def _sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:

@@ -30,6 +30,7 @@ _GLINT = 0.25  # of an object's width: by how much its brightest point is off it
 _BLOCK = 4  # neighbouring frames see the same objects
 _CLEAR = 2.0
 _LOOSE_S = 0.3
+_SAME_M = 0.25  # a frame
 _SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
@@ -237,10 +238,15 @@ def _place(
 
 
 def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
-    """Velocities; where they are not known, the usual one of the frame."""
+    """Velocities; where they are not known, or differ by noise only, the usual one of the frame.
+
+    Noise in velocities would pose as a spread of speeds and claim to tell x from the time offset.
+    """
     known = np.isfinite(targets.velocity[:, 0])
     usual = np.median(targets.velocity[known], axis=0) if known.any() else np.zeros(2)
-    return np.where(known[:, None], targets.velocity, usual) / period_s
+    with np.errstate(invalid="ignore"):
+        own = np.linalg.norm(targets.velocity - usual, axis=1) > _SAME_M
+    return np.where((known & own)[:, None], targets.velocity, usual) / period_s
 
 
 def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:

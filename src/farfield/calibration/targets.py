@@ -4,7 +4,7 @@ Near faces are used on both sides: the centre of a car would move x by half its 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,6 +20,8 @@ _FACE_M = 0.6
 _STEP_M = 8.0
 _AGREE_M = 0.45
 _PEAK_M = 0.9
+_LEAST_STEPS = 4
+_UNEVEN_M = 0.15  # a frame
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,7 +70,21 @@ def find_targets(moments: Sequence[Moment]) -> list[Targets]:
             track = _continued(found[-1], place, velocity, track)
         count, last = count + len(place), number
         found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=velocity, track=track))
-    return found
+    return _steadied(found, count)
+
+
+def _steadied(found: list[Targets], count: int) -> list[Targets]:
+    """Each object's median velocity; NaN where it was seen less than four times or not evenly: a wrong partner."""
+    seen: list[list[np.ndarray]] = [[] for _ in range(count)]
+    for each in found:
+        for track, velocity in zip(each.track, each.velocity, strict=True):
+            if np.isfinite(velocity[0]):
+                seen[track].append(velocity)
+    steady = np.full((count, 2), np.nan)
+    for track, steps in enumerate(seen):
+        if len(steps) >= _LEAST_STEPS and np.std(steps, axis=0).max() < _UNEVEN_M:
+            steady[track] = np.median(steps, axis=0)
+    return [replace(each, velocity=steady[each.track]) for each in found]
 
 
 def _continued(
