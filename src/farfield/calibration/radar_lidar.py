@@ -160,6 +160,8 @@ def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.
             f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer in "
             f"{len(evidence.moments)} frames. Take more frames, a busier road, or a nearer start."
         )
+    most = max(len(pairs.track) for _, pairs, _ in tried)
+    tried = [each for each in tried if 2 * len(each[1].track) >= most]  # few matches fit anything
     costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
     order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
     best = int(order[0])
