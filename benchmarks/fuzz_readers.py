@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _fuzz_exchange import exchange_targets
 from _fuzz_radar import radar_targets
 from _fuzz_time import time_targets
 from PIL import Image
@@ -33,7 +34,7 @@ from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
 from farfield.datasets.cirrus.mapping import Labels
 from farfield.errors import FarfieldError
-from farfield.files import boxes_csv, clouds, images, kitti, pcd, xyz
+from farfield.files import boxes_csv, clouds, depth_png, images, kitti, pcd, xyz
 from farfield.files.atomic import write_text
 
 LIMIT_S, LIMIT_BYTES = 2.0, 1 << 30
@@ -171,6 +172,7 @@ def targets(folder: Path) -> dict[str, Target]:
     calib = "P2: " + " ".join(["7.2e+02"] * 12) + "\nR0_rect: " + " ".join(["1.0"] * 9) + "\n"
     detection = "0,2,296.7,161.8,452.3,292.9,12.2,1.51,1.69,4.09,-5.85,1.77,13.02,-1.6,-1.2"
     table = "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score\n" + "a,000001,vehicle,1.5,2,3,4,2,1.5,-0.3,0.9\n" * 8
+    more = exchange_targets() | radar_targets(folder) | time_targets(folder)
     return {
         "xyz": Target(".xyz", xyz.read_xyz, xyz_seeds(folder, rows), finite_rows, xyz_seeds(folder, many)),
         "pcd": Target(".pcd", pcd.read_pcd, pcd_seeds(folder, rows), equal_lengths, pcd_seeds(folder, many)),
@@ -178,6 +180,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "ffcloud": Target(".ffcloud", clouds.read_cache, cache_seeds(folder, rows)),
         "images": Target(".jpg", images.read_image, image_seeds(folder, rng), rgb),
         "upright images": Target(".jpg", partial(images.read_image, upright=True), exif_seeds(rng), rgb),
+        "depth png": Target(".png", depth_png.read_depth, depth_seeds(folder, rng), depths),
         "kitti calib": Target(".txt", kitti.read_calib, (calib.encode(),)),
         "kitti label": Target(".txt", kitti.read_labels, ((f"{label}\n" * 6).encode(),)),
         "kitti tracking": Target(".txt", kitti.read_tracking, ((f"3 {track}\n" * 6).encode(),)),
@@ -186,7 +189,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "cirrus json": Target(".json", read_cirrus, cirrus_seeds(rng)),
         **{
             name: Target(suffix, read, seeds, valid, hostile=hostile)
-            for name, (suffix, read, seeds, valid, hostile) in (radar_targets(folder) | time_targets(folder)).items()
+            for name, (suffix, read, seeds, valid, hostile) in more.items()
         },
     }
 
@@ -214,6 +217,20 @@ def pcd_seeds(folder: Path, rows: np.ndarray) -> tuple[bytes, ...]:
 def cache_seeds(folder: Path, rows: np.ndarray) -> tuple[bytes, ...]:
     clouds.write_cache(folder / "a.ffcloud", {"points_m": np.float32(rows[:, :3]), "mask": rows[:, 3] > 0})
     return ((folder / "a.ffcloud").read_bytes(),)
+
+
+def depth_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:
+    depth = np.repeat(rng.uniform(1, 300, (12, 16)).astype(np.float32), 3, axis=0)
+    depth[:5] = np.nan
+    for scale in (256, 128):
+        depth_png.write_depth(folder / f"{scale}.png", depth, scale=scale, notes={"method": "rings"})
+    return tuple((folder / f"{scale}.png").read_bytes() for scale in (256, 128))
+
+
+def depths(found: depth_png.DepthImage) -> bool:
+    """Every depth is positive or there is none, and the scale is one that files have."""
+    depth = found.depth_m
+    return depth.ndim == 2 and 1 <= found.scale <= 65535 and bool(((depth > 0) | np.isnan(depth)).all())
 
 
 def image_seeds(folder: Path, rng: np.random.Generator) -> tuple[bytes, ...]:

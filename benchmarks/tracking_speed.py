@@ -5,10 +5,10 @@ Several drives run as one batch, one frame of each a step. Reading and writing a
     python benchmarks/tracking_speed.py
 """
 
-import platform
 import time
 
 import numpy as np
+from _report import header
 from jaxtyping import Float
 
 from farfield.tracking import PRESETS
@@ -44,7 +44,8 @@ def frames(drives: int, rng: np.random.Generator) -> list[Seen]:
 
 def main() -> None:
     """Print frames a CPU second by preset and number of drives."""
-    print(f"{platform.processor() or platform.machine()}, numpy {np.__version__}, one thread; {TRACKS} cars a frame")
+    print(header())
+    print(f"one thread; {TRACKS} cars a frame")
     for name in ("ab3dmot-paper", "default", "centerpoint", "ab3dmot"):
         for drives in (1, 10, 50):
             steps = frames(drives, np.random.default_rng(0))

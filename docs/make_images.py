@@ -1,9 +1,11 @@
-"""Draw the pictures of the README: ``python docs/make_images.py`` (with --plain, without a detector)."""
+"""Draw the pictures of README and docs: ``python docs/make_images.py`` (with --plain, without a detector)."""
 
 import sys
 from pathlib import Path
 
 import farfield as ff
+from farfield.imaging.depth import frame_depth
+from farfield.reports.depth_picture import depth_picture
 from farfield.reports.figures import WINDOW_M, overview
 from farfield.reports.objects import VEHICLES, sure
 from farfield.reports.plots import scan_patterns
@@ -23,7 +25,10 @@ def main() -> None:
     figure = overview(cloud, annotated=frame.boxes, predicted=predicted, labels=VEHICLES, window_m=WINDOW_M)
     (IMAGES / "birdseye.png").write_bytes(figure_bytes(figure, "png", dpi=110))
     (IMAGES / "patterns.png").write_bytes(figure_bytes(scan_patterns(dict(frame.clouds)), "png", dpi=100))
-    for path in sorted(IMAGES.glob("*.png")):
+    (street,) = simulate_sequence("kitti-sim", sequence=2, frames=1, start=5, sensors=("lidar", "camera"))
+    picture = depth_picture(frame_depth(street), street.images["camera"])
+    (IMAGES / "depth.jpg").write_bytes(figure_bytes(picture, "jpg", dpi=100))
+    for path in sorted(IMAGES.glob("*.*g")):
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 

@@ -15,7 +15,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LIMIT = 25_000_000
-DATA = (".safetensors", ".html", ".css", ".json", ".yaml", ".typed")
+DATA = (".safetensors", ".html", ".css", ".js", ".json", ".yaml", ".typed")
+SAMPLES = (".xyz", ".pcd", ".h5", ".png", ".jpg", ".txt", ".yml")
 
 CHECK = """
 from importlib.resources import files
@@ -32,6 +33,11 @@ assert all((files("farfield.simulation") / f"{name}.json").is_file() for name in
 from farfield.experiments.catalogue import find, names
 assert len(names()) >= 24 and find("pointpillars-cirrus-sim").is_relative_to(home), "no experiments"
 assert list(home.glob("detectors/weights_data/*.safetensors")), "no weights"
+from farfield.studio.samples import open_samples
+samples = open_samples()
+assert samples.root.is_relative_to(home) and [len(frame.boxes) > 5 for frame in samples] == [True, True], "no samples"
+assert all(len(frame.cloud()) > 1000 and frame.images for frame in samples), "samples without clouds or pictures"
+assert (files("farfield.studio") / "static" / "studio.js").is_file(), "no page of the studio"
 """
 
 
@@ -82,7 +88,9 @@ def test_wheel_holds_everything_and_works_elsewhere(wheel: Path, tmp_path: Path)
     with zipfile.ZipFile(wheel) as archive:
         inside = set(archive.namelist())
         archive.extractall(installed)
-    wanted = {str(p.relative_to(ROOT / "src")) for p in (ROOT / "src" / "farfield").rglob("*") if p.suffix in DATA}
+    wanted = {
+        str(p.relative_to(ROOT / "src")) for p in (ROOT / "src" / "farfield").rglob("*") if p.suffix in DATA + SAMPLES
+    }
     assert wanted <= inside
     size = wheel.stat().st_size
     assert size < LIMIT, f"{size:,} bytes, at most {LIMIT:,}. The largest parts, compressed:\n{_largest(wheel)}"

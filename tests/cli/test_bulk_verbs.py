@@ -66,7 +66,7 @@ class Verb:
         out: The name of what it writes.
         prints: It prints into that instead.
         beside: It writes beside its frames: OUT is a copy of them.
-        journal: It keeps a journal while it works.
+        journal: It keeps a journal for longer than a moment while it works.
     """
 
     line: str
@@ -93,7 +93,7 @@ VERBS = {
     "simulate": Verb("simulate cirrus-sim-mini OUT --frames 8 --sequences 2 --sensors gaussian,uniform --cache"),
     "convert-kitti": Verb("convert DATA OUT --to kitti"),
     "convert-cirrus": Verb("convert DATA OUT --to cirrus"),
-    "convert-boxes-csv": Verb("convert DATA OUT --to boxes-csv", data="many"),
+    "convert-boxes-csv": reading("convert DATA OUT --to boxes-csv"),
     "convert-radar-store": Verb("convert DATA OUT --to radar-store", data="radar"),
     "convert-cache": reading("convert OUT --to cache", beside=True),
     "predict": Verb("predict pointpillars-cirrus-sim DATA --out OUT --cloud gaussian", out="boxes.csv"),

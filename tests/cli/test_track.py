@@ -76,12 +76,30 @@ def test_csv_and_nuscenes_hold_identities_and_velocities(drives: Path) -> None:
     assert first["velocity"][0] == pytest.approx(4.0, abs=0.5)
 
 
+def test_options_by_name_and_tracks_joined_afterwards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A car that is hidden for 2 s: two tracks, or one; with an option by name it lives on."""
+    lines = ["frame,label,x,y,z,l,w,h,yaw_rad,score"]
+    lines += [f"{frame},Car,{20 + frame},0,0,4,2,1.5,0,0.95" for frame in range(50) if not 20 <= frame < 40]
+    found, out = tmp_path / "found.csv", tmp_path / "out.csv"
+    found.write_text("\n".join(lines) + "\n")
+    for extra, said in (
+        ([], "default, online: 2 tracks"),
+        (["--join-s", "5"], "default, offline (joined): 1 tracks"),
+        (["--join-s", "1"], "default, offline (joined): 2 tracks"),
+        (["-o", "max_age_s=3", "-o", "gate=4"], "default, online: 1 tracks"),
+    ):
+        assert cli.main(["track", str(found), "--out", str(out), *extra]) == 0
+        assert said in capsys.readouterr().out
+    assert cli.main(["track", str(found), "--out", str(out), "-o", "age=3"]) == 1
+    assert "expected options among" in capsys.readouterr().err
+
+
 def test_what_cannot_be_is_said(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["track", str(drives / "nowhere"), "--out", "x"]) == 1
     assert "found nothing there" in capsys.readouterr().err
     arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "sort", "--out", str(drives / "x")]
     assert cli.main(["track", *arguments]) == 1
-    assert "preset: expected one of default, offline, ab3dmot" in capsys.readouterr().err
+    assert "preset: expected one of default, offline, unposed, ab3dmot" in capsys.readouterr().err
     scored = ["score", str(drives / "found"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
     assert cli.main([*scored, "--protocol", "tracking"]) == 1
     assert "farfield track" in capsys.readouterr().err

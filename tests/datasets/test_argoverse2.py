@@ -5,7 +5,7 @@ import pytest
 
 from farfield.datasets import open_dataset
 from farfield.datasets.argoverse2 import Argoverse2, read_feather
-from farfield.errors import FileFormatError, MissingExtraError
+from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.geometry.points import count_points_in_boxes
 
 pytest.importorskip("pyarrow")
@@ -69,3 +69,27 @@ def test_the_missing_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingExtraError, match=r"farfield\[argoverse2\]"):
         read_feather(tmp_path / "any.feather", [])
+
+
+def test_a_log_of_annotations_alone_opens_without_the_measuring_car(shared_real):
+    root = shared_real / "argoverse2_tracks"
+    data = open_dataset(root)
+    assert data.name == "argoverse2"
+    assert len(data) == 157
+    (drive,) = data.drives()
+    assert np.diff(drive.times_ns).min() > 9e7
+    assert drive.world_T_frame.shape == (157, 4, 4)
+    frame = data[0]
+    assert not frame.clouds
+    assert frame.time_ns == drive.times_ns[0] == int(frame.frame_id)
+    annotations = [data.annotation(index) for index in range(157)]
+    names = {name for annotation in annotations for name in annotation.original_label}
+    assert "EGO_VEHICLE" not in names
+    ranges = np.concatenate([annotation.boxes.range_m for annotation in annotations])
+    assert ((ranges > 150).sum(), round(ranges.max())) == (1012, 203)
+    assert data.files(0) == [next(root.glob("*/annotations_with_ego.feather"))]
+
+
+def test_a_folder_without_sweeps_and_annotations_is_refused(tmp_path):
+    with pytest.raises(DatasetError, match="annotations"):
+        Argoverse2(tmp_path)

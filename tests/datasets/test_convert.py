@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from street import street_frame
 
+from farfield.bulk import run
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
-from farfield.datasets.cloud_files import cache_path
+from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path
 from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.store import JOURNAL_NAME
 from farfield.errors import ConfigError, DatasetError, FileFormatError
@@ -63,7 +64,7 @@ def test_a_changed_source_is_converted_again(street_root, tmp_path):
     assert "trailer" in read_boxes_csv(tmp_path / "out/segment_00.csv").label
 
 
-@pytest.mark.parametrize("to", ["kitti", "cirrus", "boxes-csv"])
+@pytest.mark.parametrize("to", ["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat"])
 def test_what_was_written_can_be_verified_byte_by_byte(to, street_root, tmp_path, capsys):
     command = ["convert", str(street_root), str(tmp_path / to), "--to", to]
     assert main([*command, "--workers", "1"]) == 0
@@ -126,6 +127,18 @@ def test_boxes_csv_holds_velocities_where_a_frame_knows_them(tmp_path):
 def test_full_boxes_can_be_asked_for(street_root, tmp_path):
     with pytest.raises(DatasetError, match="full_boxes"):
         convert(open_dataset(street_root), tmp_path / "x.csv", to="boxes-csv", boxes="full_boxes")
+
+
+def dying(work, units, bulk):
+    done = run(work, units, bulk)
+    (units[0].parameters[0] / CACHE_FOLDER / ".a.xyz.ffcloud.0123456789ab.part").write_bytes(b"half")
+    return done
+
+
+def test_what_a_killed_worker_left_of_a_cache_is_swept_out(street_root, monkeypatch):
+    monkeypatch.setattr("farfield.recording.convert.run", dying)
+    assert convert(open_dataset(street_root), to="cache").written == 3
+    assert not list(street_root.rglob("*.part"))
 
 
 def test_cache_is_written_once_and_read(street_root):

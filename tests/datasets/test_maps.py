@@ -61,7 +61,9 @@ def test_a_map_is_its_name_and_settings(function):
 
 
 def test_unknown_maps_and_settings_are_errors():
-    with pytest.raises(ConfigError, match="coordinates, labels_at, move, radar_view, sweeps; got 'mirror'"):
+    with pytest.raises(
+        ConfigError, match="coordinates, edited, labels_at, move, posed, radar_view, sweeps; got 'mirror'"
+    ):
         make("mirror", {})
     with pytest.raises(ConfigError, match=r"map 'sweeps': number: Extra inputs.*settings count"):
         make("sweeps", {"count": 2, "number": 2})

@@ -2,44 +2,25 @@
 
 import json
 
-import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
-from metrics.scenes import random_scene
+from metrics.scenes import better_on
 
 from farfield.experiments.reproduce.grid import Score
 from farfield.experiments.reproduce.scenarios import scenarios_of
-from farfield.frame.annotation import Annotation
-from farfield.metrics import Detections
 from farfield.reports.reproduction_scenarios import scenarios
 
 SCORE = Score(protocol="dds", settings={"region": "none"}, bins_m={"I": {"near": (0.0, 60.0), "far": (60.0, 120.0)}})
 
 
-def seen(good_on: str, seed: int) -> Detections:
-    """Twelve drives, every other one in town; the boxes are right on one kind of road and 3 m off on the other."""
-    predictions, annotations = random_scene(np.random.default_rng(0), frames=24, sequences=12)
-    names = sorted({key[0] for key in annotations})
-    road = {name: ("urban", "highway")[place % 2] for place, name in enumerate(names)}
-    noise = np.random.default_rng(seed)
-    boxes = {}
-    for key in predictions:
-        truth = annotations[key]
-        off = 0.05 if road[key[0]] == good_on else 3.0
-        moved = truth.centre_m + off * noise.normal(0, 1, truth.centre_m.shape)
-        boxes[key] = truth.replace(centre_m=moved, score=noise.uniform(0.2, 1, len(truth)))
-    return Detections(
-        boxes=boxes,
-        annotations={key: Annotation(boxes=each) for key, each in annotations.items()},
-        conditions={key: {"road": road[key[0]]} for key in annotations},
-    )
-
-
 @pytest.fixture(scope="module")
 def tree() -> dict:
-    runs = {"gaussian": [seen("highway", s) for s in range(3)], "uniform": [seen("urban", s) for s in range(3)]}
+    runs = {
+        "gaussian": [better_on("highway", s) for s in range(3)],
+        "uniform": [better_on("urban", s) for s in range(3)],
+    }
     return json.loads(json.dumps(scenarios_of(runs, SCORE, replicates=40)))
 
 
@@ -68,7 +49,7 @@ def test_the_page_has_it_in_words(tree: dict) -> None:
 
 
 def test_nothing_is_said_without_both_patterns_or_of_other_protocols() -> None:
-    one = {"gaussian": [seen("highway", 0)], "uniform": []}
+    one = {"gaussian": [better_on("highway", 0)], "uniform": []}
     assert scenarios_of(one, SCORE) == {}
     assert scenarios(scenarios_of(one, SCORE)) is None
     assert scenarios_of({"gaussian": [], "uniform": []}, Score(protocol="kradar")) == {}

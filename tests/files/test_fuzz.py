@@ -13,18 +13,11 @@ import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_readers.py"
 READERS = (
-    *(
-        "xyz",
-        "pcd",
-        "velodyne bin",
-        "ffcloud",
-        "images",
-        "upright images",
-        "kitti calib",
-        "kitti label",
-        "kitti tracking",
-    ),
-    *("kitti detections", "boxes csv", "cirrus json", "mat", "mat in blocks", "npy", "kradar sparse npy"),
+    *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "upright images", "depth png"),
+    *("kitti calib", "kitti label", "kitti tracking"),
+    *("kitti detections", "boxes csv", "cirrus json"),
+    *("openlabel", "sustechpoints", "datumaro", "supervisely", "tracklets"),
+    *("mat", "mat in blocks", "npy", "kradar sparse npy"),
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
     *("radar cells sealed", "delft poses", "delft labels", "radiate times", "radiate tracks", "stamps", "clock logs"),

@@ -376,3 +376,16 @@ def test_an_organised_cloud_has_pcls_eleven_header_lines(tmp_path: Path, rng: np
     assert all(back[name].dtype == fields[name].dtype and (back[name] == fields[name]).all() for name in fields)
     with pytest.raises(ValueError, match="a height that divides 12 points, got 5"):
         write_pcd(tmp_path / "b.pcd", fields, height=5)
+
+
+def test_padding_of_no_bytes_is_passed_over(tmp_path):
+    """SUSTechPOINTS' sample names a padding field with COUNT 0."""
+    head = (
+        b"VERSION 0.7\nFIELDS x _ y _ z\nSIZE 4 1 4 1 4\nTYPE F U F U F\nCOUNT 1 0 1 2 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n"
+    )
+    path = tmp_path / "a.pcd"
+    path.write_bytes(head + b"DATA binary\n" + np.float32([1, 2]).tobytes() + b"\xff\xff" + np.float32([3]).tobytes())
+    assert {name: values.tolist() for name, values in read_pcd(path).items()} == {"x": [1], "y": [2], "z": [3]}
+    path.write_bytes(path.read_bytes().replace(b"COUNT 1 0 1", b"COUNT 0 1 1"))
+    with pytest.raises(FileFormatError, match="COUNT"):
+        read_pcd(path)

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from farfield.frame.annotation import Annotation
 from farfield.geometry.boxes import Boxes
+from farfield.metrics import Detections
 from farfield.metrics.bootstrap import Bootstrap
 
 NO_BOOTSTRAP = Bootstrap(replicates=0)
@@ -59,3 +61,22 @@ def random_scene(rng: np.random.Generator, *, frames: int = 12, sequences: int =
 def as_predictions(annotations: ByFrame) -> ByFrame:
     """The annotated boxes as if a detector had found them, all with one score."""
     return {key: part.replace(score=np.ones(len(part))) for key, part in annotations.items()}
+
+
+def better_on(good_on: str, seed: int = 0) -> Detections:
+    """Twelve drives, every other one in town; the boxes are right on one kind of road and 3 m off on the other."""
+    predictions, annotations = random_scene(np.random.default_rng(0), frames=24, sequences=12)
+    names = sorted({key[0] for key in annotations})
+    road = {name: ("urban", "highway")[place % 2] for place, name in enumerate(names)}
+    noise = np.random.default_rng(seed)
+    boxes = {}
+    for key in predictions:
+        truth = annotations[key]
+        off = 0.05 if road[key[0]] == good_on else 3.0
+        moved = truth.centre_m + off * noise.normal(0, 1, truth.centre_m.shape)
+        boxes[key] = truth.replace(centre_m=moved, score=noise.uniform(0.2, 1, len(truth)))
+    return Detections(
+        boxes=boxes,
+        annotations={key: Annotation(boxes=each) for key, each in annotations.items()},
+        conditions={key: {"road": road[key[0]]} for key in annotations},
+    )

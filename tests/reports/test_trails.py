@@ -28,5 +28,13 @@ def test_a_standing_car_is_a_point_in_the_world_and_a_line_without_poses() -> No
     world = Detections(boxes=boxes, annotations={}, drives=(drive,))
     np.testing.assert_allclose(trails_of(world)["a"][4], np.tile([50.0, 2.0], (11, 1)))
     np.testing.assert_allclose(trails_of(plain)["a"][4][:, 0], 50.0 - np.arange(11))
-    assert [line.get_label() for line in trails_picture(world).axes[0].lines][-1] == "sensor"
+    axes = trails_picture(world).axes[0]
+    path = next(line for line in axes.lines if line.get_label() == "sensor")
+    np.testing.assert_allclose(path.get_xdata(), np.arange(11))
+    assert axes.lines[0].get_marker() == "s"
+    assert trails_picture(plain).axes[0].lines[0].get_marker() == "None"
+    assert [text.get_text() for text in axes.get_legend().get_texts()][:2] == [
+        "the sensor's path",
+        "sensor at the start",
+    ]
     assert trails_picture(plain).axes[0].get_title(loc="left") == "a: 1 tracks, 11 frames"

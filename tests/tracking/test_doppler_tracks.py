@@ -9,7 +9,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import TrackerSettings, track
-from farfield.tracking.doppler import covariance, update_doppler
+from farfield.tracking.doppler import covariance, radial_gaps, update_doppler
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.kalman import Tracks
 
@@ -166,3 +166,49 @@ def test_a_standing_car_seen_by_a_moving_radar_stands() -> None:
     bad = {key: {"doppler_m_s": np.zeros(3)} for key in boxes}
     with pytest.raises(ConfigError, match=r"doppler_m_s of predictions: expected shape \(1,\), got \(3,\)"):
         track(Detections(boxes=boxes, annotations={}, prediction_details=bad))
+
+
+def test_pairs_of_other_radial_velocities_are_not_taken() -> None:
+    """Two cars pass each other 150 m away, 1.5 m apart: their places alone do not tell them from each other."""
+    settings = {
+        "range_sigma_m": 0.3,
+        "azimuth_sigma_rad": float(np.radians(0.5)),
+        "min_hits": 1,
+        "across_speed_m_s": 3.0,
+    }
+    switched = []
+    for with_doppler in (True, False):
+        rng = np.random.default_rng(3)
+        boxes, details = {}, {}
+        for frame in range(30):
+            x = np.array([135.0 + frame, 165.0 - frame])
+            place = np.column_stack([x, [0.0, 1.5], [0, 0]]) + np.column_stack(
+                [rng.normal(0, 0.3, 2), rng.normal(0, 1.3, 2), np.zeros(2)]
+            )
+            key = ("a", f"{frame:03d}")
+            boxes[key] = Boxes(
+                centre_m=place, size_m=np.tile([4, 2, 1.5], (2, 1)), yaw_rad=np.zeros(2), label="car", score=np.ones(2)
+            )
+            details[key] = {"doppler_m_s": np.array([10.0, -10.0])} if with_doppler else {}
+        followed = track(Detections(boxes=boxes, annotations={}, prediction_details=details), **settings)
+        ids = [tuple(part.track_id[np.argsort(part.velocity_m_s[:, 0])].tolist()) for part in followed.boxes.values()]
+        whole = [each for each in ids if len(each) == 2]
+        switched.append(len(whole) < 30 or len({*whole[3:]}) > 1)
+    assert switched[0] is False
+
+
+def test_radial_gaps_are_wrapped_and_unknown_ones_pass() -> None:
+    engine = Engine(RADAR, drives=3, labels=("car",), doppler=True)
+    place = np.array([[100.0, 0], [100, 0], [100, 0]])
+    engine.step(seen(place, np.array([5.0, 5.0, 5.0])), np.zeros(3), np.ones(3, dtype=bool))
+    tracks, rows = engine.tracks, np.arange(3)
+    tracks.vv[:] = 0.01
+    radial = np.column_stack([np.tile([1.0, 0, 0, 0, 0, 0], (3, 1)), [5.0, 5.0 + SPAN, np.nan]])
+    plain = radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1)
+    assert plain[0] == pytest.approx(0.0, abs=0.5)
+    assert plain[1] > 20
+    assert plain[2] == 0.0
+    wrapped = radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1, span_m_s=SPAN)
+    assert wrapped[1] == pytest.approx(plain[0], abs=1e-6)
+    tracks.vv[:] = 100.0
+    assert (radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1, span_m_s=SPAN) == 0).all()

@@ -1,5 +1,8 @@
 """The tracker: its filter and overlaps against plain forms, births and deaths, presets, order of detections."""
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -12,7 +15,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
-from farfield.tracking import PRESETS, TrackerSettings, track
+from farfield.tracking import PRESETS, TrackerSettings, track, with_options
 from farfield.tracking.association import associate
 from farfield.tracking.engine import Engine, Seen
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
@@ -75,23 +78,37 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
         np.testing.assert_array_equal(rows, np.flatnonzero(iou_3d(a, b, generalised=True) >= least))
 
 
-def test_the_assignment_by_bounds_is_that_of_all_pairs() -> None:
+@pytest.mark.parametrize("gate", [-1.0, -0.2, 0.3])
+def test_the_assignment_by_bounds_is_that_of_all_pairs(gate: float) -> None:
     rng = np.random.default_rng(8)
-    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9)):
-        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(3)]
-        a, b, worth = best_whole(
-            np.concatenate([one for one, _ in parts]),
-            np.repeat(np.arange(3), n),
-            np.concatenate([other for _, other in parts]),
-            np.repeat(np.arange(3), m),
-            4,
-        )
-        for drive, (one, other) in enumerate(parts):
+    for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9), (30.0, 0, 3)):
+        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(20)]
+        of_tracks, of_seen = (np.concatenate([part[side] for part in parts]) for side in (0, 1))
+        # Half of the detections are the tracks' own, as in a drive, so that most pairs are plain.
+        own = slice(0, min(n, m) * 10)
+        of_seen[own, :2] = of_tracks[own, :2] + rng.normal(0, 0.3, (min(n, m) * 10, 2))
+        drive = np.repeat(np.arange(20), n), np.repeat(np.arange(20), m)
+        a, b = best_whole(of_tracks, drive[0], of_seen, drive[1], 21, np.full(20 * m, gate))
+        for place in range(20):
+            one, other = of_tracks[drive[0] == place], of_seen[drive[1] == place]
             whole = iou_3d(np.repeat(one, m, axis=0), np.tile(other, (n, 1)), generalised=True).reshape(n, m)
             wanted = linear_sum_assignment(whole, maximize=True)
-            here = a // n == drive
-            np.testing.assert_array_equal(np.stack([a[here] - drive * n, b[here] - drive * m]), np.stack(wanted))
-            np.testing.assert_array_equal(worth[here], whole[wanted])
+            kept = whole[wanted] >= gate
+            here = drive[0][a] == place
+            found = sorted(zip((a[here] - place * n).tolist(), (b[here] - place * m).tolist(), strict=True))
+            assert found == list(zip(wanted[0][kept].tolist(), wanted[1][kept].tolist(), strict=True))
+
+
+def test_many_drives_are_assigned_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(9)
+    rows, others = rows_of(random_boxes(rng, 60, 20.0)), rows_of(random_boxes(rng, 60, 20.0))
+    drive, gate = np.repeat(np.arange(6), 10), np.full(60, -1.0)
+    whole = best_whole(rows, drive, others, drive, 6, gate)
+    monkeypatch.setattr("farfield.tracking.whole._MOST_CELLS", 200)
+    pieces = best_whole(rows, drive, others, drive, 6, gate)
+    assert sorted(zip(*map(np.ndarray.tolist, whole), strict=True)) == sorted(
+        zip(*map(np.ndarray.tolist, pieces), strict=True)
+    )
 
 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:
@@ -256,6 +273,41 @@ def test_births_and_deaths_are_others_far_away() -> None:
     far = {"far_m": 100.0, "far_min_hits": 4, "far_max_age": 5, "max_age": 2, "warm_up": 0, "sure_score": None}
     for x, wanted in ((50.0, [[], [], [0], [], [], []]), (150.0, [[], [], [], [], [], [0]])):
         assert shown_in(track(line([x, x, x, None, None, x]), **far)) == wanted
+
+
+def test_tracks_live_for_seconds_where_frames_are_not_evenly_apart() -> None:
+    """Two frames without a match: 0.2 s at 10 Hz, 2 s at 1 Hz."""
+    seen = line([5.0, 5.0, None, None, 5.0])
+    settings = {"warm_up": 0, "min_hits": 1, "sure_score": None, "max_age": 1, "gate_speed_m_s": 0.0}
+    for step_s, longest_s, same in ((0.1, 0.3, True), (1.0, 0.3, False), (1.0, 2.5, True), (0.1, 0.2, False)):
+        shown = shown_in(track(seen, step_s=step_s, max_age_s=longest_s, **settings))
+        assert shown == [[0], [0], [], [], [0 if same else 1]], (step_s, longest_s)
+    assert shown_in(track(seen, **settings))[-1] == [1]
+
+
+def test_options_are_words() -> None:
+    settings = with_options(TrackerSettings(), ["max_age_s=1.5", "gates_m={car: 3}", "similarity=giou", "gate=-0.2"])
+    assert (settings.max_age_s, settings.gates_m, settings.similarity, settings.gate) == (
+        1.5,
+        {"car": 3.0},
+        "giou",
+        -0.2,
+    )
+    for word, message in (
+        ("max_age", "of the form name=value"),
+        ("age=3", "expected options among .*max_age_s.*; got age"),
+        ("max_age=many", "max_age: .* got 'many'"),
+        ("similarity=near", "similarity: "),
+        ("min_hits=0", "min_hits: expected 1 or more"),
+        ("gates_m=[", "gates_m: expected a value as YAML writes it"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            with_options(TrackerSettings(), [word])
+
+
+def test_the_docs_name_every_option() -> None:
+    words = (Path(__file__).parents[2] / "docs" / "tracking.md").read_text()
+    assert [each.name for each in fields(TrackerSettings) if f"`{each.name}`" not in words] == []
 
 
 def test_impossible_options_are_refused() -> None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
@@ -18,7 +18,8 @@ from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.training.augmentation import Change, draw_change
-from farfield.training.config import AugmentationConfig
+from farfield.training.config import AugmentationConfig, WeatherConfig
+from farfield.training.weather import draw_laid, holding, lay_over
 
 Score = float | dict[str, float]
 """A threshold of the score: one for all classes, or one for each."""
@@ -58,6 +59,7 @@ class Strong(Settings):
     scale: float = Field(0.05, ge=0, lt=1)
     height_m: float = Field(0.0, ge=0)
     thinning: float = Field(0.3, ge=0, lt=1, description="drop up to this share of the points")
+    weather: WeatherConfig | None = Field(None, description="weather laid over the frames before they are moved")
 
     def draw(self, rng: np.random.Generator) -> Change:
         """Draw the motion of one frame."""
@@ -79,6 +81,10 @@ class Pseudo(NamedTuple):
         """The same boxes after a motion."""
         return Pseudo(change.boxes(self.sure), change.boxes(self.unsure))
 
+    def where(self, kept: Bool[np.ndarray, " n"]) -> "Pseudo":
+        """Only the sure boxes that ``kept`` names stay sure; the others are unsure, and so ignored."""
+        return Pseudo(self.sure[kept], Boxes.concatenate([self.unsure, self.sure[~kept]]))
+
 
 def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> Pseudo:
     """Part a teacher's boxes by their scores; those below ``negative`` are dropped.
@@ -92,6 +98,41 @@ def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> Pseudo:
     sure, known = (score >= levels(each, boxes.label) for each in (positive, negative))
     bare = boxes.replace(score=None)
     return Pseudo(bare[sure], bare[known & ~sure])
+
+
+def in_weather(
+    inputs: Mapping[str, list[Tensor]],
+    found: list[Pseudo],
+    columns: Mapping[str, Sequence[str]],
+    config: WeatherConfig,
+    rng: np.random.Generator,
+) -> tuple[Inputs, list[Pseudo]]:
+    """The frames with weather laid over them, each its own, before anything moves them.
+
+    Sure boxes whose last point the weather takes become unsure: the student cannot see what is there.
+
+    Args:
+        inputs: Clouds of each frame by input.
+        found: What the teacher found in each frame.
+        columns: Columns of each input.
+        config: The weather.
+        rng: The only source of randomness.
+    """
+    named = {name: list(clouds) for name, clouds in inputs.items()}
+    left = list(found)
+    for frame in range(len(found)):
+        laid = draw_laid(config, rng)
+        if laid is None:
+            continue
+        before, after = [], []
+        for name, clouds in named.items():
+            rows = clouds[frame].detach().float().cpu().numpy()
+            changed, kept = lay_over(rows, columns[name], config, laid, rng)
+            before.append(rows[:, :3])
+            after.append(rows[kept, :3])
+            clouds[frame] = torch.from_numpy(changed).to(clouds[frame].device, clouds[frame].dtype)
+        left[frame] = left[frame].where(holding(np.concatenate(before), np.concatenate(after), left[frame].sure))
+    return Inputs(named), left
 
 
 def strong_view(

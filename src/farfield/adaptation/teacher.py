@@ -10,6 +10,7 @@ import copy
 from collections.abc import Collection, Mapping
 from typing import ClassVar, Literal
 
+import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
@@ -17,7 +18,16 @@ from torch import Tensor, nn
 from farfield.adaptation.base import Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
 from farfield.adaptation.measuring import gradient_norms, total
-from farfield.adaptation.pseudo import Pseudo, Score, Strong, sorted_by_score, spoken, strong_view, targets_of
+from farfield.adaptation.pseudo import (
+    Pseudo,
+    Score,
+    Strong,
+    in_weather,
+    sorted_by_score,
+    spoken,
+    strong_view,
+    targets_of,
+)
 from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
 from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.contract import Network
@@ -26,6 +36,7 @@ from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import process_count, sum_over_processes
 from farfield.errors import ConfigError, FarfieldError
 from farfield.training.method import DETECTOR, Batch, Stream
+from farfield.training.weather import check_weather
 
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
 
@@ -90,6 +101,7 @@ class MeanTeacher(Adaptation):
         super().__init__()
         self.settings = settings_of(TeacherSettings, "teacher", settings)
         self._check(network)
+        check_weather(self.settings.strong.weather, network.inputs)
         self.held_out = self.settings.held_out
         start_from(network, self.settings.start, "teacher")
         self.modules = nn.ModuleDict({DETECTOR: network, _TEACHER: copy.deepcopy(network), _COUNTS: Counts()})
@@ -124,7 +136,8 @@ class MeanTeacher(Adaptation):
         rng = self.generator(step)
         found = self.found(batch[_TARGET].inputs)
         changes = [self.settings.strong.draw(rng) for _ in found]
-        view = strong_view(batch[_TARGET].inputs, changes, self.settings.strong.thinning, rng)
+        clouds, found = self._in_weather(batch[_TARGET].inputs, found, rng)
+        view = strong_view(clouds, changes, self.settings.strong.thinning, rng)
         moved = [pseudo.moved(change) for pseudo, change in zip(found, changes, strict=True)]
         source, target = self._features(batch[_SOURCE].inputs, view)
         student, of_source = self.modules[DETECTOR], self.modules[self._of_source]
@@ -136,6 +149,14 @@ class MeanTeacher(Adaptation):
             losses |= _losses(student, target, targets, self.settings.weight, "target")
         self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
         return losses
+
+    def _in_weather(self, inputs: Inputs, found: list[Pseudo], rng: np.random.Generator) -> tuple[Inputs, list[Pseudo]]:
+        """The target's frames in the weather that the student is to see them in; its draws are its own."""
+        config = self.settings.strong.weather
+        if config is None or not config.probability:
+            return inputs, found
+        columns = {name: each.columns for name, each in self.modules[DETECTOR].inputs.items()}
+        return in_weather(inputs, found, columns, config, rng.spawn(1)[0])
 
     def _measure(
         self, losses: Mapping[str, Tensor], source: Features, target: Features, inputs: Inputs, view: Inputs, step: int

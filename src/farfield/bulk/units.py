@@ -43,8 +43,8 @@ class Work(Protocol):
     """What is done with each unit: a function or object that pickles, of a module that can be imported.
 
     The same unit gives the same files and the same value, whoever does it and whatever was done before. An attribute
-    ``memory_bytes`` says what a worker needs at most; ``own_process`` set to true asks for a new process for each unit,
-    which costs seconds and measures its memory, or frees it, whatever the libraries below keep.
+    ``memory_bytes`` says what a worker needs at most; ``own_process`` set to true gives each unit a new process,
+    which costs seconds, so that its memory is measured and freed whatever the libraries below keep.
     """
 
     def __call__(self, unit: Unit) -> Done:

@@ -15,11 +15,13 @@ def run(
     how: Literal["fill", "pixelate", "blur"] = "fill",
     series: Literal["time", "single"] = "time",
     stereo: tuple[str, ...] = (),
+    side_by_side: tuple[str, ...] = (),
     small_faces: bool = False,
+    plates: bool = True,
     workers: int = 0,
     engine: str = "local",
 ) -> None:
-    """Cover faces in all pictures and films below a folder; originals are only read.
+    """Cover faces and number plates in all pictures and films below a folder; originals are only read.
 
     examples:
       farfield anonymize Cirrus_dataset1 covered
@@ -27,6 +29,7 @@ def run(
       farfield anonymize photos covered --series single --how pixelate
       farfield anonymize street.jpg covered --small-faces
       farfield anonymize dash.mp4 covered
+      farfield anonymize photos covered --no-plates
 
     Writes them under their names without any of their metadata or sound, anonymized.jsonl, which says what was covered
     where and why, and anonymized.html with the doubtful cases. Interrupted, the same command goes on.
@@ -37,13 +40,15 @@ def run(
         how: Fill with the colour around, or keep a few cells, with or without edges; none can be undone.
         series: Whether the pictures of a folder follow one another, so that a face that is missed once stays covered.
         stereo: Folders of two eyes, LEFT:RIGHT; the names that KITTI, RADIATE and Argoverse give them are known.
+        side_by_side: Folders whose pictures hold both eyes beside each other; K-Radar's are known.
         small_faces: Look at twice the size too: finds faces below 15 pixels, in five times the time.
+        plates: Cover number plates too (extra detect).
         workers: Processes; 0 takes as many as there are cores, pictures and memory for.
         engine: Where the work is done.
     """
     from farfield.errors import ConfigError
     from farfield.imaging.privacy import Anonymising, anonymise
-    from farfield.imaging.privacy.sources import PAIRS, pairs_of, sources_of
+    from farfield.imaging.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
     from farfield.reports.privacy_page import write_privacy_page
 
     named = [tuple(pair.split(":")) for pair in stereo]
@@ -51,18 +56,22 @@ def run(
         raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
     eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
     sources = sources_of(path)
-    chosen = Anonymising(how=how, small_faces=small_faces, together=series == "time")
+    chosen = Anonymising(how=how, small_faces=small_faces, plates=plates, together=series == "time")
+    if chosen.without_plates():
+        print(f"Number plates stay as they are: {chosen.without_plates()}")
     done = anonymise(
         sources,
         out,
         chosen,
         pairs=pairs_of(sources.folders, eyes),
+        both=side_by_side_of(sources.folders, (*side_by_side, *SIDE_BY_SIDE)),
         find=hands(workers, engine, "finding"),
         cover=hands(workers, engine, "covering"),
     )
     write_privacy_page(out / "anonymized.html", out, done, title=f"Covered: {path.name or path}")
-    boxes, doubtful = sum(len(each.rows) for each in done), sum(len(each.doubtful) for each in done)
+    kinds, doubtful = [row["kind"] for each in done for row in each.rows], sum(len(each.doubtful) for each in done)
     if series == "time" and not all(each.stamped for each in sources.folders):
         print("Names are no stamps: pictures of a folder count as 0.1 s apart, or give --series single.")
-    counts = f"{len(done)} pictures and frames, {boxes} faces covered, {doubtful} of them doubtful"
+    found = f"{kinds.count('face')} faces and {kinds.count('plate')} number plates covered"
+    counts = f"{len(done)} pictures and frames, {found}, {doubtful} of them doubtful"
     print(f"{counts}: {out / 'anonymized.html'}")

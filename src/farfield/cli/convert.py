@@ -13,7 +13,7 @@ def run(
     target: tyro.conf.Positional[Path | None] = None,
     /,
     *,
-    to: Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"],
+    to: Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"],
     mapping: Path | None = None,
     format: str | None = None,
     roots: tuple[Path, ...] = (),
@@ -36,6 +36,8 @@ def run(
       farfield convert Cirrus_dataset1 data/as_kitti --to kitti
       farfield convert data/sim labels.csv --to boxes-csv
       farfield convert data/kitti data/as_cirrus --to cirrus
+      farfield convert data/sim data/scenes --to sustechpoints
+      farfield convert data/sim data/task --to cvat
       farfield convert data/kradar data/store --to radar-store
       farfield convert data/kradar data/store --to radar-store --verify
 

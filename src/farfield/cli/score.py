@@ -20,9 +20,9 @@ def run(
     labels: tyro.conf.Positional[Path],
     *,
     protocol: Annotated[
-        str, tyro.conf.arg(metavar="{dds,nuscenes,kitti,kradar,kradar-compat:VARIANT,tracking}")
+        str, tyro.conf.arg(metavar="{dds,nuscenes,kitti,kradar,kradar-compat:VARIANT,tracking,nuscenes-tracking}")
     ] = "dds",
-    format: Literal["boxes-csv", "kitti", "kitti-tracking"] = "boxes-csv",
+    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
     label: str | None = None,
     range_bins_m: str | None = None,
     epsilons: str = "",
@@ -58,7 +58,8 @@ def run(
             kradar (AP3D and AP_BEV, R40), or kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped,
             old_yaw_fixed, revised_as_shipped, revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut;
             rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide; tracking
-            (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D). A protocol of an installed package by its name.
+            (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D), nuscenes-tracking (AMOTA, AMOTP). A protocol of an
+            installed package by its name.
         format: Format of both.
         label: The class that is scored; without it every class is, each for itself, the most annotated one first.
         range_bins_m: Edges of the range bins; without it the protocol's own: 0,70,150,250, for kradar 0,20,40,60,80.

@@ -11,16 +11,19 @@ def run(
     *,
     out: Path,
     data: Path | None = None,
-    format: Literal["boxes-csv", "kitti-tracking"] = "boxes-csv",
+    poses: Path | None = None,
+    format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
-        str, tyro.conf.arg(metavar="{default,offline,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
+        str, tyro.conf.arg(metavar="{default,offline,unposed,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
     ] = "default",
     step_s: float | None = None,
     least_score: float | None = None,
     least_track_score: float | None = None,
     doppler_span_m_s: float | None = None,
+    option: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     smooth: bool = False,
+    join_s: float | None = None,
     picture: Path | None = None,
 ) -> int:
     """Give detections identities and velocities, frame by frame.
@@ -30,6 +33,7 @@ def run(
       farfield track detections/ --format kitti-tracking --preset ab3dmot --out tracks/
       farfield track predictions.csv --data drives/ --out tracks.csv --picture trails.png
       farfield track predictions.csv --step-s 0.25 --smooth --out tracks.csv
+      farfield track predictions.csv -o max_age_s=1.5 -o min_hits=2 --join-s 5 --out tracks.csv
 
     With --data, stamps and poses are those of the data set's drives, and tracks are kept in the world. Files of boxes
     have neither: without it steps are constant and tracks are kept in the sensor's own coordinates.
@@ -39,23 +43,27 @@ def run(
         detections: File, or folder of files, of scored boxes; a folder's files are sequences.
         out: The file, for kitti-tracking the folder, to write.
         data: Data set that the detections were made on; frames are matched by sequence and frame.
-        format: Format of the detections.
+        poses: Poses beside the data, as `farfield odometry` writes them; those of the data unless given.
+        format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
-        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default, and
-            offline, which --smooth takes instead of it.
+        preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
+            offline, which --smooth takes instead of it, and unposed, for a moving car whose poses are not known.
         step_s: Seconds between frames where there are no stamps; 0.1 unless given.
         least_score: Detections of a lower score are left out.
         least_track_score: Tracks of a lower mean score are left out.
         doppler_span_m_s: Span modulo which radial velocities (doppler_m_s of the CSV) are known; they are taken as
             unambiguous unless given.
+        option: Change one option of the tracker (docs/tracking.md), as name=value; may be given several times.
         smooth: Look ahead too: smooth each track as a whole (Rauch-Tung-Striebel) and fill its gaps.
+        join_s: Look ahead too: join tracks of one size and class, at most so long apart, that go on as they moved.
         picture: SVG, PNG or JPEG of the tracks' trails from above to write.
     """
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.metrics.reading import read_predictions
     from farfield.reports.trails import check_picture, write_trails
-    from farfield.tracking import track
+    from farfield.tracking import Joining, joined, track, with_options
+    from farfield.tracking import preset as preset_of
     from farfield.tracking.placing import with_drives
     from farfield.tracking.selecting import with_track_score
     from farfield.tracking.smoothing import smoothed
@@ -67,13 +75,18 @@ def run(
     kind = format if to == "same" else to
     if kind == "kitti-tracking" and out.is_file():
         raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
+    if poses is not None and data is None:
+        raise ConfigError("--poses: expected --data too, whose frames they place")
     if picture is not None:
         check_picture(picture)
     preset = "offline" if smooth and preset == "default" else preset
     seen = read_predictions(detections, format=format)
-    found = track(seen if data is None else with_drives(seen, open_dataset(data).drives()), preset, **given)
+    settings = with_options(preset_of(preset).changed(**given), option)
+    found = track(seen if data is None else with_drives(seen, open_dataset(data, poses=poses).drives()), settings)
+    if join_s is not None:
+        found = joined(found, Joining(longest_s=join_s), step_s=settings.step_s)
     if smooth:
-        found = smoothed(found, step_s=0.1 if step_s is None else step_s)
+        found = smoothed(found, step_s=settings.step_s)
     if least_track_score is not None:
         found = with_track_score(found, least_track_score)
     if kind == "kitti-tracking":
@@ -87,6 +100,7 @@ def run(
     print("".join(f"note: {note}\n" for note in found.notes), end="")
     boxes = sum(map(len, found.boxes.values()))
     names = {(key[0], name) for key, part in found.boxes.items() if part.track_id is not None for name in part.track_id}
-    mode = "offline (smoothed)" if smooth else "online"
+    looked = [word for word, done in (("joined", join_s is not None), ("smoothed", smooth)) if done]
+    mode = f"offline ({', '.join(looked)})" if looked else "online"
     print(f"{preset}, {mode}: {len(names)} tracks, {boxes} boxes in {len(found.boxes)} frames\nwritten: {out}")
     return 0

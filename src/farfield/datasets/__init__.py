@@ -9,20 +9,24 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.formats import DATASETS, Format, dataset, find_format, looked_for, recognise
 from farfield.errors import ConfigError, DatasetError
 
+_EVERYWHERE = ("poses", "rotate_deg")  # options of every format
+
 __all__ = ["DATASETS", "Dataset", "Format", "dataset", "open_dataset", "recognise"]
 
 
 def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:
     """Open a data set; its format is recognised from what the folder holds.
 
-    Options that decide how frames are seen become maps, see :attr:`Dataset.maps`: ``rotate_deg`` for every format, and
-    ``reference``, ``radar_rate``, ``radar_region``, ``radar_over``, ``labels_at`` for those that offer them.
+    Options that decide how frames are seen become maps, see :attr:`Dataset.maps`: ``poses`` and ``rotate_deg`` for
+    every format, and ``reference``, ``radar_rate``, ``radar_region``, ``radar_over``, ``labels_at`` for those that
+    offer them.
 
     Args:
         path: Its root folder.
         format: One of :data:`DATASETS`; None recognises it.
-        **options: ``rotate_deg``, which turns every frame counter-clockwise about z (180 looks backwards), and those of
-            the format's reader, such as ``mapping=`` for Cirrus.
+        **options: ``poses``, a file or folder of poses as ``farfield odometry`` writes them; ``rotate_deg``, which
+            turns every frame counter-clockwise about z (180 looks backwards); and those of the format's reader, such as
+            ``mapping=`` for Cirrus.
 
     Raises:
         DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
@@ -56,9 +60,9 @@ def _checked_options(format: str, reader: Any, options: Options[str, Any]) -> se
     """Options that are the reader's own; the others are views, of which it must offer each."""
     parameters = [*inspect.signature(reader).parameters.values()][1:]
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
-        return set(options) - {"rotate_deg", *reader.view_options}
+        return set(options) - {*_EVERYWHERE, *reader.view_options}
     own = [parameter.name for parameter in parameters]
-    offered = [*own, *(name for name in reader.view_options if name not in own), "rotate_deg"]
+    offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
         raise ConfigError(

@@ -1,6 +1,7 @@
 """Argoverse 2's sensor logs (Wilson et al., NeurIPS Datasets 2021), in feather files; needs the extra ``argoverse2``.
 
 ``<log>/sensors/lidar/<time_ns>.feather``, ``annotations.feather``, ``calibration/*.feather``, ``city_SE3_egovehicle``.
+A log of annotations alone opens too: its frames are the annotated stamps, without clouds.
 Coordinates are the ego vehicle's: origin at the rear axle, some 0.3 m above the ground.
 """
 
@@ -64,10 +65,27 @@ class _Log:
         self.sweeps = sorted((p for p in root.glob("sensors/lidar/*.feather") if p.stem.isdigit()), key=_time)
 
     @cached_property
+    def annotation_path(self) -> Path | None:
+        """The file of annotations; scenario mining's holds the measuring car as a track of its own."""
+        return next((path for name in _ANNOTATIONS if (path := self.root / name).is_file()), None)
+
+    @cached_property
     def annotations(self) -> Table | None:
-        path = self.root / "annotations.feather"
+        path = self.annotation_path
         names = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_TRANSLATION, "num_interior_pts")
-        return read_feather(path, names) if path.is_file() else None
+        if path is None:
+            return None
+        table = read_feather(path, names)
+        others = table["category"].astype(str) != "EGO_VEHICLE"
+        return table if others.all() else {name: values[others] for name, values in table.items()}
+
+    @cached_property
+    def stamps(self) -> list[tuple[int, Path | None]]:
+        """Times of the frames with their sweeps; those of the annotations where there is no sweep at all."""
+        if self.sweeps:
+            return [(_time(path), path) for path in self.sweeps]
+        times = [] if self.annotations is None else np.unique(self.annotations["timestamp_ns"]).tolist()
+        return [(int(time_ns), None) for time_ns in times]
 
     @cached_property
     def track_ids(self) -> dict[str, int]:
@@ -77,10 +95,11 @@ class _Log:
     def annotated(self, rows: Int[np.ndarray, " n"]) -> tuple[Path, str, Table]:
         """Where some rows of the annotations stand, and their columns with the tracks' numbers."""
         assert self.annotations is not None
+        assert self.annotation_path is not None
         table = {name: values[rows] for name, values in self.annotations.items()}
         table["track_id"] = np.array([self.track_ids[str(name)] for name in table["track_uuid"]], dtype=np.int64)
         where = f"rows {rows[0]} to {rows[-1]}" if len(rows) else "no rows"
-        return self.root / "annotations.feather", where, table
+        return self.annotation_path, where, table
 
     @cached_property
     def poses(self) -> Table | None:
@@ -142,50 +161,51 @@ class Argoverse2(Dataset):
         classes: ``"cirrus"`` translates categories (others become ``unknown``), ``"argoverse2"`` keeps them.
 
     Raises:
-        DatasetError: If there is no sweep.
+        DatasetError: If there are neither sweeps nor annotations.
     """
 
     name = "argoverse2"
 
     def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
         self.root, self.classes = Path(root), classes
-        found = {path.parents[2] for prefix in ("", "*/", "*/*/") for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        places = ("", "*/", "*/*/")
+        found = {path.parents[2] for prefix in places for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        found |= {path.parent for prefix in places for name in _ANNOTATIONS for path in self.root.glob(prefix + name)}
         self.logs = [_Log(path) for path in sorted(found)]
-        self._index = [(log, sweep) for log in self.logs for sweep in log.sweeps]
+        self._index = [(log, time_ns, sweep) for log in self.logs for time_ns, sweep in log.stamps]
         if not self._index:
-            raise DatasetError(f"{self.root}: expected Argoverse 2 sweeps in <log>/{_SWEEPS}, found none")
-        self.sequences = tuple(log.root.resolve().name for log, _ in self._index)
-        self.frame_ids = tuple(sweep.stem for _, sweep in self._index)
+            expected = f"Argoverse 2 sweeps in <log>/{_SWEEPS}, or <log>/{_ANNOTATIONS[0]}"
+            raise DatasetError(f"{self.root}: expected {expected}, found none")
+        self.sequences = tuple(log.root.resolve().name for log, _, _ in self._index)
+        self.frame_ids = tuple(str(time_ns) if sweep is None else sweep.stem for _, time_ns, sweep in self._index)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``; the annotations are shared by their log."""
-        log, sweep = self._index[index]
-        path = log.root / "annotations.feather"
-        return [sweep, *([path] if path.is_file() else [])]
+        log, _, sweep = self._index[index]
+        return [path for path in (sweep, log.annotation_path) if path is not None]
 
     def _times_of(self, indices: Indices) -> Indices | None:
-        return all_known(_time(self._index[index][1]) for index in indices)
+        return all_known(self._index[index][1] for index in indices)
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        sweeps = (self._index[index] for index in indices)
-        return all_poses(_pose_near(log, _time(sweep)) for log, sweep in sweeps)
+        frames = (self._index[index] for index in indices)
+        return all_poses(_pose_near(log, time_ns) for log, time_ns, _ in frames)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
-        log, sweep = self._index[index]
-        time_ns = _time(sweep)
+        log, time_ns, sweep = self._index[index]
         rows = None if log.annotations is None else np.flatnonzero(log.annotations["timestamp_ns"] == time_ns)
         images = {name: _nearest(paths, time_ns) for name, paths in log.images.items()}
         present = {name: path for name, path in images.items() if path is not None}
         return Frame(
             sequence=self.sequences[index],
-            frame_id=sweep.stem,
+            frame_id=self.frame_ids[index],
             time_ns=time_ns,
-            clouds=Lazy({"lidar": partial(_read_sweep, sweep)}),
+            clouds=Lazy({} if sweep is None else {"lidar": partial(_read_sweep, sweep)}),
             images=Lazy({name: partial(read_image, path) for name, path in present.items()}),
             cameras=log.cameras,
             sensors={
-                "lidar": Sensor(kind="lidar", time_ns=time_ns),
+                **({} if sweep is None else {"lidar": Sensor(kind="lidar", time_ns=time_ns)}),
                 **{name: camera_sensor(camera) for name, camera in log.cameras.items()},
                 **{name: camera_sensor(log.cameras.get(name), _time(path)) for name, path in present.items()},
             },
@@ -197,6 +217,7 @@ class Argoverse2(Dataset):
 
 
 _SWEEPS = "sensors/lidar/*.feather"
+_ANNOTATIONS = ("annotations.feather", "annotations_with_ego.feather")
 
 
 def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotation:

@@ -69,7 +69,10 @@ def cut(drive: Drive, rows: Indices, indices: Indices) -> Drive:
 
 
 def seen(drive: Drive, function: FrameMap) -> Drive:
-    """A drive as a map shows it: its poses where the map says what becomes of them."""
+    """A drive as a map shows it: its poses where the map brings some, or says what becomes of them."""
+    poses_of = getattr(function, "poses_of", None)
+    if poses_of is not None:
+        return replace(drive, world_T_frame=poses_of(drive.keys))
     if drive.world_T_frame is None:
         return drive
     moved_poses = getattr(function, "moved_poses", None)

@@ -62,7 +62,8 @@ def is_kitti_tracking(root: Path) -> bool:
 
 def is_argoverse2(root: Path) -> bool:
     """Whether a folder holds logs of Argoverse 2."""
-    return any(_has(root, prefix + "sensors/lidar/*.feather") for prefix in ("", "*/", "*/*/"))
+    patterns = ("sensors/lidar/*.feather", "annotations.feather", "annotations_with_ego.feather")
+    return any(_has(root, prefix + pattern) for prefix in ("", "*/", "*/*/") for pattern in patterns)
 
 
 def is_kradar(root: Path) -> bool:
@@ -84,6 +85,20 @@ def is_bags(root: Path) -> bool:
 
     inside = any(is_bag(path) for path in root.iterdir() if path.is_dir())
     return is_bag(root) or any(_has(root, f"*{suffix}") for suffix in SUFFIXES) or inside
+
+
+def is_sustechpoints(root: Path) -> bool:
+    """Whether a folder is a scene of SUSTechPOINTS or holds some."""
+    from farfield.datasets.sustechpoints import scenes
+
+    return bool(scenes(root))
+
+
+def is_cvat(root: Path) -> bool:
+    """Whether a folder is a point cloud task of CVAT or holds some."""
+    from farfield.datasets.cvat import tasks
+
+    return bool(tasks(root))
 
 
 def is_folder(root: Path) -> bool:
@@ -127,7 +142,7 @@ KITTI_TRACKING = Format(
 )
 ARGOVERSE2 = Format(
     name="argoverse2",
-    looked_for="<log>/sensors/lidar/*.feather",
+    looked_for="<log>/sensors/lidar/*.feather, or <log>/annotations.feather alone",
     recognises=is_argoverse2,
     reader="farfield.datasets.argoverse2:Argoverse2",
 )
@@ -148,6 +163,18 @@ BAGS = Format(
     looked_for="metadata.yaml of a ROS 2 bag, or *.mcap or *.db3 in the folder, or bags in its folders",
     recognises=is_bags,
     reader="farfield.datasets.bags.reader:Bags",
+)
+SUSTECHPOINTS = Format(
+    name="sustechpoints",
+    looked_for="[<scene>/]lidar/*.pcd, with label/ or calib/ beside it",
+    recognises=is_sustechpoints,
+    reader="farfield.datasets.sustechpoints:SustechPoints",
+)
+CVAT = Format(
+    name="cvat",
+    looked_for="[<task>/]annotations/*.json with point_clouds/, ann/ with pointcloud/, or tracklet_labels.xml",
+    recognises=is_cvat,
+    reader="farfield.datasets.cvat:Cvat",
 )
 FOLDER = Format(
     name="folder",
@@ -170,6 +197,8 @@ DATASETS: Registry[Format] = Registry(
             "kradar",
             "radiate",
             "bags",
+            "sustechpoints",
+            "cvat",
             "folder",
         )
     },

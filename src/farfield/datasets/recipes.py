@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.maps import Coordinates, FrameMap, LabelsAt, Move, described, make
+from farfield.datasets.maps import Coordinates, FrameMap, LabelsAt, Move, Posed, described, make
 from farfield.errors import ConfigError
 
 RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
@@ -15,7 +15,7 @@ RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
 
 
 def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
-    """The maps that options of ``open_dataset`` stand for: ``reference``, ``radar_rate`` to ``rotate_deg``.
+    """The maps that options of ``open_dataset`` stand for: ``poses``, ``reference``, ``radar_rate``..., ``rotate_deg``.
 
     Args:
         options: Any options; those that stand for no map are passed over.
@@ -24,6 +24,8 @@ def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
         ConfigError: If a value is not one of those possible.
     """
     found: list[FrameMap] = []
+    if options.get("poses") is not None:
+        found.append(Posed(Path(options["poses"])))
     if options.get("reference") is not None:
         found.append(Coordinates(str(options["reference"])))
     radar = {name.removeprefix("radar_"): options[name] for name in RADAR_OPTIONS if name in options}
@@ -45,7 +47,7 @@ def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
     options, count = dict(data.get("options") or {}), int(data.get("sweeps", 1))
     maps = [described(function) for function in maps_of_options(options)]
     maps += [{"name": "sweeps", "settings": {"count": count}}] if count > 1 else []
-    views = ("reference", "labels_at", "rotate_deg", *RADAR_OPTIONS)
+    views = ("poses", "reference", "labels_at", "rotate_deg", *RADAR_OPTIONS)
     kept = {name: value for name, value in options.items() if name not in views}
     return {"format": None, "options": kept, "maps": maps}
 

@@ -75,7 +75,12 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
         FileFormatError: If the header lacks a column or has an unknown one, or a row holds anything but finite numbers
             and positive sizes, or only some rows have a score, or a row has a part of a velocity.
     """
-    rows = _csv_rows(path, _text_of(path))
+    return parse_boxes_csv(read_bytes(path, max_bytes=MAX_CSV_BYTES), path)
+
+
+def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
+    """Parse the content of such a file; ``path`` is for messages, errors are those of :func:`read_boxes_csv`."""
+    rows = _csv_rows(path, _decoded(data, path))
     header = [name.strip() for name in next(rows, (1, []))[1]]
     _check_header(path, header)
     numbers = {name: array("d") for name in COLUMNS if name in header and name not in _WORDS}
@@ -175,8 +180,7 @@ def _missing(path: Path | str, line: int, name: str) -> str:
     raise _wrong(path, line, f"a {name}", "an empty cell")
 
 
-def _text_of(path: Path | str) -> str:
-    data = read_bytes(path, max_bytes=MAX_CSV_BYTES)
+def _decoded(data: bytes, path: Path | str) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -59,6 +59,20 @@ def decode_image(
         raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", found=found) from error
 
 
+def image_size(path: Path | str) -> tuple[int, int]:
+    """Width and height of a JPEG or PNG as it is stored, from its header.
+
+    Raises:
+        FileFormatError: If the file is no such image.
+    """
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("JPEG", "PNG")) as image:
+            return image.size
+    except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
+        found = str(error)[:200]
+        raise FileFormatError(path, where="the image", expected="a JPEG or PNG", found=found) from error
+
+
 def _as_rgb(image: Image.Image) -> Image.Image:
     if image.mode.startswith("I"):  # 16-bit grey: keep the high byte, where convert() would saturate
         high = np.asarray(image).astype(np.uint32) >> 8

@@ -114,7 +114,12 @@ def read_labels(path: Path | str) -> KittiObjects:
     Raises:
         FileFormatError: If a line has another number of columns, or holds anything but finite numbers after the type.
     """
-    return _objects(path, *_rows(path, skip=0))
+    return parse_labels(read_bytes(path, max_bytes=MAX_TEXT_BYTES), path)
+
+
+def parse_labels(data: bytes, path: Path | str) -> KittiObjects:
+    """Parse the content of such a file; ``path`` is for messages, errors are those of :func:`read_labels`."""
+    return _objects(path, *_rows_of(path, _numbered(data, path), skip=0))
 
 
 def read_tracking(path: Path | str) -> KittiTracks:
@@ -200,7 +205,10 @@ def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormat
 
 def _lines(path: Path | str) -> list[tuple[int, str]]:
     """Numbered lines that are not blank."""
-    data = read_bytes(path, max_bytes=MAX_TEXT_BYTES)
+    return _numbered(read_bytes(path, max_bytes=MAX_TEXT_BYTES), path)
+
+
+def _numbered(data: bytes, path: Path | str) -> list[tuple[int, str]]:
     try:
         text = data.decode("ascii")
     except UnicodeDecodeError as error:
@@ -210,11 +218,15 @@ def _lines(path: Path | str) -> list[tuple[int, str]]:
 
 
 def _rows(path: Path | str, *, skip: int) -> tuple[list[int], list[list[str]]]:
+    return _rows_of(path, _lines(path), skip=skip)
+
+
+def _rows_of(path: Path | str, numbered: Sequence[tuple[int, str]], *, skip: int) -> tuple[list[int], list[list[str]]]:
     """Space-separated rows of ``skip`` columns and a label, all of the same width."""
     lines: list[int] = []
     rows: list[list[str]] = []
     widths = (skip + _LABEL_COLUMNS, skip + _LABEL_COLUMNS + 1)
-    for number, line in _lines(path):
+    for number, line in numbered:
         row = line.split()
         expected = widths if not rows else (len(rows[0]),)
         if len(row) not in expected:

@@ -76,8 +76,12 @@ def parse_header(data: bytes, *, path: Path | str) -> PcdHeader:
     for size, kind in zip(sizes, types, strict=True):
         if kind not in _KINDS or _natural(size) not in _SIZES[kind]:
             raise fault("TYPE" if kind not in _KINDS else "SIZE", "I or U of 1, 2, 4, 8 bytes or F of 4, 8")
+    held = [name != "_" or count != "0" for name, count in zip(names, counts, strict=True)]  # padding of no bytes
+    names, sizes, types, counts = (
+        [value for value, kept in zip(column, held, strict=True) if kept] for column in (names, sizes, types, counts)
+    )
     if not all(1 <= (_natural(count) or 0) <= _MAX_COUNT for count in counts):
-        raise fault("COUNT", f"numbers from 1 to {_MAX_COUNT}")
+        raise fault("COUNT", f"numbers from 1 to {_MAX_COUNT}, or 0 for padding")
     if values["DATA"] not in ([encoding] for encoding in ENCODINGS):
         raise fault("DATA", " or ".join(ENCODINGS))
     return PcdHeader(

@@ -123,11 +123,18 @@ def _distortion_jacobian(
 
 def _within_fold(normalised: Float[np.ndarray, "n 2"], distortion: Float[np.ndarray, " 5"]) -> Bool[np.ndarray, " n"]:
     """Whether the radial polynomial still grows with the radius: beyond its fold far-off points land in the image."""
+    fold = fold_radius(distortion)
+    if np.isinf(fold):
+        return np.ones(len(normalised), dtype=np.bool_)
+    return np.hypot(normalised[:, 0], normalised[:, 1]) < fold
+
+
+def fold_radius(distortion: Float[np.ndarray, " 5"]) -> float:
+    """Radius in normalised coordinates from which on the radial polynomial falls; inf where it never does."""
     k1, k2, _, _, k3 = distortion
     if not (k1 or k2 or k3):
-        return np.ones(len(normalised), dtype=np.bool_)
+        return float("inf")
     slope = np.polynomial.Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3])  # d/dr of r (1 + k1 r^2 + ...), in r^2
     roots = slope.roots()
     turning = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    fold = np.sqrt(turning.min()) if turning.size else np.inf
-    return np.hypot(normalised[:, 0], normalised[:, 1]) < fold
+    return float(np.sqrt(turning.min())) if turning.size else float("inf")

@@ -216,6 +216,7 @@ PROTOCOLS = Protocols(
         "kradar": "farfield.metrics.kradar.protocol:KRadar",
         "kradar-compat": "farfield.metrics.kradar.protocol:KRadarCompat",
         "tracking": "farfield.metrics.tracking.protocol:Tracking",
+        "nuscenes-tracking": "farfield.metrics.tracking.nuscenes:NuScenesTracking",
     },
 )
 

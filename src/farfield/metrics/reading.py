@@ -14,6 +14,7 @@ from jaxtyping import Shaped
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import BoxRows, read_boxes_csv
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
+from farfield.files.nuscenes import read_results
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
@@ -21,7 +22,7 @@ from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
 
 _Details = dict[Key, dict[str, np.ndarray]]
-FORMATS = ("boxes-csv", "kitti", "kitti-tracking")
+FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
 
 
 def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv") -> Detections:
@@ -30,7 +31,9 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     Args:
         predictions: File or folder of a detector's boxes.
         labels: File or folder of annotated boxes.
-        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame) or ``"kitti-tracking"`` (a file a sequence).
+        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame), ``"kitti-tracking"`` (a file a sequence) or
+            ``"nuscenes"`` (result JSON of detections or tracks; its samples are frames of one sequence without a name,
+            tracks are numbered in the order in which they appear).
 
     Returns:
         Every frame of either side is annotated, the empty ones too. KITTI's formats give the annotations' details
@@ -67,7 +70,7 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv") -> D
 
     Args:
         predictions: File or folder.
-        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame) or ``"kitti-tracking"`` (a file a sequence).
+        format: One of :func:`read`.
 
     Raises:
         ConfigError: If there is nothing to read, or the format is unknown.
@@ -150,13 +153,13 @@ def _pairs(predictions: Path, labels: Path, notes: list[str]) -> list[tuple[Path
 def _files(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix not in (".txt", ".csv") or not path.is_file():
+        if path.suffix not in (".txt", ".csv", ".json") or not path.is_file():
             continue
         if path.stem in found:
             raise ConfigError(f"{folder}: expected one file a stem, got {found[path.stem].name} and {path.name}")
         found[path.stem] = path
     if not found:
-        raise ConfigError(f"{folder}: expected .txt or .csv files, found none")
+        raise ConfigError(f"{folder}: expected .txt, .csv or .json files, found none")
     return found
 
 
@@ -230,6 +233,23 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
         side.add(path, (stem, *key), boxes[real.get(key, none)], facts)
 
 
+def _read_nuscenes(side: _Collected, path: Path, stem: str) -> None:
+    del stem
+    numbers: dict[str, int] = {}
+    for token, found in read_results(path).items():
+        ids = [numbers.setdefault(name, len(numbers)) for name in found.track]
+        boxes = Boxes(
+            centre_m=found.centre_m,
+            size_m=found.size_m,
+            yaw_rad=found.yaw_rad,
+            label=list(found.label),
+            score=side.scores(found.score, len(found.label)),
+            track_id=np.array(ids, dtype=np.int64) if found.track else None,
+            velocity_m_s=found.velocity_m_s,
+        )
+        side.add(path, ("", token), boxes)
+
+
 def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
     """Boxes with their 2D facts; DontCare regions stand beside them."""
     dontcare = objects.type == "DontCare"
@@ -253,6 +273,7 @@ _READERS: dict[str, Callable[[_Collected, Path, str], None]] = {
     "boxes-csv": _read_csv,
     "kitti": _read_kitti,
     "kitti-tracking": _read_kitti_tracking,
+    "nuscenes": _read_nuscenes,
 }
 
 

@@ -4,26 +4,27 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
 from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
-from farfield.bulk.folders import sweep_out
+from farfield.bulk.folders import locked, sweep_out
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
 from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.writer import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
+from farfield.datasets.labels.tool_labels import file_name
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.frame import Boxes, Frame, Key
+from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of
 
-TARGETS = ("kitti", "cirrus", "boxes-csv", "cache", "radar-store")
-Target = Literal["kitti", "cirrus", "boxes-csv", "cache", "radar-store"]
-BoxSource = Literal["boxes", "full_boxes"]
+Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
+TARGETS: tuple[str, ...] = get_args(Target)
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
 _PAUSE_NS = 10_000_000_000
 
@@ -44,9 +45,10 @@ def convert(
     Args:
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
-        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
+        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``, ``"cvat"``, ``"cache"``
+            or, of K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
-        cloud: Which cloud KITTI's velodyne and Cirrus's Gaussian files get; None takes the first.
+        cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.
         store: What a radar store keeps.
         bulk: How: workers, engine, progress.
@@ -123,13 +125,17 @@ def _kradar(dataset: Dataset) -> Dataset:
 
 def _work(
     dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
-) -> "_ToKitti | _ToCirrus | _ToCsv":
+) -> "_ToKitti | _ToCirrus | _ToCsv | ToTool":
     if to == "kitti":
         return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "cirrus":
         return _ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "boxes-csv" and target.suffix != ".csv":
         return _ToCsv(dataset, target, boxes)
+    tool: AnnotationTool
+    for tool in get_args(AnnotationTool):
+        if to == tool:
+            return ToTool(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
     expected = f"expected to to be one of {', '.join(TARGETS)}"
     raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
 
@@ -155,12 +161,20 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
         raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
     sources = list(dict.fromkeys(sources))
     missing = [each for each in sources if overwrite or not is_fresh(cache_path(each[0], each[1]), each[0])]
-    for folder in {root / CACHE_FOLDER for _, root, _ in missing}:
+    folders = {root / CACHE_FOLDER for _, root, _ in missing}
+    _sweep(folders)
+    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
+    try:
+        done = run(_Cache(delimiter), units, bulk)
+    finally:
+        _sweep(folders)  # a worker that was killed left what it was at
+    return Outcome(written=done.written, skipped=len(sources) - done.written)
+
+
+def _sweep(folders: Iterable[Path]) -> None:
+    for folder in folders:
         if folder.is_dir():
             sweep_out(folder)
-    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
-    done = run(_Cache(delimiter), units, bulk)
-    return Outcome(written=done.written, skipped=len(sources) - done.written)
 
 
 @dataclass(frozen=True)
@@ -172,15 +186,11 @@ class _Cache:
     def __call__(self, unit: Unit) -> Done:
         root, count = unit.parameters
         columns = None if count in (5, 8) else count
-        return Done(files=(write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter),))
-
-
-def _boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
-    if source == "boxes" or frame.annotation is None:
-        return frame.boxes
-    if frame.annotation.full_boxes is None:
-        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
-    return frame.annotation.full_boxes
+        folder = root / CACHE_FOLDER
+        folder.mkdir(exist_ok=True)
+        with locked(folder, shared=True):  # or another command would sweep out what is being written
+            path = write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter)
+        return Done(files=(path,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +231,7 @@ class _ToKitti(_Frames):
 
     def __call__(self, unit: Unit) -> Done:
         index, frame = unit.parameters, self.dataset[unit.parameters]
-        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=_boxes_of(frame, self.boxes))
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
         return Done(files=tuple(paths.values()))
 
 
@@ -305,7 +315,7 @@ class _ToCsv:
             Unit(
                 name,
                 tuple(dict.fromkeys(file for index in indices for file in files(index))),
-                (f"{_file_name(name)}.csv", indices),
+                (f"{file_name(name)}.csv", indices),
             )
             for name, indices in groups.items()
         ]
@@ -313,12 +323,8 @@ class _ToCsv:
     def __call__(self, unit: Unit) -> Done:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
-        write_boxes_csv(self.target / name, box_rows((frame.key, _boxes_of(frame, self.boxes)) for frame in frames))
+        write_boxes_csv(self.target / name, box_rows((frame.key, boxes_of(frame, self.boxes)) for frame in frames))
         return Done(files=(self.target / name,))
-
-
-def _file_name(sequence: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in sequence).lstrip(".") or "_"
 
 
 def box_rows(frames: Iterable[tuple[Key, Boxes | None]]) -> BoxRows:

@@ -75,7 +75,7 @@ def record(
         frames: Number of frames in all, spread evenly over the sequences; the preset's own if None.
         sequences: Number of sequences; the preset's own if None.
         sensors: What to write, as names or as one text with commas; the preset's own if None.
-        weather: Put every sequence into this weather.
+        weather: Put every sequence into this weather; several with commas between take turns.
         time: Put every sequence into this time of day, "day" or "night".
         seed: The preset's own if None.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own if None.

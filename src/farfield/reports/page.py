@@ -15,6 +15,7 @@ from farfield.reports.results import ap_names, epsilons, scored_labels
 from farfield.reports.style import PATTERNS, figure_uri
 from farfield.reports.tables import range_name, rows, score_names, score_title
 from farfield.reports.template import render_template
+from farfield.vocabulary.studio import studio_link
 
 _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
 CURVE_EPSILONS = (0.0, 0.006)
@@ -94,6 +95,7 @@ def render(evaluation: Evaluation, *, shown_score: float = 0.3) -> str:
         result_names=list(results),
         curves=_curves(results),
         patterns=_patterns(evaluation.frames),
+        studio_link=studio_link,
         frames=[(view, frame_pictures(view, labels=labels, score_min=shown_score)) for view in evaluation.frames],
         points=_points(evaluation.objects),
         shown_score=shown_score,

@@ -12,11 +12,12 @@ from farfield.files.atomic import write_text
 from farfield.files.images import read_image
 from farfield.files.videos import film_frames, read_film
 from farfield.imaging.privacy import Covered
+from farfield.imaging.privacy.hits import FACE
 from farfield.reports.pictures import Picture
 from farfield.reports.template import render_template
 
 _SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
-HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "pixels covered")
+HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "weak, left as they are", "pixels covered")
 
 
 def write_privacy_page(path: Path, folder: Path, done: Sequence[Covered], *, title: str) -> None:
@@ -31,8 +32,16 @@ def write_privacy_page(path: Path, folder: Path, done: Sequence[Covered], *, tit
     doubtful = [(each, row) for each in done for row in each.doubtful]
     doubtful.sort(key=_weakest_first)
     shown = [_thumbnail(folder, each, row) for each, row in doubtful[:_SHOWN]]
+    weak = sorted(((each, row) for each in done for row in each.left), key=_strongest_first)
     page = render_template(
-        "privacy.html", title=title, heads=HEADS, rows=table(done), pictures=shown, left=len(doubtful) - len(shown)
+        "privacy.html",
+        title=title,
+        heads=HEADS,
+        rows=table(done),
+        pictures=shown,
+        left=len(doubtful) - len(shown),
+        weak=[_thumbnail(folder, each, row) for each, row in weak[:_SHOWN]],
+        weaker=max(len(weak) - _SHOWN, 0),
     )
     write_text(path, page)
 
@@ -50,7 +59,7 @@ def _row(name: str, done: Sequence[Covered]) -> tuple[str, ...]:
     kinds = [row["kind"] for each in done for row in each.rows]
     doubtful = sum(len(each.doubtful) for each in done)
     share = float(np.mean([each.share for each in done]))
-    counts = (len(done), kinds.count("face"), kinds.count("plate"), doubtful)
+    counts = (len(done), kinds.count("face"), kinds.count("plate"), doubtful, sum(len(each.left) for each in done))
     return name, *(f"{count:,}" for count in counts), f"{share:.2%}"
 
 
@@ -64,8 +73,13 @@ def _weakest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float
     return row["how"] != "found", float(row["score"]), each.file
 
 
+def _strongest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float, str]:
+    each, row = item
+    return row["kind"] != FACE, -float(row["score"]), each.file
+
+
 def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
-    """The surroundings of a covered box, cut from the covered picture."""
+    """The surroundings of a box, cut from the covered picture."""
     from PIL import Image
 
     path = folder / each.file
@@ -82,5 +96,5 @@ def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
     small.save(data, format="JPEG", quality=85)
     uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
     at = "" if each.frame is None else f", frame {each.frame}"
-    words = f"{each.file}{at}: {row['kind']}, score {row['score']:.2f}, {row['how']}"
-    return Picture(uri, f"Covered surroundings of a {row['kind']}", words)
+    words = f"{each.file}{at}: {row['kind']}, score {row['score']:.2f}, {row.get('how', 'not covered')}"
+    return Picture(uri, f"Surroundings of a {row['kind']}", words)

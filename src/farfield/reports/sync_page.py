@@ -30,6 +30,9 @@ HEADS = (
 )
 ARRIVAL_HEADS = ("stream", "recorded after its stamp, ms", "this includes", "the computer's clock against it, ppm")
 
+_FEW = 200
+"""So few pairs are drawn one by one."""
+
 
 def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: str) -> None:
     """Write the page, all or nothing.
@@ -127,12 +130,16 @@ def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
     axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
     axes.set_ylabel("pairs")
+    axes.locator_params(axis="y", integer=True)
 
 
 def _course(axes: "Axes", pair: Pair) -> None:
-    middle_s, bands = over_time(pair.times_ns, pair.residual_ns / 1e6)
-    axes.fill_between(middle_s, bands[:, 0], bands[:, 2], color=ANNOTATED, alpha=0.2, lw=0)
-    axes.plot(middle_s, bands[:, 1], color=ANNOTATED, lw=1.2)
+    if len(pair.times_ns) < _FEW:
+        axes.plot((pair.times_ns - pair.times_ns[0]) / 1e9, pair.residual_ns / 1e6, "o", color=ANNOTATED, ms=3.5)
+    else:
+        middle_s, bands = over_time(pair.times_ns, pair.residual_ns / 1e6)
+        axes.fill_between(middle_s, bands[:, 0], bands[:, 2], color=ANNOTATED, alpha=0.2, lw=0)
+        axes.plot(middle_s, bands[:, 1], color=ANNOTATED, lw=1.2)
     clock = pair.clock
     if clock is not None and clock.modulo_ns is not None:
         since = pair.times_ns - pair.times_ns[0]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_SEQUENCES = 12
+STANDING_M = 2.0
 _COLOURS = ("#0b6e99", "#c2255c", "#2b8a3e", "#e67700", "#5f3dc4", "#846358", "#087f5b", "#a61e4d")
 _KINDS: dict[str, Kind] = {".svg": "svg", ".png": "png", ".jpg": "jpg"}
 
@@ -54,7 +55,8 @@ def _poses(tracks: Detections) -> Mapping[Key, Float[np.ndarray, "4 4"]]:
 def trails_picture(tracks: Detections) -> "Figure":
     """Draw the trails of the first sequences from above, a panel each: a line a track, a dot where it was last seen.
 
-    The sensor's own path is dashed where there are poses; without them the sensor stands at the cross.
+    Tracks that stay within :data:`STANDING_M` are a square. The sensor's own path is dashed where there are poses, and
+    places are counted from its start, a triangle; without poses that is where the sensor stands.
     """
     trails, poses = trails_of(tracks), _poses(tracks)
     shown = list(trails)[:MOST_SEQUENCES]
@@ -74,20 +76,35 @@ def trails_picture(tracks: Detections) -> "Figure":
 
 
 def _draw(axes: "Axes", trails: Mapping[int, np.ndarray], path: Trail) -> None:
+    from matplotlib import patheffects
+    from matplotlib.lines import Line2D
+
+    start = path[0] if len(path) else np.zeros(2)
     for name, trail in trails.items():
-        colour = _COLOURS[name % len(_COLOURS)]
-        axes.plot(*trail.T, color=colour, linewidth=1.3, solid_capstyle="round")
-        axes.plot(*trail[-1:].T, color=colour, marker="o", markersize=3)
+        colour, place = _COLOURS[name % len(_COLOURS)], trail - start
+        if np.ptp(trail, axis=0).max() < STANDING_M:
+            axes.plot(*place[-1:].T, color=colour, marker="s", markersize=2.2, alpha=0.8, linestyle="none")
+            continue
+        axes.plot(*place.T, color=colour, linewidth=1.1, alpha=0.85, solid_capstyle="round")
+        axes.plot(*place[-1:].T, color=colour, marker="o", markersize=3.4, markeredgecolor="white", markeredgewidth=0.4)
     if len(path):
-        axes.plot(*path.T, color=INK, linewidth=1.0, linestyle="--", label="sensor")
-        axes.legend(loc="upper left")
-    else:
-        axes.plot(0, 0, color=INK, marker="+", markersize=8)
+        around = [patheffects.withStroke(linewidth=3.2, foreground="white")]
+        axes.plot(
+            *(path - start).T, color=INK, linewidth=1.6, linestyle="--", label="sensor", zorder=5, path_effects=around
+        )
+    axes.plot(0, 0, color=INK, marker="^", markersize=6, zorder=6, linestyle="none")
+    axes.margins(0.03)
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(visible=True)
-    where = "in the world" if len(path) else "ahead of the sensor"
-    axes.set_xlabel(f"x {where}, m")
+    axes.set_xlabel("x from the sensor's start, in the world, m" if len(path) else "x ahead of the sensor, m")
     axes.set_ylabel("y, m")
+    handles = [
+        *axes.get_lines()[-2 if len(path) else -1 :],
+        Line2D([], [], color=MUTED, marker="s", markersize=2.2, linestyle="none"),
+        Line2D([], [], color=MUTED, marker="o", markersize=3.4, linewidth=1.1),
+    ]
+    names = [*(["the sensor's path"] if len(path) else []), "sensor at the start" if len(path) else "sensor"]
+    axes.legend(handles, [*names, "stands", "moves; the dot is its end"], loc="best", framealpha=0.85)
 
 
 def check_picture(path: Path) -> None:
@@ -96,8 +113,18 @@ def check_picture(path: Path) -> None:
     Raises:
         ConfigError: If the file's name does not end with .svg, .png or .jpg.
     """
+    picture_kind(path)
+
+
+def picture_kind(path: Path) -> Kind:
+    """The kind of a picture, by the suffix of its file.
+
+    Raises:
+        ConfigError: If the suffix is not .svg, .png or .jpg.
+    """
     if path.suffix.lower() not in _KINDS:
         raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
+    return _KINDS[path.suffix.lower()]
 
 
 def write_trails(path: Path | str, tracks: Detections) -> None:
@@ -107,6 +134,6 @@ def write_trails(path: Path | str, tracks: Detections) -> None:
         ConfigError: If it has another ending.
     """
     path = Path(path)
-    check_picture(path)
+    kind = picture_kind(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, figure_bytes(trails_picture(tracks), _KINDS[path.suffix.lower()]))
+    write_bytes(path, figure_bytes(trails_picture(tracks), kind))

@@ -1,5 +1,6 @@
 """Which detection continues which track."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +23,21 @@ class Reach:
         wider_m: What gates of distance grow by, of each track, shape (n,).
         tracks_m2: Variances of the tracks' x and y, shape (n, 2).
         seen_m2: Variances of the detections' x and y, shape (m, 2).
+        radial: How far measured radial velocities of pairs (rows of tracks, rows of detections) lie from the tracks',
+            in standard deviations; None where there are none.
     """
 
     wider_m: Float[np.ndarray, " n"]
     tracks_m2: Float[np.ndarray, "n 2"]
     seen_m2: Float[np.ndarray, "m 2"]
+    radial: Callable[[Int[np.ndarray, " p"], Int[np.ndarray, " p"]], np.ndarray] | None = None
 
     def may_pass(
         self, gap_m: Float[np.ndarray, "p 2"], a: Int[np.ndarray, " p"], b: Int[np.ndarray, " p"], sigmas: float
     ) -> np.ndarray:
-        """Pairs whose places differ by at most so many standard deviations."""
-        return np.asarray((gap_m**2 / (self.tracks_m2[a] + self.seen_m2[b])).sum(axis=1) <= sigmas**2)
+        """Pairs whose places, and whose radial velocities, differ by at most so many standard deviations."""
+        near = np.asarray((gap_m**2 / (self.tracks_m2[a] + self.seen_m2[b])).sum(axis=1) <= sigmas**2)
+        return near if self.radial is None else near & (self.radial(a, b) <= sigmas)
 
 
 def associate(
@@ -64,9 +69,7 @@ def associate(
     """
     drives = int(max(track_drive.max(initial=-1), seen_drive.max(initial=-1))) + 1
     if _is_whole(settings, track_label, seen_label):
-        a, b, worth = best_whole(tracks, track_drive, seen, seen_drive, drives)
-        kept = worth >= gate[seen_label[b]]
-        return a[kept], b[kept]
+        return best_whole(tracks, track_drive, seen, seen_drive, drives, gate[seen_label])
     a, b = same_owner(track_drive, seen_drive, drives)
     if settings.same_class:
         alike = track_label[a] == seen_label[b]

@@ -93,6 +93,39 @@ def update_doppler(
     _joseph(tracks, rows, h, innovation[:, None], np.full((len(rows), 1, 1), sigma_m_s**2))
 
 
+def radial_gaps(
+    tracks: Tracks,
+    radial: Float[np.ndarray, "m 7"],
+    a: Int[np.ndarray, " p"],
+    b: Int[np.ndarray, " p"],
+    *,
+    sigma_m_s: float,
+    span_m_s: float | None = None,
+) -> Float[np.ndarray, " p"]:
+    """How far measured radial velocities lie from those that pairs' tracks have, in standard deviations.
+
+    Args:
+        tracks: The tracks.
+        radial: As in :func:`update_doppler`, of each detection.
+        a: Row of the track of each pair.
+        b: Row of its detection.
+        sigma_m_s: Error of the measurement.
+        span_m_s: Span modulo which it is known; None where it is not ambiguous.
+
+    Returns:
+        0 where nothing was measured, or the span leaves it open.
+    """
+    unit, measured = radial[b, :3], radial[b, 6]
+    gap = measured - (unit * (tracks.speed[a] - radial[b, 3:6])).sum(axis=1)
+    variance = (unit[:, :2] ** 2 * tracks.vv[a, :2]).sum(axis=1)
+    variance = variance + 2 * unit[:, 0] * unit[:, 1] * tracks.cross[a, 1, 1]
+    known = np.isfinite(measured)
+    if span_m_s is not None:
+        gap = np.mod(gap + span_m_s / 2, span_m_s) - span_m_s / 2
+        known &= variance <= (span_m_s / 4) ** 2
+    return np.where(known, np.abs(gap) / np.sqrt(np.maximum(variance, 0.0) + sigma_m_s**2), 0.0)
+
+
 def narrow_births(tracks: Tracks, radial: Float[np.ndarray, "n 7"], across_m_s: float) -> None:
     """Make the velocities of new tracks with a radial velocity surer across the ray, in place.
 

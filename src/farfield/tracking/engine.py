@@ -2,15 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.tracking.association import Reach, associate
-from farfield.tracking.doppler import narrow_births, polar_covariance, spread_cross, update_coupled, update_doppler
+from farfield.tracking.doppler import (
+    narrow_births,
+    polar_covariance,
+    radial_gaps,
+    spread_cross,
+    update_coupled,
+    update_doppler,
+)
 from farfield.tracking.kalman import Tracks, predict, update
 from farfield.tracking.settings import TrackerSettings
+
+_TICK_S = 1e-6  # sums of steps are no exact multiples
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -89,20 +99,29 @@ class Engine:
         self._forget(seen, running)
         step = np.ones_like(dt) if self.settings.time == "frames" else dt
         predict(self.tracks, step[self.tracks.drive], self.settings)
+        self.tracks.unseen_s = self.tracks.unseen_s + dt[self.tracks.drive]
         if self.coupled:
             spread_cross(self.tracks, step[self.tracks.drive])
         strong = np.ones(len(seen), dtype=bool)
         if self.settings.strong_score is not None:
             strong = seen.score >= self.settings.strong_score
-        free = self._take(seen[strong], np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)
-        left = seen[strong][free]
+        first = seen if strong.all() else seen[strong]
+        left = first[self._take(first, np.ones(len(self.tracks), dtype=bool), self.gate, weak=False)]
         if self.settings.weak_gate is not None and not strong.all():
             gate = np.full(len(self.gate), self.settings.weak_gate)
             self._take(seen[~strong], self.tracks.misses > 0, gate, weak=True)
         self.tracks = self.tracks.joined(self._born(left))
         shown = self.tracks[self._shown()]
-        self.tracks = self.tracks[self.tracks.misses < self._by_range("max_age")]
+        alive = self._alive()
+        self.tracks = self.tracks if alive.all() else self.tracks[alive]
         return shown
+
+    def _alive(self) -> Bool[np.ndarray, " n"]:
+        """Which tracks have not been lost for too long; one that was matched just now lives."""
+        t, longest_s = self.tracks, self.settings.max_age_s
+        if longest_s is None:
+            return np.asarray(t.misses < self._by_range("max_age"))
+        return np.asarray((t.misses == 0) | (t.unseen_s < longest_s - _TICK_S))
 
     def _by_range(self, name: str) -> int | Int[np.ndarray, " n"]:
         """An option that may be another one far away."""
@@ -136,7 +155,7 @@ class Engine:
         a = places[a]
         free[b] = False
         t = self.tracks
-        t.misses[a] = 0
+        t.misses[a], t.unseen_s[a] = 0, 0.0
         if weak and not self.settings.weak_updates:
             return free
         t.hits[a] += 1
@@ -172,10 +191,15 @@ class Engine:
         s = self.settings
         if s.gate_sigmas is None and not s.gate_speed_m_s:
             return None
+        radial = None
+        if self.coupled and seen.radial is not None and s.doppler_sigma_m_s is not None:
+            sigma, span = s.doppler_sigma_m_s, s.doppler_span_m_s
+            radial = partial(radial_gaps, tracks, seen.radial, sigma_m_s=sigma, span_m_s=span)
         return Reach(
-            wider_m=s.gate_speed_m_s * self.dt[tracks.drive] * tracks.misses,
+            wider_m=s.gate_speed_m_s * tracks.unseen_s,
             tracks_m2=tracks.pp[:, :2],
             seen_m2=self._variance(seen.ray_m)[:, :2],
+            radial=radial,
         )
 
     def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
@@ -212,6 +236,7 @@ class Engine:
             spread=start[:, 0].copy(),
             hits=np.ones(n, dtype=np.int64),
             misses=np.zeros(n, dtype=np.int64),
+            unseen_s=np.zeros(n),
             source=seen.source.copy(),
             score=seen.score.copy(),
             best=seen.score.copy(),
@@ -228,7 +253,7 @@ class Engine:
         t, s = self.tracks, self.settings
         proven = (t.hits >= self._by_range("min_hits")) | (self.frames[t.drive] <= s.warm_up)
         proven &= (t.best >= self.sure) | (t.hits >= s.unsure_hits)
-        return proven & ((t.misses < self._by_range("max_age")) if s.report_coasted else (t.misses == 0))
+        return proven & (self._alive() if s.report_coasted else (t.misses == 0))
 
 
 def _logit(probability: float) -> float:

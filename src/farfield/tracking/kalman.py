@@ -31,6 +31,7 @@ class Tracks:
         spread: Variance of size and heading, shape (n,).
         hits: Frames with a match, that of birth counted.
         misses: Frames since the last match.
+        unseen_s: Seconds since then.
         source: Row of the last detection that was taken.
         score: Its score.
         best: The best score so far.
@@ -51,6 +52,7 @@ class Tracks:
     spread: Float[np.ndarray, " n"]
     hits: Int[np.ndarray, " n"]
     misses: Int[np.ndarray, " n"]
+    unseen_s: Float[np.ndarray, " n"]
     source: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
     best: Float[np.ndarray, " n"]
@@ -74,6 +76,8 @@ class Tracks:
 
     def joined(self, born: "Tracks") -> "Tracks":
         """These and new ones, by drive."""
+        if not len(born):
+            return self
         both = {name: np.concatenate([values, getattr(born, name)]) for name, values in vars(self).items()}
         order = np.argsort(both["drive"], kind="stable")
         return Tracks(**{name: values[order] for name, values in both.items()})

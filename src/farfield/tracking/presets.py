@@ -1,6 +1,11 @@
 """Trackers as published, by name."""
 
+from collections.abc import Iterable
+from dataclasses import fields
 from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
 
 from farfield.errors import ConfigError
 from farfield.tracking.settings import TrackerSettings
@@ -34,6 +39,8 @@ PRESETS: dict[str, TrackerSettings] = {
     "default": TrackerSettings(),
     # For smoothing, which sees whole tracks: they live longer, and scores are judged afterwards.
     "offline": TrackerSettings(max_age=5, min_hits=3, warm_up=3, sure_score=None),
+    # For drives without poses: the car's own motion is in every track's speed.
+    "unposed": TrackerSettings(gate_speed_m_s=50.0, gate_sigmas=None, initial_speed_variance=600.0),
     "ab3dmot": TrackerSettings(**_AB3DMOT),
     "ab3dmot-paper": TrackerSettings(**_AB3DMOT | {"similarity": "iou", "gate": 0.01}),
     # Yin et al., CVPR 2021: greedy on distances, the last centre moved by the detection's velocity.
@@ -79,3 +86,33 @@ def preset(name: str) -> TrackerSettings:
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
     return PRESETS[name]
+
+
+def with_options(settings: TrackerSettings, options: Iterable[str]) -> TrackerSettings:
+    """Settings changed by words of the form ``name=value``, values as YAML reads them.
+
+    >>> with_options(preset("default"), ["max_age=5", "gates_m={car: 3}", "gate_sigmas=null"]).gates_m
+    {'car': 3.0}
+
+    Raises:
+        ConfigError: If a word has another form, names no option, or holds an impossible value.
+    """
+    given: dict[str, Any] = {}
+    for word in options:
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"tracker: expected an option of the form name=value, got {word!r}")
+        try:
+            given[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"tracker: {name}: expected a value as YAML writes it, got {value!r}") from error
+    known = {each.name: getattr(settings, each.name) for each in fields(settings)}
+    unknown = sorted(given.keys() - known.keys())
+    if unknown:
+        raise ConfigError(f"tracker: expected options among {', '.join(sorted(known))}; got {', '.join(unknown)}")
+    try:
+        return TypeAdapter(TrackerSettings).validate_python(known | given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"tracker: {where}: {first['msg']}, got {first['input']!r}") from error

@@ -22,6 +22,7 @@ _POSITIVE_OR_NONE = (
     "doppler_sigma_m_s",
     "doppler_span_m_s",
     "across_speed_m_s",
+    "max_age_s",
 )
 
 
@@ -66,6 +67,7 @@ class TrackerSettings:
         far_min_hits: Of tracks that were last seen there.
         far_max_age: Likewise.
         max_age: Frames without a match at which a track dies.
+        max_age_s: Seconds instead of frames, for data whose frames are not evenly apart; ``far_max_age`` is not read.
         report_coasted: Whether tracks are reported in frames without a match.
         forget_when_empty: Whether a frame without detections forgets all tracks.
         least_score: Detections of a lower score are left out.
@@ -108,6 +110,7 @@ class TrackerSettings:
     far_min_hits: int = 3
     far_max_age: int = 5
     max_age: int = 3
+    max_age_s: float | None = None
     report_coasted: bool = False
     forget_when_empty: bool = False
     least_score: float | None = None
@@ -130,14 +133,7 @@ class TrackerSettings:
                 raise ConfigError(f"{name}: expected 1 or more, got {getattr(self, name)!r}")
         if self.sure_score is not None and not 0 <= self.sure_score <= 1:
             raise ConfigError(f"sure_score: expected a probability between 0 and 1, got {self.sure_score!r}")
-        for name in (
-            "gate_sigmas",
-            "far_m",
-            "range_sigma_m",
-            "doppler_sigma_m_s",
-            "doppler_span_m_s",
-            "across_speed_m_s",
-        ):
+        for name in _POSITIVE_OR_NONE:
             if getattr(self, name) is not None and not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
         if not self.gate_speed_m_s >= 0:

@@ -44,7 +44,7 @@ def smoothed(
     for drive in timelines(tracks, step_s=step_s):
         white = acceleration if acceleration is not None else (200.0 if drive.world_T_frame is None else 9.0)
         times = np.cumsum(drive.step_s)
-        for track in _tracks_of(tracks, drive):
+        for track in tracks_of(tracks, drive):
             for number, boxes, box_px in _smooth_track(track, times, variance_m2, white, longest_gap_s):
                 key = drive.keys[number]
                 pose = None if drive.world_T_frame is None else drive.world_T_frame[number]
@@ -63,15 +63,24 @@ _NOTHING = Boxes.empty(scored=True)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Track:
-    """The boxes of one track in the order of time, in world coordinates where there are poses."""
+class TrackRows:
+    """The boxes of one track in the order of time, in world coordinates where there are poses.
 
+    Args:
+        name: Its ``track_id``.
+        number: Frames of its drive.
+        boxes: A box for each.
+        box_px: Likewise in the image; -1 where there is none.
+    """
+
+    name: int
     number: Int[np.ndarray, " n"]
     boxes: Boxes
     box_px: Float[np.ndarray, "n 4"]
 
 
-def _tracks_of(tracks: Detections, drive: Timeline) -> list[_Track]:
+def tracks_of(tracks: Detections, drive: Timeline) -> list[TrackRows]:
+    """The tracks of a drive, each with its boxes in the order of time."""
     rows: dict[int, list[tuple[int, Boxes, np.ndarray]]] = {}
     for number, key in enumerate(drive.keys):
         boxes = tracks.boxes.get(key, _NOTHING)
@@ -82,17 +91,18 @@ def _tracks_of(tracks: Detections, drive: Timeline) -> list[_Track]:
         for row, name in enumerate(boxes.track_id.tolist()):
             rows.setdefault(name, []).append((number, moved[row], np.asarray(px, dtype=np.float64)[row : row + 1]))
     return [
-        _Track(
+        TrackRows(
+            name=name,
             number=np.array([number for number, _, _ in each]),
             boxes=Boxes.concatenate([boxes for _, boxes, _ in each]),
             box_px=np.concatenate([px for _, _, px in each]),
         )
-        for each in rows.values()
+        for name, each in rows.items()
     ]
 
 
 def _smooth_track(
-    track: _Track, times_s: Float[np.ndarray, " frames"], variance: float, white: float, longest_gap_s: float
+    track: TrackRows, times_s: Float[np.ndarray, " frames"], variance: float, white: float, longest_gap_s: float
 ) -> list[tuple[int, Boxes, np.ndarray]]:
     boxes, number = track.boxes, track.number
     if len(number) == 1:

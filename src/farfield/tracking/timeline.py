@@ -71,7 +71,7 @@ def assumed(drives: Sequence[Timeline], *, seconds: bool, ego_motion: bool, step
     if seconds and not all(drive.stamped for drive in drives):
         notes.append(f"tracked with steps of {step_s:g} s, as the data have no stamps")
     if ego_motion and any(drive.world_T_frame is None for drive in drives):
-        notes.append("tracked in the sensor's own coordinates, as the data have no poses")
+        notes.append("tracked in the sensor's own coordinates, as the data have no poses (see the preset unposed)")
     return notes
 
 

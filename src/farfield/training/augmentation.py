@@ -1,5 +1,6 @@
 """Random changes to training frames: pasting objects, mirroring, turning, scaling. numpy only, one generator."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,12 @@ def draw_change(config: AugmentationConfig, rng: np.random.Generator) -> Change:
 
 
 def augment(
-    points: Points, boxes: Boxes, config: AugmentationConfig, rng: np.random.Generator, bank: ObjectBank | None = None
+    points: Points,
+    boxes: Boxes,
+    config: AugmentationConfig,
+    rng: np.random.Generator,
+    bank: ObjectBank | None = None,
+    weather: Callable[[Points, Boxes], tuple[Points, Boxes]] | None = None,
 ) -> tuple[Points, Boxes]:
     """Apply all random changes to one frame.
 
@@ -75,6 +81,7 @@ def augment(
         config: How much of each change.
         rng: The only source of randomness.
         bank: Objects to paste.
+        weather: Lays the frame's weather over points and boxes, where the sensor measured them.
 
     Returns:
         New points and boxes.
@@ -82,6 +89,8 @@ def augment(
     boxes = boxes.replace(score=None, track_id=None, point_count=None)
     if bank is not None and config.pasted:
         points, boxes = bank.paste(points, boxes, config.pasted, rng, bands_m=config.pasted_bands_m)
+    if weather is not None:
+        points, boxes = weather(points, boxes)
     change = draw_change(config, rng)
     points, boxes = change.points(points), change.boxes(boxes)
     if config.thinning:

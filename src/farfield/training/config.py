@@ -1,9 +1,34 @@
 """Typed settings of a training; unknown keys are errors."""
 
 import itertools
-from typing import Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+
+def _in_order(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise ValueError(f"expected two values, the lower one first; got {span[0]:g} and {span[1]:g}")
+    return span
+
+
+_Positive = Annotated[float, Field(gt=0)]
+_Share = Annotated[float, Field(gt=0, le=1)]
+Span = Annotated[tuple[_Positive, _Positive], AfterValidator(_in_order)]
+"""From and to, both greater than 0."""
+Shares = Annotated[tuple[_Share, _Share], AfterValidator(_in_order)]
+"""The same of shares, up to 1."""
+Gains = Annotated[tuple[float, float], AfterValidator(_in_order)]
+"""From and to, in dB."""
 
 
 class _Settings(BaseModel):
@@ -24,6 +49,36 @@ class SparseNear(_Settings):
         return self
 
 
+class WeatherConfig(_Settings):
+    """Weather laid over frames. Spans are drawn from; their defaults lie outside those of the simulator's weathers."""
+
+    probability: float = Field(0.5, ge=0, le=1, description="share of the frames that get weather; 0 switches it off")
+    kinds: tuple[Literal["fog", "rain", "snow", "ice"], ...] = Field(
+        ("fog", "rain", "snow", "ice"),
+        min_length=1,
+        description="drawn evenly; snow brings ice, rain drops on the window",
+    )
+    sensor: Literal["luminar-h2", "os2-64", "os1-128", "hdl-64e"] | None = Field(
+        None, description="which LiDAR the clouds are from; a radar needs none"
+    )
+    origin_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="where it stands in the frame")
+    reflectance: float = Field(
+        0.2, gt=0, le=1, description="taken of all points where intensity is not read: in a teacher's strong view"
+    )
+    fog_m: Span = Field((120.0, 350.0), description="visibility: meteorological optical range")
+    rain_mm_h: Span = Field((12.0, 30.0))
+    snow_mm_h: Span = Field((4.0, 6.0), description="as liquid water")
+    coverage: Shares = Field((0.08, 0.35), description="share of the window's front that ice covers")
+    patches_deg: tuple[Span, Span] = Field(
+        ((12.0, 25.0), (6.0, 12.0)), description="widths of the ice's patches in azimuth and elevation"
+    )
+    drops: Shares = Field((0.08, 0.2), description="share of the window's front that drops cover")
+    drops_deg: tuple[Span, Span] = Field(((2.0, 4.0), (1.2, 2.4)), description="widths of the drops")
+    transmission: Shares = Field((0.08, 0.3), description="one way, through what is covered")
+    film_mm: Span = Field((0.06, 0.15), description="film of water on a radome in rain")
+    floor_rise_db: Gains = Field((0.0, 0.5), description="by how much a radar's noise rises")
+
+
 class AugmentationConfig(_Settings):
     """Random changes to a training frame. Zero switches each off."""
 
@@ -41,6 +96,7 @@ class AugmentationConfig(_Settings):
         (), description="edges of range bands, such as 0, 70, 150, 250, that pasted objects are drawn evenly from"
     )
     bank_frames: int = Field(128, ge=1, description="frames whose objects can be pasted at a time; they change slowly")
+    weather: WeatherConfig | None = Field(None, description="weather laid over frames before they are moved")
 
     @field_validator("pasted_bands_m")
     @classmethod
@@ -48,6 +104,14 @@ class AugmentationConfig(_Settings):
         if edges_m and (len(edges_m) < 2 or any(a >= b for a, b in itertools.pairwise(edges_m)) or edges_m[0] < 0):
             raise ValueError(f"expected at least two rising edges from 0 up, got {list(edges_m)}")
         return edges_m
+
+    @model_serializer(mode="wrap")
+    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; the weather only where there is one, so that trainings without are known as before."""
+        said = others(self)
+        if self.weather is None:
+            said.pop("weather", None)
+        return said
 
 
 UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0)

@@ -26,8 +26,9 @@ from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Stream
+from farfield.training.weather import Laying, check_weather, draw_laid, read_with
 
-_ORDER, _BANK, _CHANGES = 1, 2, 3  # words of the generators
+_ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # words of the generators; 4 and 5 are the loop's and the methods'
 _FIRST = ("x_m", "y_m", "z_m", "lag_s")
 
 Binding = Mapping[str, str]
@@ -91,7 +92,7 @@ class TrainingSamples(TorchDataset[Sample]):
         stream: What the stream is.
 
     Raises:
-        ConfigError: If the clouds do not fit the inputs.
+        ConfigError: If the clouds do not fit the inputs, or weather cannot be laid over them.
     """
 
     def __init__(
@@ -127,7 +128,9 @@ class TrainingSamples(TorchDataset[Sample]):
                 f"{name}: expected at least two clouds a frame, such as clouds: [gaussian, uniform], for samples that "
                 f"come {self.stream.members}; got {', '.join(self.bindings[0].values())}."
             )
-        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.inputs.values() for c in each.columns)]))
+        self.read = {name: read_with(each, self.augmentation.weather) for name, each in self.inputs.items()}
+        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.read.values() for c in each)]))
+        check_weather(self.augmentation.weather, self.inputs)
         self._weights: np.ndarray | None = None
         self._set_up()
 
@@ -187,7 +190,7 @@ class TrainingSamples(TorchDataset[Sample]):
 
     def _rows(self, frame: Frame, part: int, name: str, cloud: str) -> Points:
         """The points of an input in the columns of all of them, zero where the input does not read one."""
-        columns = tuple(dict.fromkeys([*_FIRST, *self.inputs[name].columns]))
+        columns = tuple(dict.fromkeys([*_FIRST, *self.read[name]]))
         rows = cloud_tensor(frame.cloud(cloud), columns).numpy()
         table = np.zeros((len(rows), len(self.columns) + 1), dtype=np.float32)
         table[:, [self.columns.index(column) for column in columns]] = rows
@@ -272,7 +275,16 @@ class TrainingSamples(TorchDataset[Sample]):
         epoch, place = divmod(unit, self._loads)
         points, boxes = self.load(int(self._order(epoch)[place]))
         bank = None if self._bank is None else self._bank.at(unit * self.together if self._joint else unit)
-        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank)
+        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, self._laying(unit))
+
+    def _laying(self, unit: int) -> Laying | None:
+        """What lays weather over the frame at a position, or over a pair; None where it stays as it is."""
+        config = self.augmentation.weather
+        if config is None:
+            return None
+        rng = self._generator(_WEATHER, unit)
+        laid = draw_laid(config, rng)
+        return None if laid is None else Laying(config, self.columns, tuple(self.read.values()), laid, rng)
 
     def _split(self, points: Points) -> dict[str, Points]:
         """The table of :meth:`load` as the network's inputs, each with just its own columns."""

@@ -107,6 +107,22 @@ CIRRUS_FROM_ARGOVERSE2 = {
 }
 
 
+CIRRUS_FROM_TOOLS = {
+    "Van": "vehicle",
+    "Scooter": "motorcycle",
+    "ScooterRider": "motorcycle",
+    "Motorcyclist": "motorcycle",
+    "MotorcycleRider": "motorcycle",
+    "BicycleRider": "bicycle",
+    "Rider": "bicycle",
+    "Motor": "motorcycle",
+    "Tram": "large_vehicle",
+    "LongVehicle": "large_vehicle",
+    "Person": "pedestrian",
+}
+"""Classes as annotation tools offer them, beside those whose names are ours."""
+
+
 def normalised_class(name: str, aliases: Mapping[str, str]) -> str:
     """Bring a class name into the vocabulary of Cirrus; what is not in it becomes ``unknown``.
 

@@ -24,7 +24,8 @@ from farfield.imaging.privacy import Anonymising, Private, anonymise
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
 from farfield.imaging.privacy.hits import Hits, covered_share
-from farfield.imaging.privacy.sources import pairs_of, sources_of
+from farfield.imaging.privacy.looking import left_of
+from farfield.imaging.privacy.sources import pairs_of, side_by_side_of, sources_of
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -56,10 +57,10 @@ def test_a_face_that_is_hidden_in_one_picture_stays_covered(tmp_path: Path) -> N
     """In picture HIDDEN the detector sees nothing; alone it would stay uncovered."""
     boxes = walk(tmp_path / "in")
     before = digests(tmp_path / "in")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out")
+    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False))
     assert min(shares(done, boxes)) >= EVERY_BOX
     assert {row["how"] for row in done[HIDDEN].rows} == {"bridged"}
-    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(together=False))
+    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(plates=False, together=False))
     assert shares(alone, boxes)[HIDDEN] == 0
     assert digests(tmp_path / "in") == before  # originals are as they were
 
@@ -92,7 +93,7 @@ def test_nothing_of_the_original_is_left_beside_the_picture(tmp_path: Path) -> N
     stored.save(
         tmp_path / "in" / "b.jpg", format="MPO", save_all=True, append_images=[thumbnail], exif=exif, quality=95
     )
-    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(together=False))
+    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False, together=False))
     for name in ("a.jpg", "b.jpg"):
         data = (tmp_path / "out" / name).read_bytes()
         with Image.open(tmp_path / "out" / name) as covered:
@@ -120,11 +121,28 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     assert not len(FaceDetector(least_score=0.3)(pale))
     written(tmp_path / "in" / "image_03" / "0.png", pale)
     sources = sources_of(tmp_path / "in")
-    strict = Anonymising(together=False)
+    strict = Anonymising(plates=False, together=False)
     done = anonymise(sources, tmp_path / "out", strict, pairs=pairs_of(sources.folders))
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
     assert [row["how"] for each in done for row in each.rows] == ["found", "partner"]
+
+
+def test_what_one_half_of_a_picture_of_both_eyes_shows_is_covered_in_the_other(tmp_path: Path) -> None:
+    """K-Radar's cameras write both eyes into one picture; a pale half goes unseen, on either side."""
+    image, box = portrait(60, width=240, height=120)
+    pale = (np.roll(image, -9, axis=1) * 0.015 + 120).astype(np.uint8)
+    shift = np.array([image.shape[1], 0] * 2)
+    written(tmp_path / "in" / "cam-front" / "0.png", np.concatenate([image, pale], axis=1))
+    written(tmp_path / "in" / "cam-rear" / "0.png", np.concatenate([pale, image], axis=1))
+    written(tmp_path / "in" / "other" / "0.png", np.concatenate([image, pale], axis=1))
+    sources = sources_of(tmp_path / "in")
+    chosen = Anonymising(plates=False, together=False, least_score=0.3)
+    done = anonymise(sources, tmp_path / "out", chosen, both=side_by_side_of(sources.folders))
+    faint = box - [9, 0, 9, 0]
+    assert shares(done, [box, box + shift, box]) == [1.0, 1.0, 1.0]
+    assert shares(done, [faint + shift, faint, faint + shift]) == [1.0, 1.0, 0.0]
+    assert [[row["how"] for row in each.rows] for each in done] == [["found", "partner"]] * 2 + [["found"]]
 
 
 def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: Path) -> None:
@@ -139,6 +157,18 @@ def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: P
     assert not list((tmp_path / "out").glob("*.png"))
 
 
+def test_weak_boxes_that_stay_seen_are_named() -> None:
+    """Two weak boxes: the one that lies under a cover is hidden, the other is left; the strongest first."""
+    seen = Hits.of("face", np.array([[0, 0, 10, 10], [50, 50, 60, 60], [80, 0, 90, 10.0]]), np.array([0.2, 0.15, 0.25]))
+    under = Hits.of("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
+    assert [(row["box_px"], row["score"]) for row in left_of(seen, under)] == [
+        ([80, 0, 90, 10], 0.25),
+        ([50, 50, 60, 60], 0.15),
+    ]
+    assert left_of(seen, seen) == ()
+    assert len(left_of(seen, Hits())) == 3
+
+
 def test_a_data_sets_images_are_covered_as_they_are_read() -> None:
     image, box = portrait(80)
     frame = Private()(Frame(sequence="s", frame_id="0", images={"camera": image}))
@@ -150,9 +180,9 @@ def test_a_data_sets_images_are_covered_as_they_are_read() -> None:
 
 def test_the_command_writes_pictures_log_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk(tmp_path / "in")
-    assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1", "--no-plates"]) == 0
     said = capsys.readouterr().out
-    assert "8 pictures and frames, 8 faces covered, 1 of them doubtful" in said
+    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in said
     assert "Names are no stamps" in said
     page = (tmp_path / "out" / "anonymized.html").read_text()
     assert "03.png: face" in page

@@ -19,10 +19,11 @@ from PIL import Image
 from farfield.bulk import Bulk
 from farfield.cli import main
 from farfield.files.videos import film_frames, read_film
-from farfield.imaging.privacy import anonymise, films
+from farfield.imaging.privacy import Anonymising, anonymise, films
 from farfield.imaging.privacy.hits import covered_share
 from farfield.imaging.privacy.sources import sources_of
 
+FACES = Anonymising(plates=False)
 STAMPS = [0, 100, 210, 300, 390, 500, 600, 705]  # milliseconds: frames do not come evenly
 
 
@@ -61,7 +62,7 @@ def digest(path: Path) -> str:
 def test_stamps_stay_and_all_else_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = filmed(tmp_path / "in")
     before = digest(tmp_path / "in" / "walk.mp4")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out")
+    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", FACES)
     own, covered = (read_film(tmp_path / name / "walk.mp4") for name in ("in", "out"))
     np.testing.assert_allclose(covered.times_s, own.times_s, atol=1e-9)
     with av.open(str(tmp_path / "out" / "walk.mp4")) as container:
@@ -110,8 +111,11 @@ def test_the_command_takes_a_film_and_shows_its_doubtful_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     filmed(tmp_path / "in", "walk.mkv")
-    assert main(["anonymize", str(tmp_path / "in" / "walk.mkv"), str(tmp_path / "out"), "--workers", "1"]) == 0
-    assert "8 pictures and frames, 8 faces covered, 1 of them doubtful" in capsys.readouterr().out
+    assert (
+        main(["anonymize", str(tmp_path / "in" / "walk.mkv"), str(tmp_path / "out"), "--workers", "1", "--no-plates"])
+        == 0
+    )
+    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in capsys.readouterr().out
     assert f"walk.mkv, frame {HIDDEN}: face" in (tmp_path / "out" / "anonymized.html").read_text()
     (tmp_path / "in" / "bad.mp4").write_bytes((tmp_path / "in" / "walk.mkv").read_bytes()[:3000])
     assert main(["anonymize", str(tmp_path / "in" / "bad.mp4"), str(tmp_path / "out"), "--workers", "1"]) != 0

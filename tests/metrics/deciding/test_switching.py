@@ -1,38 +1,17 @@
 """Switching the pattern by scenario: learnt on some drives, used on others."""
 
-import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame.annotation import Annotation
 from farfield.metrics import Detections
 from farfield.metrics.deciding.switching import best_by, switched, switching_gains
-from metrics.scenes import random_scene
+from metrics.scenes import better_on
 
 STILL = {"region": "none", "epsilons": (0.0,)}
 
 
-def seen(good_on: str, seed: int = 0) -> Detections:
-    """Twelve drives, every other one in town; the boxes are right on one kind of road and 3 m off on the other."""
-    predictions, annotations = random_scene(np.random.default_rng(0), frames=24, sequences=12)
-    names = sorted({key[0] for key in annotations})
-    road = {name: ("urban", "highway")[place % 2] for place, name in enumerate(names)}
-    noise = np.random.default_rng(seed)
-    boxes = {}
-    for key in predictions:
-        truth = annotations[key]
-        off = 0.05 if road[key[0]] == good_on else 3.0
-        moved = truth.centre_m + off * noise.normal(0, 1, truth.centre_m.shape)
-        boxes[key] = truth.replace(centre_m=moved, score=noise.uniform(0.2, 1, len(truth)))
-    return Detections(
-        boxes=boxes,
-        annotations={key: Annotation(boxes=each) for key, each in annotations.items()},
-        conditions={key: {"road": road[key[0]]} for key in annotations},
-    )
-
-
 def test_the_best_pattern_of_each_road_is_chosen_and_used_on_other_drives() -> None:
-    found = {"gaussian": seen("highway"), "uniform": seen("urban")}
+    found = {"gaussian": better_on("highway"), "uniform": better_on("urban")}
     assert best_by(found, **STILL) == {"urban": "uniform", "highway": "gaussian"}
     rule = switched(found, **STILL)
     assert rule.choices == ({"urban": "uniform", "highway": "gaussian"},) * 2
@@ -42,14 +21,17 @@ def test_the_best_pattern_of_each_road_is_chosen_and_used_on_other_drives() -> N
 
 
 def test_the_rule_lies_above_both_fixed_choices_where_each_is_best_somewhere() -> None:
-    runs = {"gaussian": [seen("highway", s) for s in range(3)], "uniform": [seen("urban", s) for s in range(3)]}
+    runs = {
+        "gaussian": [better_on("highway", s) for s in range(3)],
+        "uniform": [better_on("urban", s) for s in range(3)],
+    }
     gains = switching_gains(runs, replicates=100, **STILL)
     assert {cloud: gain.interval()[0] > 0 for cloud, gain in gains.items()} == {"gaussian": True, "uniform": True}
 
 
 def test_the_rule_gains_nothing_over_a_pattern_that_is_best_everywhere() -> None:
-    good, bad = [seen("highway", s) for s in range(2)], [seen("nowhere", s) for s in range(2)]
-    urban = [seen("urban", s) for s in range(2)]
+    good, bad = [better_on("highway", s) for s in range(2)], [better_on("nowhere", s) for s in range(2)]
+    urban = [better_on("urban", s) for s in range(2)]
     both = [
         Detections(
             boxes={
@@ -72,7 +54,7 @@ def test_the_rule_gains_nothing_over_a_pattern_that_is_best_everywhere() -> None
 
 
 def test_frames_of_unknown_scenario_and_too_few_drives_are_refused() -> None:
-    found = {"gaussian": seen("highway"), "uniform": seen("urban")}
+    found = {"gaussian": better_on("highway"), "uniform": better_on("urban")}
     with pytest.raises(ConfigError, match="expected it of every frame"):
         switched(found, "weather", **STILL)
     with pytest.raises(ConfigError, match="2 folds or more"):

@@ -63,7 +63,15 @@ def read_labels(path: Path, settings: Labels) -> RawLabels:
     Raises:
         FileFormatError: If the file does not hold what the settings say.
     """
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    return parse_labels(read_bytes(path, max_bytes=_MAX_BYTES), path, settings)
+
+
+def parse_labels(data: bytes, path: Path, settings: Labels) -> RawLabels:
+    """Parse the content of an annotation file, JSON or text by its path's suffix.
+
+    Raises:
+        FileFormatError: As :func:`read_labels`.
+    """
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

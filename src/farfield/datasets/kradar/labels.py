@@ -236,6 +236,13 @@ def _whole(text: str) -> int | None:
     return int(text) if re.fullmatch(r"[+-]?[0-9]{1,18}", text) else None
 
 
+def format_header(indices: Mapping[str, int], time_ns: int) -> str:
+    """An annotation file's first line, without its end; the LiDAR's index stands for those that are missing."""
+    numbers = "_".join(f"{indices.get(name, indices['os2-64']):05d}" for name in INDEX_NAMES)
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return f"* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={numbers}, timestamp={seconds}.{rest:09d}"
+
+
 def format_labels(
     boxes: Boxes, indices: Mapping[str, int], time_ns: int, *, version: str, availability: Sequence[str] = ()
 ) -> str:
@@ -250,9 +257,7 @@ def format_labels(
         version: ``"v1.0"`` or ``"v2.1"``.
         availability: ``R``, ``L`` or ``L1`` of each box, for v2.1; all are ``R`` if it is empty.
     """
-    numbers = "_".join(f"{indices.get(name, indices['os2-64']):05d}" for name in INDEX_NAMES)
-    seconds, rest = divmod(time_ns, 1_000_000_000)
-    header = f"* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={numbers}, timestamp={seconds}.{rest:09d}"
+    header = format_header(indices, time_ns)
     tracks = np.arange(len(boxes)) if boxes.track_id is None else boxes.track_id
     flags = list(availability) or ["R"] * len(boxes)
     degrees, half = np.rad2deg(boxes.yaw_rad).tolist(), (boxes.size_m / 2).tolist()

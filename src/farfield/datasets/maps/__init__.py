@@ -10,6 +10,7 @@ from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.maps.labels_at import LabelsAt
 from farfield.datasets.maps.move import Move
 from farfield.datasets.maps.placed import Placed
+from farfield.datasets.maps.posed import Posed
 from farfield.datasets.maps.sweeps import Sweeps
 from farfield.errors import ConfigError
 from farfield.registry import Registry
@@ -22,6 +23,7 @@ __all__ = [
     "LabelsAt",
     "Move",
     "Placed",
+    "Posed",
     "Sweeps",
     "described",
     "make",
@@ -33,8 +35,10 @@ MAPS: Registry[Any] = Registry(
     "map of frames",
     {
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
+        "edited": "farfield.datasets.edits.edited:Edited",
         "labels_at": "farfield.datasets.maps.labels_at:LabelsAt",
         "move": "farfield.datasets.maps.move:Move",
+        "posed": "farfield.datasets.maps.posed:Posed",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
     },

@@ -19,6 +19,7 @@ class FrameMap(Protocol):
     - ``frames_before``: how many frames before the present one it reads, 0 if left out.
     - ``keeps_annotation``: whether the annotation stays as it is, so that it can be read without building the frame.
     - ``moved_poses(poses)``: what becomes of the drives' ``world_T_frame``, shape (n, 4, 4); None where not known.
+    - ``poses_of(keys)``: the poses that it gives the frames of a drive, shape (n, 4, 4), or None.
     - ``fits(dataset)``: whether a data set's frames can be seen so; True if left out.
     - ``overrules``: whether it takes the place of an earlier one of its name, as the view of a detector's training does
       of the user's; False if left out.

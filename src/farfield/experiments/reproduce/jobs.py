@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.experiments.claims import Claims
+from farfield.experiments.claims import Claim
 from farfield.experiments.reproduce.grid import Grid, GridRun, Tree, merged
 from farfield.experiments.reproduce.places import Place
 from farfield.experiments.schema import Experiment
@@ -84,14 +84,14 @@ class Plotted:
 
 
 def jobs_of(
-    grid: Grid, budget: str, claims: Claims, data: Plotted, runs_folder: Path, *, steps_share: float = 1.0
+    grid: Grid, budget: str, claims: Iterable[Claim], data: Plotted, runs_folder: Path, *, steps_share: float = 1.0
 ) -> list[Job]:
     """All jobs of a budget, seed by seed, so that an interrupted grid has whole tables of fewer seeds.
 
     Args:
         grid: The grid.
         budget: Name of the budget.
-        claims: Claims, whose rows say on which clouds runs are scored.
+        claims: Claims, whose rows say on which clouds runs are scored besides their own.
         data: Where the data stand.
         runs_folder: Folder of all jobs' folders.
         steps_share: Share of the budget's steps.
@@ -133,7 +133,7 @@ def waves(jobs: Iterable[Job]) -> list[list[Job]]:
     return [wave for wave in (first, [job for job in listed if job.folder not in awaited]) if wave]
 
 
-def _scored_clouds(grid: Grid, claims: Claims) -> dict[str, list[str]]:
+def _scored_clouds(grid: Grid, claims: Iterable[Claim]) -> dict[str, list[str]]:
     """Clouds that each run is scored on: those that claims name, and its own."""
     pairs = [pair for claim in claims for pair in (*claim.comparisons, *claim.controls)]
     rows = [row for pair in pairs for row in (pair.a, pair.b) if row.run]
@@ -215,8 +215,15 @@ def _key(experiment: Experiment, fingerprints: Mapping[str, str], start: str) ->
         del group["path"]
     for setting in _INERT:
         tree["training"].pop(setting, None)
-    said = [tree, dict(sorted(fingerprints.items())), start, code_digest(_TRAINING_ROOMS)]
+    rooms = (*_TRAINING_ROOMS, "simulation") if _lays_weather(tree) else _TRAINING_ROOMS
+    said = [tree, dict(sorted(fingerprints.items())), start, code_digest(rooms)]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
+
+
+def _lays_weather(tree: Mapping[str, Any]) -> bool:
+    """Whether an experiment lays the simulator's weather over its frames."""
+    strong = tree["method"].get("strong") or {}
+    return bool(tree["augmentation"].get("weather") or strong.get("weather"))
 
 
 @cache

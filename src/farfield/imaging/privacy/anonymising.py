@@ -8,7 +8,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ from farfield.imaging.privacy.covering import covered, mask_of
 from farfield.imaging.privacy.films import FilmCovering, anonymise_films
 from farfield.imaging.privacy.hits import Hits
 from farfield.imaging.privacy.linking import Cover
-from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, rows_of
-from farfield.imaging.privacy.partners import partners
-from farfield.imaging.privacy.sources import Series, Sources
+from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, left_of, rows_of
+from farfield.imaging.privacy.partners import partners, side_by_side
+from farfield.imaging.privacy.sources import Series, Sources, holds_two_eyes
 
 LOG, JOURNAL, FOUND, SECRET = "anonymized.jsonl", ".journal.jsonl", ".found.jsonl", ".secret"
 _QUALITY = 95
@@ -51,11 +51,13 @@ class _Task:
         file: Below the folders.
         cover: What its own series says: rows of box, score, kind.
         other: The other eye's picture and what its series says; none without.
+        both: Whether the picture may hold both eyes side by side.
     """
 
     file: str
     cover: list[list[Any]]
     other: tuple[str, list[list[Any]]] | None = None
+    both: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ class _Covering:
             other = read_image(self.root / task.other[0], upright=True)
             hits = Hits.joined([hits, partners(other, Hits.from_rows(task.other[1]), image, hits).hits])
         height, width = image.shape[:2]
+        if task.both and holds_two_eyes(width, height):
+            hits = Hits.joined([hits, side_by_side(image, hits)])
         hits = hits.within(width, height)
         path = self.out / task.file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,6 +102,7 @@ def anonymise(
     chosen: Anonymising | None = None,
     *,
     pairs: Sequence[tuple[int, int]] = (),
+    both: Sequence[int] = (),
     find: Bulk = HERE,
     cover: Bulk = HERE,
 ) -> list[Covered]:
@@ -108,6 +113,7 @@ def anonymise(
         out: Folder to write into; not the root, nor below it.
         chosen: How.
         pairs: Numbers of series that are two eyes of one pair: what is covered in one is covered in the other.
+        both: Numbers of series whose pictures hold both eyes side by side.
         find: Who looks for faces.
         cover: Who covers and writes.
 
@@ -126,7 +132,8 @@ def anonymise(
         names = [file.as_posix() for file in series.files]
         covers |= dict(zip(names, covers_of([found[name] for name in names], series.times_s, chosen), strict=True))
     secret = _secret(out)
-    done = _covered(root, out, chosen, _tasks(folders, covers, pairs), covers, secret, cover)
+    done = _covered(root, out, chosen, _tasks(folders, covers, pairs, both), covers, secret, cover)
+    done = [replace(each, left=left_of(found[each.file].hits, _hits(each))) for each in done]
     if films:
         done += anonymise_films(root, films, out, FilmCovering(chosen, secret), find=find, cover=cover)
     _write_log(out / LOG, done, chosen)
@@ -150,7 +157,9 @@ def _found(folders: Sequence[Series], out: Path, chosen: Anonymising, bulk: Bulk
     return {name: Looked.from_json(each) for name, each in told}
 
 
-def _tasks(folders: Sequence[Series], covers: Mapping[str, Cover], pairs: Sequence[tuple[int, int]]) -> list[_Task]:
+def _tasks(
+    folders: Sequence[Series], covers: Mapping[str, Cover], pairs: Sequence[tuple[int, int]], both: Sequence[int]
+) -> list[_Task]:
     """A task for each picture, with the other eye's where there is one of the same name."""
     partner: dict[str, str] = {}
     for one, other in pairs:
@@ -158,7 +167,9 @@ def _tasks(folders: Sequence[Series], covers: Mapping[str, Cover], pairs: Sequen
         for stem in left.keys() & right.keys():
             partner |= {left[stem]: right[stem], right[stem]: left[stem]}
     told = {file: cover.hits.to_rows() for file, cover in covers.items()}
-    return [_Task(file, told[file], (partner[file], told[partner[file]]) if file in partner else None) for file in told]
+    double = {file.as_posix() for number in both for file in folders[number].files}
+    others = {file: (name, told[name]) for file, name in partner.items()}
+    return [_Task(file, told[file], others.get(file), file in double) for file in told]
 
 
 def _covered(
@@ -181,6 +192,10 @@ def _covered(
         rows = rows_of(Hits.from_rows(value["rows"]), covers[task.file])
         done.append(Covered(task.file, (width, height), float(value["share"]), rows))
     return done
+
+
+def _hits(each: Covered) -> Hits:
+    return Hits.from_rows([[*row["box_px"], row["score"], row["kind"]] for row in each.rows])
 
 
 def _sources(root: Path, task: _Task) -> tuple[Path, ...]:

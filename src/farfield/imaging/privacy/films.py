@@ -21,7 +21,7 @@ from farfield.files.videos import WRITTEN, Film, film_frames, join_films, read_f
 from farfield.imaging.privacy.covering import covered, mask_of
 from farfield.imaging.privacy.hits import Hits
 from farfield.imaging.privacy.linking import Cover
-from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, rows_of
+from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, left_of, rows_of
 
 SEGMENT = 300
 _FOUND, _PARTS_JOURNAL, _DONE, _PARTS = ".found-films.jsonl", "parts.jsonl", ".films.jsonl", ".unfinished-films"
@@ -154,7 +154,7 @@ def anonymise_films(
         name = written_as(Path(file)).as_posix()
         frames = zip(looked[file], covers, shares, strict=True)
         done += [
-            Covered(name, each.size_px, float(share), rows_of(cover.hits, cover), frame)
+            Covered(name, each.size_px, float(share), rows_of(cover.hits, cover), frame, left_of(each.hits, cover.hits))
             for frame, (each, cover, share) in enumerate(frames)
         ]
     shutil.rmtree(out / _PARTS, ignore_errors=True)

@@ -11,10 +11,11 @@ from jaxtyping import Float, UInt8
 
 from farfield.imaging.privacy.covering import How
 from farfield.imaging.privacy.faces import FaceDetector
-from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.hits import Hits, overlap
 from farfield.imaging.privacy.linking import HOWS, Cover, Linking, linked
+from farfield.imaging.privacy.plates import PlateDetector, available
 
-_DOUBTFUL = 0.3
+_DOUBTFUL, _HIDDEN_IOU = 0.3, 0.3
 _PARTS, _CUT, _APART_S = 4, 28.0, 1e4
 
 
@@ -36,6 +37,7 @@ class Anonymising:
     Args:
         how: See :func:`~farfield.imaging.privacy.covering.covered`.
         small_faces: Look at the picture at twice its size too.
+        plates: Cover number plates too, where torch is installed (:func:`without_plates` says why not).
         least_score: Weaker boxes are not even kept in mind.
         linking: How boxes become tracks.
         together: Whether the pictures of a folder follow one another; else each stands alone.
@@ -43,6 +45,7 @@ class Anonymising:
 
     how: How = "fill"
     small_faces: bool = False
+    plates: bool = True
     least_score: float = 0.1
     linking: Linking = field(default_factory=Linking)
     together: bool = True
@@ -55,7 +58,14 @@ class Anonymising:
             FarfieldError: If a model is missing.
         """
         sizes = (1.0, 2.0) if self.small_faces else (1.0,)
-        return [FaceDetector(least_score=self.least_score, sizes=sizes)]
+        faces = FaceDetector(least_score=self.least_score, sizes=sizes)
+        if not self.plates or self.without_plates():
+            return [faces]
+        return [faces, PlateDetector(least_score=self.least_score)]
+
+    def without_plates(self) -> str:
+        """Why plates stay as they are, in words; empty where they are covered or were not asked for."""
+        return available() if self.plates else ""
 
     def setting(self) -> str:
         """All that decides the result besides the pictures."""
@@ -125,6 +135,7 @@ class Covered:
         share: Share of its pixels that is covered.
         rows: What is covered: kind, box_px, score, track, how it was known.
         frame: Its number, of a film's.
+        left: Weak boxes that are not covered: kind, box_px, score.
     """
 
     file: str
@@ -132,6 +143,7 @@ class Covered:
     share: float
     rows: tuple[Mapping[str, Any], ...]
     frame: int | None = None
+    left: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def doubtful(self) -> list[Mapping[str, Any]]:
@@ -141,7 +153,19 @@ class Covered:
     def to_json(self) -> dict[str, Any]:
         """The line of the log."""
         at = {} if self.frame is None else {"frame": self.frame}
-        return {"file": self.file, **at, "size_px": list(self.size_px), "covered": [dict(row) for row in self.rows]}
+        return {"file": self.file, **at, "size_px": list(self.size_px), "covered": [dict(row) for row in self.rows]} | (
+            {"left": [dict(row) for row in self.left]} if self.left else {}
+        )
+
+
+def left_of(seen: Hits, covered: Hits) -> tuple[dict[str, Any], ...]:
+    """The boxes of the first pass that are not covered, for no strong one is on their track: the strongest first."""
+    hidden = overlap(seen.box_px, covered.box_px).max(axis=1, initial=0.0) >= _HIDDEN_IOU
+    centre = (seen.box_px[:, None, :2] + seen.box_px[:, None, 2:]) / 2
+    inside = (centre >= covered.box_px[None, :, :2]) & (centre <= covered.box_px[None, :, 2:])
+    left = seen[~hidden & ~inside.all(axis=2).any(axis=1)]
+    order = np.argsort(-left.score, kind="stable")
+    return tuple({"kind": row[5], "box_px": row[:4], "score": row[4]} for row in left[order].to_rows())
 
 
 def rows_of(hits: Hits, cover: Cover) -> tuple[dict[str, Any], ...]:

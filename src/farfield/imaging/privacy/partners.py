@@ -1,5 +1,6 @@
-"""The other eye of a stereo pair: what is covered in one picture is covered in the other too."""
+"""The other eye of a stereo pair: what is covered in one picture, or half, is covered in the other too."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,26 @@ def partners(image: _Picture, hits: Hits, other: _Picture, known: Hits) -> Partn
     chosen = hits[np.array(rows, dtype=np.int64)]
     boxes = Hits(np.array(found).reshape(-1, 4), chosen.score, chosen.kind)
     return Partners(boxes, hits[np.array(lost, dtype=np.int64)])
+
+
+def side_by_side(image: _Picture, hits: Hits) -> Hits:
+    """What the halves of a picture that holds both eyes, left and right, lack of one another.
+
+    Args:
+        image: Both eyes' picture, uncovered; an odd column in the middle belongs to none.
+        hits: Boxes of the whole picture; those that reach over the middle are in both eyes already.
+
+    Returns:
+        Boxes to cover besides, in the whole picture's pixels.
+    """
+    half = image.shape[1] // 2
+    right = np.array([image.shape[1] - half, 0.0] * 2)
+    eyes = (image[:, :half], image[:, -half:])
+    middle = hits.box_px[:, [0, 2]].mean(axis=1) < image.shape[1] / 2
+    parts = (hits[middle], replace(hits[~middle], box_px=hits[~middle].box_px - right))
+    to_right = partners(eyes[0], parts[0], eyes[1], parts[1]).hits
+    to_left = partners(eyes[1], parts[1], eyes[0], parts[0]).hits
+    return Hits.joined([replace(to_right, box_px=to_right.box_px + right), to_left])
 
 
 def _place(image: _Picture, box: np.ndarray, other: _Picture) -> np.ndarray | None:

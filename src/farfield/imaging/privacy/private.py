@@ -7,10 +7,12 @@ from functools import partial
 import numpy as np
 from jaxtyping import UInt8
 
-from farfield.frame import Frame
+from farfield.frame import Annotation, Frame
 from farfield.frame.lazy import Lazy
+from farfield.geometry.cameras import Camera
+from farfield.imaging.privacy.context import in_context, vehicles_px
 from farfield.imaging.privacy.covering import covered
-from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.hits import PLATE, Hits
 from farfield.imaging.privacy.looking import Anonymising
 
 _Picture = UInt8[np.ndarray, "height width 3"]
@@ -18,10 +20,11 @@ _Picture = UInt8[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True)
 class Private:
-    """Covers the faces in a frame's images, each image by itself: ``dataset.mapped(Private())``.
+    """Covers faces and number plates in a frame's images, each image by itself: ``dataset.mapped(Private())``.
 
-    Weak boxes are covered too, for no track says which of them are faces; what the detector misses stays seen.
-    :func:`~farfield.imaging.privacy.anonymise` follows faces over the pictures of a drive.
+    Weak boxes of faces are covered too, for no track says which of them are faces; weak ones of plates only within
+    vehicles, where the frame has boxes and the camera a calibration. What a detector misses stays seen.
+    :func:`~farfield.imaging.privacy.anonymise` follows what it found over the pictures of a drive.
 
     Args:
         chosen: How.
@@ -36,10 +39,24 @@ class Private:
             name: images.loader(name) if isinstance(images, Lazy) else partial(images.__getitem__, name)
             for name in images
         }
-        return replace(frame, images=Lazy({name: partial(_seen, load, chosen) for name, load in loaders.items()}))
+        seen = {
+            name: partial(_seen, load, chosen, frame.load_annotation, frame.cameras.get(name))
+            for name, load in loaders.items()
+        }
+        return replace(frame, images=Lazy(seen))
 
 
-def _seen(load: Callable[[], _Picture], chosen: Anonymising) -> _Picture:
+def _seen(
+    load: Callable[[], _Picture],
+    chosen: Anonymising,
+    annotation: Callable[[], Annotation] | None,
+    camera: Camera | None,
+) -> _Picture:
     image = load()
     hits = Hits.joined([finder(image) for finder in chosen.finders()])
+    if (hits.kind == PLATE).any():
+        vehicles = np.zeros((0, 4))
+        if annotation is not None and camera is not None:
+            vehicles = vehicles_px(annotation().boxes, camera)
+        hits = in_context(hits, vehicles, chosen.linking.strong)
     return covered(image, hits.within(image.shape[1], image.shape[0]), chosen.how, np.random.default_rng())

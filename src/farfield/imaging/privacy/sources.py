@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from farfield.datasets.kradar.layout import CAMERAS
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.videos import VIDEOS
 
@@ -25,6 +26,10 @@ PAIRS = (
     ("stereo_front_left", "stereo_front_right"),
 )
 """Names of folders that hold the two eyes of a pair, where the data sets name them so."""
+
+SIDE_BY_SIDE = CAMERAS
+"""Names of folders whose pictures hold both eyes, the left one on the left: K-Radar's."""
+_TWO_EYES = 3.0  # a picture of two eyes is at least so many times as wide as high
 
 
 @dataclass(frozen=True)
@@ -135,3 +140,13 @@ def pairs_of(folders: Sequence[Series], named: Sequence[tuple[str, str]] = PAIRS
                 if partner is not None:
                     found.append((number, partner))
     return found
+
+
+def side_by_side_of(folders: Sequence[Series], named: Sequence[str] = SIDE_BY_SIDE) -> list[int]:
+    """Numbers of the series whose pictures hold both eyes beside each other, by the names of their folders."""
+    return [number for number, each in enumerate(folders) if set(named) & set(each.name.split("/"))]
+
+
+def holds_two_eyes(width_px: int, height_px: int) -> bool:
+    """Whether a picture is wide enough to hold two; an eye cut out of it is not."""
+    return width_px >= _TWO_EYES * height_px

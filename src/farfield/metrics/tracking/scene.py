@@ -97,8 +97,8 @@ def gather(found: "Detections", settings: TrackingSettings) -> Scene:
     scored = has_label(predicted, settings.label, settings.relabel)
     ignored, facts_note = _ignored(found, keys, given)
     harmless, notes = _harmless(found, keys, seen, scored)
-    rows = _rows(keys, given, annotated, used, ~is_label | ignored, what="annotations")
-    tracks = _rows(keys, seen, predicted, scored, harmless, what="predictions")
+    rows = collect_rows(keys, given, annotated, used, ~is_label | ignored, what="annotations")
+    tracks = collect_rows(keys, seen, predicted, scored, harmless, what="predictions")
     annotated, predicted = annotated[used], predicted[scored]
     pair = np.column_stack(same_owner(rows.frame, tracks.frame, len(keys)))
     similarity = _similarity(annotated, predicted, pair, settings)
@@ -115,7 +115,7 @@ def gather(found: "Detections", settings: TrackingSettings) -> Scene:
     return scene.cut(np.ones(len(rows), dtype=bool), tracks.score >= settings.least_track_score)
 
 
-def _rows(
+def collect_rows(
     keys: Sequence[Key],
     parts: Sequence[Boxes],
     boxes: Boxes,
@@ -124,6 +124,19 @@ def _rows(
     *,
     what: str,
 ) -> Rows:
+    """The used rows of all frames' boxes with their tracks, which are checked.
+
+    Args:
+        keys: The frames in their order.
+        parts: The boxes of each.
+        boxes: All of them.
+        used: Which of them.
+        aside: Which of them are ignored or harmless, see :class:`Rows`.
+        what: Whose boxes, for messages.
+
+    Raises:
+        ConfigError: If boxes have no track, or a track has two boxes in a frame.
+    """
     frame = np.repeat(np.arange(len(keys)), [len(part) for part in parts])[used]
     ids = [np.full(len(part), -1) if part.track_id is None else part.track_id for part in parts]
     track_id = np.concatenate([np.zeros(0, dtype=np.int64), *ids])[used]

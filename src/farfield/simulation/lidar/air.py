@@ -22,7 +22,9 @@ from farfield.simulation.weather.precipitation import falling, strongest_particl
 from farfield.simulation.weather.spray import Plume
 
 SURFACE, PRECIPITATION, FOG, SPRAY = range(4)
-_BLANKING_M = (1.5, 3.0)  # a shot's receiver opens somewhere in between
+BLANKING_M = (1.5, 3.0)
+"""A shot's receiver opens somewhere in between."""
+
 _WORTH = 0.1  # particles weaker than this are neither detected nor in the way
 
 
@@ -132,7 +134,7 @@ def compete(
     offer = partial(_offer, range_m, strength, kind, open_m)
     for particles in falling(weather, model.wavelength_nm):
         law = strongest_particle(particles, beam, extinction)
-        power, where = law.strength(rng.random(len(range_m))), rng.random(len(range_m))
+        power, where = law.strength(rng.random(len(range_m)), least=_WORTH), rng.random(len(range_m))
         shots = np.flatnonzero(power > _WORTH)
         at, fill = law.place(power[shots], where[shots])
         in_way = (at < open_m[shots]) & (kind[shots] == SURFACE)
@@ -141,7 +143,7 @@ def compete(
         offer(shots[usable], at[usable], (power[shots] * through[shots])[usable], PRECIPITATION)
     if weather.mor_m < FOG_MOR_M:
         soft = soft_echo(beam, haze_extinction_per_m(weather.mor_m, model.wavelength_nm))
-        low, high = _BLANKING_M
+        low, high = BLANKING_M
         at, power = soft.beyond(low + (high - low) * rng.random(len(range_m)))
         offer(np.arange(len(range_m)), at, power * through, FOG)
     if sprayed is not None:

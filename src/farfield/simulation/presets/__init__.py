@@ -254,7 +254,7 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
 
     Args:
         name: One of ``PRESETS``.
-        weather: Put every sequence into this weather.
+        weather: Put every sequence into this weather; of several with commas between, each into the next in turn.
         time: Put every sequence into this time of day.
         **changes: Fields of :class:`Preset` to replace; fields of :class:`Mounting`, and ``road``, ``frames`` and
             ``duration_s`` of :class:`Segment`, may be named too and go to every sequence.
@@ -265,17 +265,22 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}; got {name!r}")
     preset = PRESETS[name]
-    for what, value, known in (("weather", weather, WEATHERS), ("time of day", time, TIMES)):
-        if value is not None and value not in known:
+    weathers = () if weather is None else tuple(each.strip() for each in weather.split(","))
+    named = [("weather", each, WEATHERS) for each in weathers]
+    for what, value, known in named if time is None else [*named, ("time of day", time, TIMES)]:
+        if value not in known:
             raise ConfigError(f"{what}: expected one of {', '.join(known)}; got {value!r}")
-    wanted = {"condition": weather, "time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}
+    wanted = {"time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}
     wanted = {name: value for name, value in wanted.items() if value is not None}
     mounting = {name: changes.pop(name) for name in list(changes) if name in Mounting.__dataclass_fields__}
     unknown = set(changes) - set(Preset.__dataclass_fields__)
     if unknown:
         known_ones = [*Preset.__dataclass_fields__, *_SEGMENT_FIELDS, *Mounting.__dataclass_fields__]
         raise ConfigError(f"preset: expected settings among {', '.join(known_ones)}; got {', '.join(sorted(unknown))}")
-    changes.setdefault("segments", tuple(replace(segment, **wanted) for segment in preset.segments))
+    segments = [replace(segment, **wanted) for segment in preset.segments]
+    if weathers:
+        segments = [replace(each, condition=weathers[i % len(weathers)]) for i, each in enumerate(segments)]
+    changes.setdefault("segments", tuple(segments))
     changes.setdefault("mountings", tuple(replace(each, **mounting) for each in preset.mountings))
     return replace(preset, **changes)
 

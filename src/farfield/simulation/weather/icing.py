@@ -16,7 +16,8 @@ from farfield.simulation.weather.optics import film_transmission
 BLOCKED_TRANSMISSION = 0.05  # one way, through frost
 FRONT_DEG = 70.0  # ice and snow gather on the part of the window that faces forward
 _STEP_DEG = 0.5
-_WIDTHS_DEG = {"ice": (8.0, 4.0), "drop": (1.2, 0.8)}  # deviations of the smoothing in azimuth and elevation
+WIDTHS_DEG = {"ice": (8.0, 4.0), "drop": (1.2, 0.8)}
+"""How wide the covered parts are: deviations of the smoothing in azimuth and elevation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class WindowField:
         *,
         azimuth_deg: float,
         elevation_deg: tuple[float, float],
+        widths_deg: tuple[float, float] | None = None,
     ) -> "WindowField":
         """Draw a window's field.
 
@@ -49,11 +51,12 @@ class WindowField:
             kind: "ice" (wide patches over the front) or "drop" (small spots).
             azimuth_deg: Half of the sensor's field of view; the front is at most 70 degrees of it.
             elevation_deg: Lowest and highest elevation that the sensor looks at.
+            widths_deg: Deviations of the smoothing in azimuth and elevation; those of the kind if left out.
         """
         half = min(azimuth_deg, FRONT_DEG)
         low, high = elevation_deg
         shape = (max(round((high - low) / _STEP_DEG), 2), round(2 * half / _STEP_DEG))
-        across, up = _WIDTHS_DEG[kind]
+        across, up = widths_deg or WIDTHS_DEG[kind]
         white = np.random.default_rng(seed).standard_normal(shape)
         smooth = gaussian_filter(white, (up / _STEP_DEG, across / _STEP_DEG), mode="wrap")
         spread = np.exp(0.5 * smooth / max(float(smooth.std()), 1e-12))  # log-normal; the wind loads the middle more

@@ -27,6 +27,7 @@ _FLAKE_LIDAR_RATIO_SR = 20.0  # alpha / beta of falling ice crystals; 15 to 25 a
 _ICE_AT_1550 = 0.15 / 0.9  # how much less of what enters a flake comes back at 1550 nm than below 1000 nm
 _LEVELS = np.geomspace(1e-2, 1e5, 141)
 _LOG_LEVELS = np.log(_LEVELS)
+_ROUNDING = 1 - 1e-6  # what is left out is surely weaker
 _RANGES_M = np.geomspace(0.5, 120.0, 240)
 
 
@@ -81,15 +82,25 @@ class Strongest:
     range_cdf: Float[np.ndarray, "levels ranges"]
     fill: Float[np.ndarray, "levels ranges"]
 
-    def strength(self, uniform: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def strength(self, uniform: Float[np.ndarray, " n"], *, least: float = 0.0) -> Float[np.ndarray, " n"]:
         """Signal of each shot's strongest particle; 0 where none is worth a thought.
 
         Args:
             uniform: Uniform in [0, 1), one a shot.
+            least: Weaker signals may come out as 0, which saves time.
         """
-        wanted = -np.log(np.maximum(uniform, 1e-12))
+        power = np.zeros(len(uniform))
+        most = self.mean_count[0] if least <= _LEVELS[0] else self.count_above(_ROUNDING * least)
+        likely = np.maximum(uniform, 1e-12)
+        shots = np.flatnonzero(likely > np.exp(-most) * _ROUNDING)
+        wanted = -np.log(likely[shots])
         level = np.interp(wanted, self.mean_count[::-1], _LOG_LEVELS[::-1])
-        return np.where(wanted < self.mean_count[0], np.exp(level), 0.0)
+        power[shots] = np.where(wanted < self.mean_count[0], np.exp(level), 0.0)
+        return power
+
+    def count_above(self, strength: float) -> float:
+        """Mean count of particles in a shot that are stronger than a signal."""
+        return float(np.interp(np.log(strength), _LOG_LEVELS, self.mean_count))
 
     def place(
         self, strength: Float[np.ndarray, " n"], uniform: Float[np.ndarray, " n"]

@@ -1,0 +1,318 @@
+"""Adapted to sleet and heavy snow without their labels: how much of the gap each means closes, for radar and LiDAR.
+
+    python benchmarks/weather_adapting.py [--seeds 3] [--steps 240] [--frames 100] [--workers 2] [--out FOLDER]
+
+Detectors learn from simulated normal and overcast drives (RTNH in half its width on the radar, PointPillars on the
+os2-64) and are scored on other drives in sleet and heavy snow. The grid stands in weather_adapting.yaml. Rows: the
+source alone; weather laid over it; and from these weights, in --adapt-steps steps of source and target frames with
+statistics by domain, a mean teacher without and with weather laid over, the same with weight 0 (statistics alone), and
+the oracle, which learns from the target's labels in place of pseudo boxes: the labels are the only difference.
+Thresholds of the pseudo boxes come from each start's scores on source frames that it did not learn from. Settings of
+the weather that is laid over lie outside what the target's weathers hold: this is checked.
+
+The gap is oracle minus source; its interval and the pooled spread over seeds are those of farfield.metrics.deciding.
+Where it lies above 0, the share that a row closes is the s for which row = source + s (oracle - source), and its
+interval all s of which that is not refused at 95 % (Fieller, 1954), seeds paired and sequences drawn alike. A killed
+call goes on where it stopped. With one seed nothing is decided.
+"""
+
+import argparse
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _report import ROOT, header, progress
+
+from farfield.adaptation.thresholds import thresholds_of
+from farfield.detection import detect
+from farfield.detectors.runtime import Detector
+from farfield.errors import ConfigError
+from farfield.experiments.reproduce import load_grid
+from farfield.experiments.reproduce.deciding import Scores
+from farfield.experiments.reproduce.grid import Grid
+from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
+from farfield.experiments.reproduce.needs import Need
+from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
+from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
+from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.schema import Experiment
+from farfield.metrics.deciding import Difference, Sample, Scalar, decide, difference_of, pooled
+from farfield.training.config import WeatherConfig
+from farfield.training.weather import inside_presets
+
+BUDGET = "laptop"
+CLOUDS = {"radar": "radar", "lidar": "os2-64"}
+NAMES = {"radar": "RTNH on the radar", "lidar": "PointPillars on the os2-64"}
+FIGURE = "ap/vehicle/3d/0.3"
+PARTS = {"sleet and heavy snow": ("sleet", "heavy_snow"), "sleet": ("sleet",), "heavy snow": ("heavy_snow",)}
+SOURCE = "normal and overcast"
+ADAPTED = ("weather", "statistics", "teacher", "teacher_weather")
+SHARES = np.round(np.arange(-3.0, 4.001, 0.01), 2)
+AIM = 0.5
+
+
+def scalars() -> dict[str, Scalar]:
+    """AP3D by weather; of two weathers their mean."""
+    parts = {**PARTS, SOURCE: ("normal", "overcast")}
+    return {
+        name: Scalar(tuple((f"weather/{each}", FIGURE, 1 / len(weathers)) for each in weathers))
+        for name, weathers in parts.items()
+    }
+
+
+def chosen_grid(options: argparse.Namespace) -> Grid:
+    """The grid in the size that was asked for."""
+    grid = load_grid(Path(__file__).with_suffix(".yaml"))
+    settings = grid.budgets[BUDGET]
+    sequences = {
+        "source": options.frames // 2,
+        "target": options.frames // 2,
+        "val": options.val,
+        "test": options.scored,
+    }
+    sets = {name: each.model_copy(update={"sequences": sequences[name]}) for name, each in settings.sets.items()}
+    changed = settings.model_copy(update={"sets": sets, "seeds": options.seeds, "steps": options.steps})
+    runs = {name: run for name, run in grid.runs.items() if name.partition("_")[0] in options.sensors}
+    return grid.model_copy(update={"runs": runs, "budgets": {BUDGET: changed}})
+
+
+def check_outside(grid: Grid) -> int:
+    """See that what is laid over frames lies outside the targets' own; how many settings of weather there are.
+
+    Raises:
+        ConfigError: If it does not.
+    """
+    trees = [run.augmentation.get("weather") for run in grid.runs.values()]
+    trees += [run.method.get("strong", {}).get("weather") for run in grid.runs.values()]
+    configs = [WeatherConfig.model_validate(tree) for tree in trees if tree]
+    inside = sorted({text for config in configs for text in inside_presets(config)})
+    if inside:
+        raise ConfigError("weather: expected settings outside the targets'; " + "; ".join(inside))
+    return len(configs)
+
+
+def adapted(job: Job, runs: Path, val: Place, steps: int) -> Job:
+    """A job that starts from a finished one: fewer steps, half the rate, thresholds from that one's scores."""
+    tree = job.experiment.model_dump(mode="json")
+    rate = tree["training"]["learning_rate"] / 2
+    tree["training"] |= {"steps": steps, "learning_rate": rate}
+    if tree["method"]["name"] == "teacher":
+        tree["method"] |= thresholds(job, runs, val)
+    told = {name: value for name, value in tree["method"].items() if name != "start"}
+    said = json.dumps([job.key, told, steps, rate], sort_keys=True)
+    key = hashlib.sha256(said.encode()).hexdigest()[: len(job.key)]
+    return replace(job, experiment=Experiment.model_validate(tree), key=key)
+
+
+def thresholds(job: Job, runs: Path, val: Place) -> dict[str, dict[str, float]]:
+    """A teacher's thresholds, from what its start's detector finds in source frames."""
+    weights = runs / job.start / WEIGHTS
+    detector, (cloud,) = Detector.load(weights), job.clouds
+    journal = weights.parent / f"found-val-{cloud}.jsonl"  # that of the scoring
+    found = detect(detector, val.opened(), cloud=cloud, annotated_only=True, journal=journal)
+    boxes = {key: each.boxes for key, each in found.annotations.items()}
+    classes, lowest = detector.config.class_names, detector.config.score_threshold
+    limits = thresholds_of(found.boxes, boxes, classes, lowest=lowest)
+    return {"positive": limits.positive, "negative": limits.negative}
+
+
+def trained(grid: Grid, options: argparse.Namespace) -> tuple[list[Job], Scoring]:
+    """Simulate, train and score all that is not done: the jobs in their order, and how they were scored."""
+    runs = options.out / "runs"
+    places = places_of(grid, BUDGET, options.out / "data")
+    provide(places, workers=options.workers, progress=partial(progress, what="simulating"))
+    fingerprints = fingerprints_of(places)
+    jobs = jobs_of(grid, BUDGET, (), Plotted(places=places, fingerprints=fingerprints), runs)
+    settings = grid.budgets[BUDGET]
+    needs = [
+        Need(run=run, cloud=CLOUDS[run.partition("_")[0]], table="", scalar=scalar)
+        for run in grid.runs
+        for scalar in scalars().values()
+    ]
+    scoring = Scoring(
+        score=settings.score,
+        places={name: places[name] for name in settings.scored_on},
+        fingerprints={name: fingerprints[name] for name in settings.scored_on},
+        needs=tuple(needs),
+        replicates=settings.replicates,
+    )
+    work = partial(
+        do_all, folder=runs, scoring=scoring, workers=options.workers, progress=partial(progress, what="runs")
+    )
+    first = [job for job in jobs if not job.start]
+    work(first)
+    begun = [job for job in jobs if job.start and (runs / job.start / WEIGHTS).is_file()]  # others' starts diverged
+    later = [adapted(job, runs, places["val"], options.adapt_steps) for job in begun]
+    work(later)
+    return [*first, *later], scoring
+
+
+Row = dict[int, Sample]
+
+
+def towards(source: Row, oracle: Row, share: float) -> Row:
+    """What lies at a share of the way from the source's row to the oracle's, seed by seed."""
+    found = {}
+    for seed, low in source.items():
+        high = oracle[seed]
+        known = low.value is not None and high.value is not None
+        value = low.value + share * (high.value - low.value) if known else None
+        found[seed] = replace(low, value=value, draws=low.draws + share * (high.draws - low.draws))
+    return found
+
+
+def minus(a: Row, b: Row) -> Difference:
+    """The difference of two rows, paired by seed."""
+    seeds = sorted(a.keys() & b.keys())
+    return difference_of([a[seed] for seed in seeds], [b[seed] for seed in seeds])
+
+
+def spread_at(table: Mapping[str, Mapping[str, Row]], rows: Sequence[str], share: float) -> Any:
+    """Spread over seeds of rows about a share of the gap, pooled over the rows and both weathers."""
+    parts = [table[part] for part in ("sleet", "heavy snow")]
+    return pooled(
+        minus(part[row], towards(part["source"], part["oracle"], share))
+        for part in parts
+        for row in rows
+        if row in part
+    )
+
+
+def share_closed(rows: Mapping[str, Row], row: str, spreads: Mapping[float, Any]) -> tuple[float, float, float]:
+    """The share of the gap that a row closes, and the ends of its interval; infinite beyond -3 and 4."""
+    gain, gap = (minus(rows[name], rows["source"]).estimate or 0.0 for name in (row, "oracle"))
+    inside = []
+    for share, spread in spreads.items():
+        ends = minus(rows[row], towards(rows["source"], rows["oracle"], share)).with_pooled(spread).interval()
+        if ends is not None and ends[0] <= 0 <= ends[1]:
+            inside.append(share)
+    if not inside:
+        return gain / gap, np.nan, np.nan
+    low = -np.inf if inside[0] == SHARES[0] else inside[0]
+    return gain / gap, low, np.inf if inside[-1] == SHARES[-1] else inside[-1]
+
+
+def spoken(found: Difference) -> str:
+    """A difference with its interval."""
+    ends = found.interval()
+    return f"{found.estimate or 0:+.3f}" + ("" if ends is None else f" [{ends[0]:+.3f}, {ends[1]:+.3f}]")
+
+
+def lines_of(sensor: str, grid: Grid, scores: Scores) -> list[str]:
+    """The table of a sensor, its gaps, and the shares closed."""
+    table: dict[str, dict[str, Row]] = {}
+    for part, scalar in scalars().items():
+        name = Need(run="", cloud="", table="", scalar=scalar).name
+        rows = {run: scores.samples(run, CLOUDS[sensor], name) for run in grid.runs if run.startswith(sensor)}
+        table[part] = {run.partition("_")[2]: row for run, row in rows.items() if row}
+    first = next(iter(PARTS))
+    lines = ["", f"{NAMES[sensor]}: AP3D of vehicles at IoU 0.3, mean over seeds", f"{'':<36}"]
+    lines[-1] += "".join(f"{part:>22}" for part in table)
+    for row in table[first]:
+        values = [[each.value for each in table[part][row].values() if each.value is not None] for part in table]
+        words = grid.runs[f"{sensor}_{row}"].words
+        lines.append(f"{words:<36}" + "".join(f"{np.mean(seen) if seen else np.nan:22.3f}" for seen in values))
+    if not {"source", "oracle"} <= table[first].keys():
+        return [*lines, "the source's or the oracle's row is not done"]
+    for part in PARTS:
+        lines += _gap_lines(sensor, grid, table, part)
+    lines.append(f"on {SOURCE}, row - source (adapted rows read these frames with the target's statistics):")
+    others = [row for row in ADAPTED if row in table[SOURCE]]
+    return lines + [
+        f"  {grid.runs[f'{sensor}_{row}'].words:<36}{spoken(minus(table[SOURCE][row], table[SOURCE]['source']))}"
+        for row in others
+    ]
+
+
+def _gap_lines(sensor: str, grid: Grid, table: Mapping[str, Mapping[str, Row]], part: str) -> list[str]:
+    rows = table[part]
+    spread = spread_at(table, (*ADAPTED, "oracle"), 0.0)
+    gap = minus(rows["oracle"], rows["source"]).with_pooled(spread)
+    decided = decide(gap)
+    lines = [f"{part}, gap (oracle - source): {decided}; {gap.groups} {gap.grouped_by}"]
+    open_gap = decided.verdict == "holds"
+    spreads = {float(share): spread_at(table, ADAPTED, float(share)) for share in SHARES if open_gap}
+    if not open_gap and decided.verdict != "no decision":
+        lines[-1] += ": no gap to close"
+    for row in (each for each in ADAPTED if each in rows):
+        gain = minus(rows[row], rows["source"]).with_pooled(spread)
+        text = f"  {grid.runs[f'{sensor}_{row}'].words:<36}gain {spoken(gain)}"
+        if open_gap:
+            share, low, high = share_closed(rows, row, spreads)
+            verdict = "half and more" if low >= AIM else "less than half" if high < AIM else "undecided"
+            text += f", share closed {share:+.2f} [{low:+.2f}, {high:+.2f}]: {verdict}"
+        lines.append(text)
+    plain, taught = "weather" in rows, "teacher_weather" in rows and "teacher" in rows
+    if plain and taught:
+        both = minus(rows["teacher_weather"], rows["teacher"]).with_pooled(spread)
+        method = minus(rows["teacher"], rows["statistics"]).with_pooled(spread)
+        lines.append(f"  weather laid over, with a teacher - without: {spoken(both)}")
+        lines.append(f"  teacher - statistics alone: {spoken(method)}")
+    return lines
+
+
+def teacher_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
+    """Thresholds and boxes of every teacher."""
+    lines = ["", "teachers: thresholds, boxes a frame in the last tenth of the steps"]
+    for job in jobs:
+        settings = job.experiment.method.settings
+        rows = [json.loads(line) for line in (runs / job.folder / "log.jsonl").read_text().splitlines()]
+        last = rows[-max(1, len(rows) // 10) :]
+        sure, unsure = (np.mean([row.get(name, 0.0) for row in last]) for name in ("pseudo_boxes", "ignored_boxes"))
+        limits = ", ".join(f"{which} {settings[which]['vehicle']:.2f}" for which in ("positive", "negative"))
+        lines.append(f"  {job.experiment.name:<32}{limits}; sure {sure:.2f}, ignored {unsure:.2f}")
+    return lines
+
+
+def cost_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
+    """Core minutes by row."""
+    spent: dict[str, float] = {}
+    for job in jobs:
+        seconds = sum(float(each["processor_s"]) for each in clocks_of(job, runs))
+        spent[job.runs[0]] = spent.get(job.runs[0], 0.0) + seconds / 60
+    total = sum(spent.values())
+    rows = ", ".join(f"{name} {minutes:.1f}" for name, minutes in spent.items())
+    return ["", f"core minutes of trainings and scoring, all seeds: {total:.1f} ({rows})"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "data" / "weather-adapting")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=240, help="of the rows that start from nothing")
+    parser.add_argument("--adapt-steps", type=int, default=50, help="of those that start from their weights")
+    parser.add_argument(
+        "--frames", type=int, default=100, help="of the source's and of the target's drives, two a drive"
+    )
+    parser.add_argument("--val", type=int, default=24, help="source frames that are scored")
+    parser.add_argument("--scored", type=int, default=80, help="target frames that are scored, one a drive")
+    parser.add_argument("--sensors", nargs="+", choices=CLOUDS, default=list(CLOUDS))
+    parser.add_argument("--workers", type=int, default=0, help="processes; 0 for as many as there are cores")
+    options = parser.parse_args()
+    options.out = options.out.resolve()
+    grid = chosen_grid(options)
+    checked = check_outside(grid)
+    print(header(), flush=True)
+    jobs, scoring = trained(grid, options)
+    runs = options.out / "runs"
+    done = done_jobs(jobs, runs, scoring)
+    kept = [scores_of(job, runs) for job in done]
+    failed = [f"{each['runs'][0]}, seed {each['seed']}: {each['failed']}" for each in kept if each.get("failed")]
+    sets = ", ".join(f"{name} {each.sequences * each.frames}" for name, each in grid.budgets[BUDGET].sets.items())
+    print(f"\nsimulated frames: {sets}; {options.steps} steps, adapted in {options.adapt_steps}")
+    print(f"weather laid over: {checked} settings, none inside those of the presets; {len(done)} of {len(jobs)} runs")
+    print(*(f"failed: {text}" for text in failed), sep="\n", end="\n" if failed else "")
+    scores = Scores.of(kept)
+    for sensor in options.sensors:
+        print(*lines_of(sensor, grid, scores), sep="\n")
+    print(*teacher_lines([job for job in done if job.experiment.method.name == "teacher"], runs), sep="\n")
+    print(*cost_lines(done, runs), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""``farfield annotate``."""
+
+import getpass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional
+
+
+def run(
+    data: Positional[Path | None] = None,
+    *,
+    annotator: str = "",
+    classes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME:LENGTH,WIDTH,HEIGHT ...")] = (),
+    extent: Literal["", "full", "visible"] = "",
+    out: Path | None = None,
+    to: str = "",
+    write: bool = False,
+    detector: str = "",
+    predictions: tuple[Path, ...] = (),
+    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
+    protocol: str = "",
+    threshold: float = 0.1,
+    frame: str = "",
+    labels: str = "",
+    edits: Path | None = None,
+    port: int | None = None,
+    browser: bool = True,
+) -> int:
+    """Annotate a data set in the browser: boxes, tracks, checks; every edit is on the disk before it is acknowledged.
+
+    examples:
+      farfield annotate
+      farfield annotate data/kradar --annotator kim --out data/kradar-mine
+      farfield annotate my-clouds --classes car:4.6,1.9,1.7 person:0.8,0.7,1.75 --extent full
+      farfield annotate Cirrus_dataset1 --detector pointpillars-cirrus-sim --write
+
+    The data set's label files stay untouched unless --write is given; then the first write of each keeps a copy beside
+    the journal. Undo reaches back to the first edit, also after a restart.
+
+    Args:
+        data: Folder of a data set or of clouds; its format is recognised.
+        annotator: Who annotates; the login name unless given. Undo takes back one's own edits.
+        classes: The classes to offer and their usual sizes in metres; the data set's own unless given.
+        extent: What the boxes hold: whole bodies (full) or visible parts (visible); asked for once unless given.
+        out: Folder into which labels are saved; beside the journal unless given.
+        to: Format of the saved labels; the data set's own unless given.
+        write: Save into the data set's own label files.
+        detector: Bundled names, runs' folders or weights files, comma-separated: their boxes can be proposed.
+        predictions: Files of boxes to compare with.
+        format: Format of the predictions.
+        protocol: By which predictions are matched with the truth; the data set's own unless given.
+        threshold: Least score of a detector's boxes.
+        frame: Frame to begin with: its number, or sequence/frame.
+        labels: Release of K-Radar's labels to edit: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
+        edits: Folder of the journal; .farfield-studio beside the labels unless given.
+        port: Port to listen on; the first free one from 8877 on unless given.
+        browser: Open the browser; never over SSH.
+    """
+    from farfield.cli._words import names
+    from farfield.studio.serving.run import serve
+    from farfield.studio.settings import StudioSettings
+    from farfield.studio.starting import Opening
+
+    opening = Opening(data, labels=labels)
+    settings = StudioSettings(
+        mode="annotate",
+        title=opening.title,
+        annotator=annotator or getpass.getuser(),
+        protocol=protocol,
+        predictions=predictions,
+        format=format,
+        detectors=tuple(names(detector)),
+        threshold=threshold,
+        first=frame,
+        classes=classes,
+        extent=extent or None,
+        out=out,
+        to=to,
+        write=write,
+        edits=edits,
+    )
+    return serve(opening, settings, port=port, browser=browser)

@@ -1,0 +1,120 @@
+"""``farfield depth``: dense depth maps of a data set's cameras from its LiDAR."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import Positional
+
+from farfield.cli._progress import hands
+
+
+def run(
+    data: Positional[Path],
+    *,
+    out: Path,
+    cloud: str | None = None,
+    camera: str | None = None,
+    method: Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"] = "auto",
+    scale: Literal["auto", "256", "128"] = "auto",
+    uncertainty: bool = False,
+    max_uncertainty: float = 0.0,
+    max_gap_deg: float = 5.0,
+    picture: Path | None = None,
+    format: str | None = None,
+    mapping: Path | None = None,
+    roots: tuple[Path, ...] = (),
+    workers: int = 0,
+    engine: str = "local",
+    overwrite: bool = False,
+) -> None:
+    """Write a dense depth map for every frame: 16-bit PNG in KITTI's convention.
+
+    examples:
+      farfield depth data/kitti --out depth/
+      farfield depth data/kitti --out depth/ --uncertainty --picture first.png
+      farfield depth data/kradar --cloud os2-64 --camera cam-front --out depth/ --max-uncertainty 2
+      farfield depth Cirrus_dataset1 --mapping calibrated.yaml --cloud uniform --out depth/ --workers 2
+
+    Depth is the distance along the optical axis: value / 256 in metres, 0 where there is none. Files of scale 128 say
+    so in the text chunk depth_scale, and depth.json says it for all. What lies beyond a scale's end is left out and
+    counted. An interrupted run goes on where it stopped.
+
+    Args:
+        data: Folder of the data set; its format is recognised.
+        out: Folder to write into: depth/, uncertainty/ and depth.json.
+        cloud: Which cloud; the first of a LiDAR unless given.
+        camera: Which camera; the first calibrated one unless given.
+        method: How gaps are filled: in the sensor's own rings, by a Delaunay mesh, by IP-Basic's rules, by the nearest
+            pixel, or not at all; auto takes rings where they are known or can be told from the order of the points.
+        scale: Steps a metre. auto takes 256, which ends at 255.996 m, unless a point of any frame lies beyond it.
+        uncertainty: Write the uncertainty too.
+        max_uncertainty: Leave out pixels that may be off by more metres than that; 0 keeps all.
+        max_gap_deg: Neighbours further apart than this are not joined.
+        picture: SVG, PNG or JPEG of the first frame's map to write.
+        format: Format of the data, if it is not to be recognised.
+        mapping: Mapping file of a Cirrus copy; its calib names your calibration, since none was published.
+        roots: Further folders over which a K-Radar is spread.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the work is done.
+        overwrite: Make every map anew.
+    """
+    from farfield.datasets import open_dataset
+    from farfield.imaging.depth.writing import DepthSettings, write_depth_maps
+
+    options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
+    options |= {"roots": roots} if roots else {}
+    dataset = open_dataset(data, **options)
+    settings = DepthSettings(
+        cloud=cloud,
+        camera=camera,
+        method=method,
+        scale=scale,
+        max_uncertainty_m=max_uncertainty,
+        uncertainty=uncertainty,
+        max_gap_deg=max_gap_deg,
+    )
+    if picture is not None:
+        from farfield.reports.trails import check_picture
+
+        check_picture(picture)
+    written = write_depth_maps(
+        dataset,
+        out,
+        settings,
+        survey=hands(workers, engine, "looking for the farthest point"),
+        bulk=hands(workers, engine, "writing"),
+        overwrite=overwrite,
+    )
+    print(_said(written.outcome.written, written.outcome.skipped, written.summary))
+    if picture is not None and len(dataset):
+        _draw(dataset[0], settings, picture)
+        print(f"picture: {picture}")
+
+
+def _said(written: int, skipped: int, summary: dict[str, Any]) -> str:
+    methods = ", ".join(f"{name} {count}" for name, count in summary["methods"].items())
+    lines = [
+        f"{written} written, {skipped} were there and intact.",
+        f"{summary['filled']:.0%} of the pixels filled ({methods}).",
+        f"depth in metres = value / {summary['depth_scale']}, to {summary['end_m']:g} m; 0: none.",
+    ]
+    if summary["beyond_end"]:
+        lines.append(f"{summary['beyond_end']} pixels lie beyond that and were left out; --scale 128 keeps more.")
+    return "\n".join(lines)
+
+
+def _draw(frame: Any, settings: Any, picture: Path) -> None:
+    from farfield.imaging.depth import frame_depth
+    from farfield.reports.depth_picture import write_depth_picture
+
+    made = frame_depth(
+        frame,
+        cloud=settings.cloud,
+        camera=settings.camera,
+        method=settings.method,
+        max_gap_deg=settings.max_gap_deg,
+    )
+    name = settings.camera or next(iter(frame.cameras))
+    shown = made.surer_than(settings.max_uncertainty_m) if settings.max_uncertainty_m else made
+    image = frame.images.get(name)
+    write_depth_picture(picture, shown, image, title=f"{'/'.join(frame.key)}: ")

@@ -1,0 +1,94 @@
+"""``farfield odometry``: poses for drives that come without."""
+
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+def run(
+    data: tyro.conf.Positional[Path],
+    /,
+    *,
+    out: Path | None = None,
+    cloud: str | None = None,
+    deskew: bool = True,
+    turning: Literal["no", "clockwise", "counterclockwise"] = "no",
+    step_s: float = 0.1,
+    reach_m: float = 120.0,
+    backward: bool = True,
+    drives: tuple[str, ...] = (),
+    picture: Path | None = None,
+    overwrite: bool = False,
+    workers: int = 0,
+    engine: str = "local",
+) -> int:
+    """Find the poses of a data set's LiDAR from its sweeps alone, and say how far they drift.
+
+    examples:
+      farfield odometry Cirrus_dataset1
+      farfield odometry Cirrus_dataset1 --cloud uniform --out runs/uniform --picture runs/uniform/track.png
+      farfield odometry kradar/ --drives 1 2 --workers 2
+      farfield odometry velodyne_points/data --turning counterclockwise --step-s 0.1036
+      farfield track predictions.csv --data Cirrus_dataset1 --poses runs/odometry-Cirrus_dataset1 --out tracks.csv
+
+    Writes poses/DRIVE.csv, odometry.json and odometry.html, never into the data. Everything that opens data takes
+    them: ff.open_dataset(DATA, poses=OUT). Run again, it goes on where it stopped, in the middle of a drive too; the
+    bytes do not depend on interruptions or the number of workers.
+
+    Args:
+        data: The data set.
+        out: Folder to write into; runs/odometry-NAME unless given.
+        cloud: Name of the cloud; the one in whose coordinates the frames stand unless given.
+        deskew: Move points to their sweep's moment, where their times are known.
+        turning: How the scanner turns, seen from above, where points have no times and were not moved: the beam looks
+            along x at the sweep's moment.
+        step_s: Seconds between sweeps where frames have no times.
+        reach_m: Farther points are left out.
+        backward: Place the sweeps backwards too, which tells the drift and takes as long again.
+        drives: Only these.
+        picture: SVG, PNG or JPEG of the tracks from above to write.
+        overwrite: Forget what was done before.
+        workers: Processes; 0 takes as many as there are cores, drives and memory for.
+        engine: Where drives are placed.
+    """
+    from farfield.cli._progress import hands
+    from farfield.datasets import open_dataset
+    from farfield.errors import ConfigError
+    from farfield.reports.odometry_page import write_odometry
+    from farfield.reports.trails import check_picture
+    from farfield.timing.odometry import OdometrySettings
+    from farfield.timing.odometry_runs import odometry
+    from farfield.timing.odometry_sweeps import SweepSettings
+
+    if picture is not None:
+        check_picture(picture)
+    name = data.resolve().name
+    folder = out or Path("runs") / f"odometry-{name}"
+    opened = open_dataset(data)
+    if drives:
+        known = opened.drive_indices()
+        absent = [each for each in drives if each not in known]
+        if absent:
+            raise ConfigError(f"--drives: expected some of {', '.join(known)}; got {absent[0]!r}")
+        opened = opened.select([int(index) for each in drives for index in known[each]])
+    found = odometry(
+        opened,
+        folder,
+        sweeps=SweepSettings(cloud=cloud, deskew=deskew, turning=turning, step_s=step_s),
+        settings=OdometrySettings(most_m=reach_m),
+        backward=backward,
+        overwrite=overwrite,
+        bulk=hands(workers, engine, "placing drives"),
+    )
+    write_odometry(folder, found, title=f"Odometry of {name}", picture=picture)
+    for track in found:
+        drift = track.drift
+        known_drift = "drift not known"
+        if drift is not None:
+            known_drift = f"expect {drift.place_percent:.2f} % and {drift.turn_deg_per_100m:.3f} degrees a 100 m"
+        clock = "" if track.cpu_ms is None else f", {track.cpu_ms:.0f} ms of CPU a sweep"
+        print(f"{track.name}: {len(track.table):,} sweeps, {track.way_m:,.1f} m, {known_drift}{clock}")
+        print("".join(f"  note: {finding}\n" for finding in track.findings), end="")
+    print(f"poses: {(folder / 'poses').resolve()}\nreport: {(folder / 'odometry.html').resolve()}")
+    return 0

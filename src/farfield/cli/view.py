@@ -1,0 +1,72 @@
+"""``farfield view``."""
+
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+
+def run(
+    data: Positional[Path | None] = None,
+    *,
+    detector: str = "",
+    predictions: tuple[Path, ...] = (),
+    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
+    protocol: str = "",
+    threshold: float = 0.1,
+    frame: str = "",
+    labels: str = "",
+    reference: str = "",
+    html: Path | None = None,
+    port: int | None = None,
+    browser: bool = True,
+) -> int:
+    """Look at a data set in the browser: clouds, radar, cameras, boxes, and what detectors make of it.
+
+    examples:
+      farfield view
+      farfield view Cirrus_dataset1 --detector pointpillars-cirrus-sim
+      farfield view data/kradar --detector runs/rtnh,runs/second --frame 33
+      farfield view data/drives --predictions tracks.csv detections.csv --no-browser
+      farfield view data/drives --html two.html --frame 3,17
+
+    Without a path it shows two small simulated frames, one of each kind of world. It listens on 127.0.0.1 only; over
+    SSH it prints the line that makes the tunnel. Nothing is fetched from the network.
+
+    Args:
+        data: Folder of a data set or of clouds; its format is recognised.
+        detector: Bundled names, runs' folders or weights files, comma-separated: they run on the frames that are shown.
+        predictions: Files of detections or tracks to show; sequence and frame pair them with the data.
+        format: Format of the predictions.
+        protocol: By which predictions are matched with the truth; the data set's own unless given.
+        threshold: Least score of a detector's boxes.
+        frame: Frame to begin with: its number, or sequence/frame; with --html several, comma-separated.
+        labels: Release of K-Radar's labels: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
+        reference: Coordinates in which to show: K-Radar's os2-64 (as it is) or radar.
+        html: Write the frames into one HTML file that opens from disk, and end; at most 20 frames.
+        port: Port to listen on; the first free one from 8877 on unless given.
+        browser: Open the browser; never over SSH.
+    """
+    from farfield.cli._words import names
+    from farfield.studio.serving.run import serve
+    from farfield.studio.settings import StudioSettings
+    from farfield.studio.starting import Opening
+
+    opening = Opening(data, labels=labels, reference=reference)
+    settings = StudioSettings(
+        mode="view",
+        title=opening.title,
+        protocol=protocol,
+        predictions=predictions,
+        format=format,
+        detectors=tuple(names(detector)),
+        threshold=threshold,
+        first="" if html is not None else frame,
+    )
+    if html is not None:
+        from farfield.studio.session.exporting import write_page
+
+        write_page(opening(), settings, names(frame), html)
+        print(f"written: {html} ({html.stat().st_size / 1e6:.1f} MB)")
+        return 0
+    return serve(opening, settings, port=port, browser=browser)

@@ -1,0 +1,156 @@
+"""Read point cloud tasks as CVAT exports them: Datumaro, KITTI raw with tracklets, Supervisely.
+
+A root is one task or holds tasks::
+
+    annotations/*.json, point_clouds/**/*.pcd                  Datumaro
+    tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too
+    ann/<cloud file>.json, pointcloud/*.pcd                    Supervisely
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from farfield.datasets.labels.cuboid_boxes import annotation_of
+from farfield.datasets.labels.tool_labels import DatumaroLabels
+from farfield.errors import DatasetError
+from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import Cuboid
+from farfield.files.datumaro import parse_datumaro
+from farfield.files.supervisely import parse_supervisely
+from farfield.files.tracklets import parse_tracklets
+from farfield.frame import Annotation, Frame, Lazy, Sensor
+
+_KITTI_CLOUDS, _TRACKLETS = "velodyne_points/data", "tracklet_labels.xml"
+ByFrame = Mapping[str, tuple[Cuboid, ...]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task: its folder, its clouds, and the label files (one for all clouds, or one a cloud)."""
+
+    folder: Path
+    clouds: tuple[Path, ...]
+    labels: tuple[Path, ...]
+    parse: Callable[[bytes, Path], tuple[Cuboid, ...]]
+
+    def label_file(self, place: int) -> Path | None:
+        """The label file of a cloud."""
+        if self.parse is not parse_supervisely:
+            return self.labels[0]
+        name = self.clouds[place].name
+        return next((path for path in self.labels if path.name == f"{name}.json"), None)
+
+    def frame_names(self, place: int) -> tuple[str, ...]:
+        """How label files may call a cloud: its stem, or its number."""
+        stem = self.clouds[place].stem
+        return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(place), "")
+
+
+def tasks(root: Path) -> list[Task]:
+    """The tasks in a folder: itself, or those in it, at most two folders down."""
+    places = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
+    found = [task for folder in places if folder.is_dir() and (task := _task(folder)) is not None]
+    return [task for task in found if not any(task.folder.is_relative_to(o.folder) for o in found if o is not task)]
+
+
+def _task(folder: Path) -> Task | None:
+    for parse, pattern, place in (
+        (_datumaro, "annotations/*.json", "point_clouds"),
+        (parse_tracklets, _TRACKLETS, _KITTI_CLOUDS),
+        (parse_supervisely, "ann/*.json", "pointcloud"),
+    ):
+        labels = tuple(sorted(folder.glob(pattern)))
+        if labels and (folder / place).is_dir():
+            paths = sorted((folder / place).rglob("*"))
+            clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
+            return Task(folder, clouds, labels, parse) if clouds else None
+    return None
+
+
+def _datumaro(data: bytes, path: Path) -> tuple[Cuboid, ...]:
+    return tuple(placed.cuboid for placed in parse_datumaro(data, path))
+
+
+class Cvat(Dataset):
+    """Annotation tasks of CVAT: point cloud ``"lidar"``, boxes with track IDs; each task is a sequence.
+
+    Args:
+        root: A task, or a folder of tasks.
+
+    Raises:
+        DatasetError: If there is none.
+    """
+
+    name = "cvat"
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.tasks = tasks(self.root)
+        if not self.tasks:
+            looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
+            raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
+        self.frames = [(task, place) for task in self.tasks for place in range(len(task.clouds))]
+        self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
+        self.frame_ids = tuple(task.clouds[place].stem for task, place in self.frames)
+
+    def files(self, index: int) -> Sequence[Path]:
+        """List the files of frame ``index``."""
+        task, place = self.frames[index]
+        label = task.label_file(place)
+        return [task.clouds[place], *([] if label is None else [label])]
+
+    def has_annotation(self, index: int) -> bool:
+        """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
+        task, place = self.frames[index]
+        return task.label_file(place) is not None
+
+    def annotation(self, index: int) -> Annotation | None:
+        """The boxes of frame ``index``."""
+        task, place = self.frames[index]
+        return _annotation(task, place) if self.has_annotation(index) else None
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        task, place = self.frames[index]
+        return Frame(
+            sequence=self.sequences[index],
+            frame_id=self.frame_ids[index],
+            clouds=Lazy({"lidar": partial(read_cloud, task.clouds[place])}),
+            sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
+            load_annotation=partial(_annotation, task, place) if self.has_annotation(index) else None,
+            metadata={"files": [str(path) for path in self.files(index)]},
+        )
+
+
+def label_format(data: Cvat) -> DatumaroLabels | None:
+    """The label files of a data set, to edit them: Datumaro's only, of one task or of tasks directly in the root."""
+    files = [task.labels[0] for task in data.tasks if task.parse is _datumaro]
+    if len(files) == len(data.tasks) == 1:
+        return DatumaroLabels(files[0])
+    named = all(path == DatumaroLabels(data.root).path((path.parents[1].name, "")) for path in files)
+    return DatumaroLabels(data.root) if named and len(files) == len(data.tasks) else None
+
+
+def _annotation(task: Task, place: int) -> Annotation:
+    path = task.label_file(place)
+    assert path is not None
+    status = path.stat()
+    by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
+    found = next((by_frame[name] for name in task.frame_names(place) if name in by_frame), ())
+    return annotation_of(found)
+
+
+@lru_cache(maxsize=4)
+def _parsed(path: Path, parse: Callable[[bytes, Path], tuple[Cuboid, ...]], changed_ns: int, size: int) -> ByFrame:
+    """The cuboids of a file by frame; one file holds all frames of a task, and is parsed once while it stays."""
+    del changed_ns, size
+    found: dict[str, list[Cuboid]] = {}
+    for cuboid in parse(read_bytes(path), path):
+        found.setdefault(cuboid.frame, []).append(cuboid)
+    return {name: tuple(cuboids) for name, cuboids in found.items()}

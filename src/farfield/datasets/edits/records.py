@@ -1,0 +1,137 @@
+"""One line of the journal: an edit with all that it changed, behind its checksum.
+
+A line is eight hexadecimal digits (CRC-32 of the rest), a space, compact JSON, a line feed::
+
+    5f1c09aa {"seq":7,"id":"w1-3","time_ns":1764000000000000000,"by":"ann","window":"w1","op":"box.set",
+              "changes":[["box","21","00033_00001","4"],3,{...},{...}], ...}
+
+What is edited stands in *cells*: a box of a frame, what holds for a track, a bookmark. A change holds the cell's value
+before and after (None: there was or is nothing), so that every edit can be taken back. One line is one edit, however
+many cells it changes: a crash keeps all of it or nothing.
+"""
+
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from farfield.frame import Key
+
+Cell = tuple[str, ...]
+"""What is edited: ``("box", sequence, frame, object)``, ``("track", drive, track)``, ``("extent",)``..."""
+Json = Any
+
+
+class Change(NamedTuple):
+    """One cell before and after.
+
+    Args:
+        cell: The cell.
+        base: Version before: the number of the edit that set it last, 0 as the files have it.
+        old: Value before; None where there was nothing.
+        new: Value after; None where nothing is left.
+    """
+
+    cell: Cell
+    base: int
+    old: Json
+    new: Json
+
+
+class Record(NamedTuple):
+    """One edit.
+
+    Args:
+        seq: Its number, from 1, without gaps.
+        id: The client's name of it, by which a message sent twice is recognised.
+        time_ns: When it was made, since 1970.
+        by: Annotator.
+        window: Window of the browser.
+        op: What was done, such as ``box.set``.
+        changes: What changed.
+        group: Edits of one group are taken back together; None: it is a group of its own.
+        undoes: The edits that this one takes back (``op`` ``undo``) or does again (``redo``).
+        data: What else belongs to it, such as the files that a ``save`` wrote.
+    """
+
+    seq: int
+    id: str
+    time_ns: int
+    by: str
+    window: str
+    op: str
+    changes: tuple[Change, ...] = ()
+    group: str | None = None
+    undoes: tuple[int, ...] = ()
+    data: Mapping[str, Json] | None = None
+
+
+def box_cell(key: Key, name: str) -> Cell:
+    """The cell of a box."""
+    return ("box", *key, name)
+
+
+def track_cell(drive: str, track: str) -> Cell:
+    """The cell of what holds for a track in all frames of its drive."""
+    return ("track", drive, track)
+
+
+def encode(record: Record) -> bytes:
+    """The line of an edit.
+
+    Raises:
+        ValueError: If a number in it is not finite.
+    """
+    fields: dict[str, Json] = {
+        "seq": record.seq,
+        "id": record.id,
+        "time_ns": record.time_ns,
+        "by": record.by,
+        "window": record.window,
+        "op": record.op,
+    }
+    optional = {"changes": record.changes, "group": record.group, "undoes": record.undoes, "data": record.data}
+    fields |= {name: value for name, value in optional.items() if value}
+    text = json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def decode(line: bytes) -> Record:
+    """An edit from its line.
+
+    Raises:
+        ValueError: If the line is torn, damaged or holds something else; the message says which.
+    """
+    if not line.endswith(b"\n"):
+        raise ValueError("a line without its end")
+    text = line[9:-1]
+    if line[8:9] != b" " or line[:8] != b"%08x" % zlib.crc32(text):
+        raise ValueError("a line that does not fit its checksum")
+    try:
+        fields = json.loads(text)
+        return _record(fields)
+    except (KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"a line that is no edit ({type(error).__name__}: {error})"[:160]) from None
+
+
+def _record(fields: Mapping[str, Json]) -> Record:
+    changes = tuple(Change(tuple(cell), base, old, new) for cell, base, old, new in fields.get("changes", ()))
+    record = Record(
+        fields["seq"],
+        fields["id"],
+        fields["time_ns"],
+        fields["by"],
+        fields["window"],
+        fields["op"],
+        changes,
+        fields.get("group"),
+        tuple(fields.get("undoes", ())),
+        fields.get("data"),
+    )
+    whole = all(type(number) is int for number in (record.seq, record.time_ns, *record.undoes))
+    words = all(type(word) is str for word in (record.id, record.by, record.window, record.op))
+    cells = all(type(part) is str for change in changes for part in change.cell)
+    versions = all(type(change.base) is int for change in changes)
+    if not (whole and words and cells and versions):
+        raise TypeError("a field of another kind than it must be")
+    return record

@@ -1,0 +1,122 @@
+"""Boxes as comma-separated text, edited record by record (the columns: :mod:`farfield.files.boxes_csv`)."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
+from farfield.datasets.labels.lines import Part, physical_lines, replaced
+from farfield.errors import ConfigError
+from farfield.files.boxes_csv import parse_boxes_csv
+from farfield.frame import Key
+
+_PLACES = ("x", "y", "z", "l", "w", "h", "yaw_rad")
+_NEW_FILE = b"sequence,frame,label,x,y,z,l,w,h,yaw_rad,score,track_id\n"
+_BOM = b"\xef\xbb\xbf"
+
+
+@dataclass(frozen=True)
+class CsvLabels:
+    """One file of boxes for all frames of a data set.
+
+    A changed box keeps the cells that did not change; its count of points, which no longer holds, is emptied.
+
+    Args:
+        file: The file.
+    """
+
+    name: ClassVar[str] = "boxes-csv"
+    attributes: ClassVar[Mapping[str, tuple[Value, ...]]] = {}
+    file: Path
+
+    def path(self, key: Key) -> Path:
+        """The one file."""
+        del key
+        return self.file
+
+    def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
+        """Boxes of the frames in the file's order."""
+        found: dict[Key, list[BoxLabel]] = {key: [] for key in keys}
+        for part in _parts(data, path, keys)[1]:
+            if part.key is not None and part.label is not None:
+                found[part.key].append(part.label)
+        return {key: tuple(labels) for key, labels in found.items()}
+
+    def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
+        """The file with other boxes in some frames; new ones stand behind those of their frame."""
+        header, parts = _parts(_NEW_FILE if data is None else data, path, list(labels))
+        end = "\r\n" if parts[0].raw.endswith(b"\r\n") else "\n"
+        write = partial(_written, header=header, path=path, end=end)
+        return replaced(parts, labels, write=write, same=_same, end=end.encode())
+
+
+def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], list[Part]]:
+    """The header's names and the parts: the header, then the records; blank lines belong to the record before."""
+    parse_boxes_csv(data, path)  # what is wrong with the file, in its words
+    lines = physical_lines(data)
+    reader = csv.reader((line.removeprefix(_BOM).decode() for line in lines), strict=True)
+    header = [name.strip() for name in next(reader)]
+    wanted = {key if "sequence" in header else ("", key[1]): key for key in keys}
+    begin, count = reader.line_num, dict.fromkeys(keys, 0)
+    parts = [Part(b"".join(lines[:begin]))]
+    for cells in reader:
+        raw = b"".join(lines[begin : reader.line_num])
+        begin = reader.line_num
+        if not cells:
+            parts[-1] = parts[-1]._replace(raw=parts[-1].raw + raw)
+            continue
+        row = dict(zip(header, map(str.strip, cells), strict=True))
+        key = wanted.get((row.get("sequence", ""), row["frame"]))
+        parts.append(Part(raw) if key is None else Part(raw, key, _label(row, count[key])))
+        if key is not None:
+            count[key] += 1
+    return header, parts
+
+
+def _label(row: Mapping[str, str], place: int) -> BoxLabel:
+    x, y, z, length, width, height, yaw = (float(row[name]) for name in _PLACES)
+    box: Numbers = (x, y, z, length, width, height, yaw)
+    track, score = row.get("track_id", ""), row.get("score", "")
+    return BoxLabel(
+        id=str(place),
+        label=row["label"],
+        box=box,
+        track="" if not track or float(track) < 0 else str(int(float(track))),
+        score=float(score) if score else None,
+    )
+
+
+def _same(old: BoxLabel, new: BoxLabel) -> bool:
+    return (old.label, old.box, old.track) == (new.label, new.box, new.track)
+
+
+def _written(key: Key, new: BoxLabel, old: Part | None, *, header: Sequence[str], path: Path, end: str) -> bytes:
+    """One record; cells whose value did not change stay as they are spelt."""
+    row = dict(zip(("sequence", "frame"), key, strict=True))
+    if old is not None and old.label is not None:
+        cells = next(csv.reader(io.StringIO(old.raw.decode(), newline="")))
+        row = dict(zip(header, map(str.strip, cells), strict=True)) | {"point_count": ""}
+    before = None if old is None else old.label
+    if before is None or before.label != new.label:
+        row["label"] = new.label
+    for place, name in enumerate(_PLACES):
+        if before is None or before.box[place] != new.box[place]:
+            row[name] = repr(float(new.box[place]))
+    if before is None or before.track != new.track:
+        row["track_id"] = _track(new, header, path)
+    text = io.StringIO()
+    csv.writer(text, lineterminator=end).writerow([row.get(name, "") for name in header])
+    return text.getvalue().encode()
+
+
+def _track(label: BoxLabel, header: Sequence[str], path: Path) -> str:
+    if label.track and "track_id" not in header:
+        mend = "Save into a new folder, whose file has the column, or leave the track empty."
+        raise ConfigError(f"{path}: has no column track_id, and a {label.label} has the track {label.track}. {mend}")
+    if label.track and not (label.track.isascii() and label.track.isdigit() and int(label.track) < 2**53):
+        raise ConfigError(f"{path}: expected a whole number as track of a {label.label}, got {label.track!r}")
+    return label.track

@@ -1,0 +1,109 @@
+"""Boreas' files: annotated boxes and the LiDAR's poses (Burnett et al., IJRR 2023; format: the authors' documentation).
+
+A label file is named by the sweep's time in microseconds since 1970; a line an object: uuid of the track, class,
+length, width, height, x, y, z, yaw, number of points, in the LiDAR's frame, whose x points forward.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+
+_MAX_BYTES = 1 << 28
+_LARGEST = 1e9
+_CELLS = 10
+_POSE_COLUMNS = 13
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoreasObjects:
+    """Annotated objects of one sweep.
+
+    Args:
+        uuid: Identity of each object's track, n names.
+        label: Class of each, such as ``Car``.
+        size_m: Length, width, height, shape (n, 3).
+        centre_m: Middle of each box in the LiDAR's frame, shape (n, 3).
+        yaw_rad: Headings, shape (n,).
+        point_count: Points in each box, shape (n,).
+    """
+
+    uuid: tuple[str, ...]
+    label: tuple[str, ...]
+    size_m: Float[np.ndarray, "n 3"]
+    centre_m: Float[np.ndarray, "n 3"]
+    yaw_rad: Float[np.ndarray, " n"]
+    point_count: Int[np.ndarray, " n"]
+
+
+def read_boreas_objects(path: Path | str) -> BoreasObjects:
+    """Read the annotated objects of one sweep.
+
+    Raises:
+        FileFormatError: If a line has another form.
+    """
+    names, rows = [], []
+    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("ascii", "replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        values = _numbers(words[2:]) if len(words) == _CELLS else None
+        if values is None or min(values[:3]) <= 0 or values[7] < 0:
+            expected = "uuid, class, positive length width height, x y z, yaw, number of points"
+            raise FileFormatError(path, where=f"line {number}", expected=expected, found=line[:100])
+        names.append((words[0], words[1]))
+        rows.append(values)
+    table = np.array(rows, dtype=np.float64).reshape(-1, _CELLS - 2)
+    return BoreasObjects(
+        uuid=tuple(uuid for uuid, _ in names),
+        label=tuple(label for _, label in names),
+        size_m=table[:, :3],
+        centre_m=table[:, 3:6],
+        yaw_rad=table[:, 6],
+        point_count=table[:, 7].astype(np.int64),
+    )
+
+
+def read_boreas_poses(path: Path | str) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
+    """Read the LiDAR's poses: times in nanoseconds, and world_T_lidar with x east, y north, z up.
+
+    Raises:
+        FileFormatError: If a line has another form.
+    """
+    times, rows = [], []
+    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("ascii", "replace")
+    for number, line in enumerate(text.splitlines()[1:], start=2):
+        cells = line.split(",")
+        values = _numbers(cells[1:]) if len(cells) == _POSE_COLUMNS else None
+        if values is None or not (cells[0].isdigit() and len(cells[0]) <= 16):
+            expected = "microseconds, easting, northing, altitude, three velocities, roll, pitch, heading, three rates"
+            raise FileFormatError(path, where=f"line {number}", expected=expected, found=line[:100])
+        times.append(int(cells[0]) * 1000)
+        rows.append(values)
+    table = np.array(rows, dtype=np.float64).reshape(-1, _POSE_COLUMNS - 1)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, :3] = _about(0, table[:, 6]) @ _about(1, table[:, 7]) @ _about(2, table[:, 8])
+    poses[:, :3, 3] = table[:, :3]
+    return np.array(times, dtype=np.int64), poses
+
+
+def _about(axis: int, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
+    """Rotations of the axes about one of them: the transposes of those of points."""
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    out = np.tile(np.eye(3), (len(angle_rad), 1, 1))
+    out[:, a, a] = out[:, b, b] = np.cos(angle_rad)
+    out[:, a, b], out[:, b, a] = np.sin(angle_rad), -np.sin(angle_rad)
+    return out
+
+
+def _numbers(words: list[str]) -> list[float] | None:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return None
+    return values if all(abs(value) < _LARGEST for value in values) else None

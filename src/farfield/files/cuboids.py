@@ -1,0 +1,108 @@
+"""One annotated box as annotation tools exchange it, and the checks that all their formats share."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from farfield.errors import FileFormatError
+from farfield.files.json_text import finite
+
+Value = str | float | bool
+_FARTHEST_M, _LEAST_M, _LARGEST_M = 1e5, 1e-4, 1e3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cuboid:
+    """A box of a frame.
+
+    Args:
+        frame: The frame's name in the file; empty where a file holds one frame.
+        label: Class as written.
+        box: x, y, z of the centre, length, width, height (metres), yaw (radians, counter-clockwise from +x): in the
+            cloud's coordinates.
+        track: Its identity over time; empty where it has none.
+        attributes: What else the file says of it.
+    """
+
+    frame: str = ""
+    label: str
+    box: tuple[float, float, float, float, float, float, float]
+    track: str = ""
+    attributes: Mapping[str, Value] = field(default_factory=dict)
+
+
+class Placed(NamedTuple):
+    """A cuboid and the way to it in a JSON file."""
+
+    steps: tuple[str | int, ...]
+    cuboid: Cuboid
+
+
+def numbers(value: Any, count: int, path: Path | str, where: str, name: str) -> list[float]:
+    """A list of so many finite numbers.
+
+    Raises:
+        FileFormatError: If the value is anything else.
+    """
+    found = [finite(each) for each in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
+    known = [each for each in found if each is not None]
+    if len(found) != count or len(known) != count:
+        raise FileFormatError(path, where=where, expected=f"{name} of {count} numbers", found=repr(value)[:80])
+    return known
+
+
+def xyz(value: Any, path: Path | str, where: str, name: str) -> list[float]:
+    """The numbers of an object ``{"x", "y", "z"}``.
+
+    Raises:
+        FileFormatError: If it is anything else.
+    """
+    given = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else None
+    return numbers(given, 3, path, where, f"{name} with x, y, z")
+
+
+def checked(
+    centre_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, path: Path | str, where: str
+) -> tuple[float, float, float, float, float, float, float]:
+    """A box of sensible numbers.
+
+    Raises:
+        FileFormatError: If a size is not positive or beyond a kilometre, or the place beyond 100 km.
+    """
+    if not all(_LEAST_M <= size <= _LARGEST_M for size in size_m):
+        raise FileFormatError(path, where=where, expected="positive sizes in metres", found=repr(list(size_m)))
+    if not all(abs(place) <= _FARTHEST_M for place in centre_m) or not abs(yaw_rad) <= _LARGEST_M:
+        raise FileFormatError(path, where=where, expected="a place and a yaw", found=repr([*centre_m, yaw_rad]))
+    x, y, z = centre_m
+    length, width, height = size_m
+    return x, y, z, length, width, height, yaw_rad
+
+
+def word(value: Any, path: Path | str, where: str, name: str) -> str:
+    """A text of 1 to 200 characters on one line; a whole number does as well.
+
+    Raises:
+        FileFormatError: If it is anything else.
+    """
+    text = str(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**18 else value
+    if not isinstance(text, str) or not 0 < len(text) <= 200 or not text.isprintable():
+        raise FileFormatError(path, where=where, expected=f"a text as {name}", found=repr(value)[:80])
+    return text
+
+
+def wrapped(yaw_rad: float) -> float:
+    """A yaw in [-pi, pi), as other tools expect it; one that is there already keeps every bit."""
+    if -math.pi <= yaw_rad < math.pi:
+        return yaw_rad
+    return (yaw_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def attributes_of(value: Any) -> dict[str, Value]:
+    """Those of an object's entries that are texts, numbers or flags; all others are left out."""
+    if not isinstance(value, Mapping):
+        return {}
+    plain = {str(name): each for name, each in value.items() if isinstance(each, str | bool)}
+    counted = {str(name): number for name, each in value.items() if (number := finite(each)) is not None}
+    return plain | counted

@@ -1,0 +1,120 @@
+"""nuScenes' result files: JSON of detections or of tracks by sample (format: the development kit's documentation)."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.errors import FileFormatError
+from farfield.files.atomic import read_bytes
+
+_MAX_BYTES = 1 << 31
+_LARGEST = 1e9
+_KINDS = ("tracking", "detection")
+_Row = tuple[list[float], str, str | None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NuScenesBoxes:
+    """The boxes of one sample, upright, in the world.
+
+    Args:
+        centre_m: Middle of each box, shape (n, 3).
+        size_m: Length, width, height, shape (n, 3).
+        yaw_rad: Headings, shape (n,).
+        velocity_m_s: Over ground, x and y, NaN where it is not known, shape (n, 2).
+        score: Shape (n,).
+        label: Classes, n names.
+        track: Identities, n names; empty for detections.
+    """
+
+    centre_m: Float[np.ndarray, "n 3"]
+    size_m: Float[np.ndarray, "n 3"]
+    yaw_rad: Float[np.ndarray, " n"]
+    velocity_m_s: Float[np.ndarray, "n 2"]
+    score: Float[np.ndarray, " n"]
+    label: tuple[str, ...]
+    track: tuple[str, ...]
+
+
+def read_results(path: Path | str) -> dict[str, NuScenesBoxes]:
+    """Read a result file, samples in its order.
+
+    Raises:
+        FileFormatError: If it is no such JSON, or a box lacks a field or has an impossible value.
+    """
+    try:
+        tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:100]) from error
+    results = tree.get("results") if isinstance(tree, dict) else None
+    if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
+        found = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
+        raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", found=found)
+    return {token: _sample(path, token, boxes) for token, boxes in results.items()}
+
+
+def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
+    rows: list[_Row] = []
+    for number, box in enumerate(boxes):
+        try:
+            rows.append(_row(box))
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            found = f"{type(error).__name__}: {error}"[:150]
+            expected = "translation (3), size (3), rotation (4), a name and a score, as finite numbers"
+            raise FileFormatError(
+                path, where=f"sample {token}, box {number}", expected=expected, found=found
+            ) from error
+    kinds = {track is None for _, _, track in rows}
+    if len(kinds) > 1:
+        expected = "detections or tracks, not both"
+        raise FileFormatError(path, where=f"sample {token}", expected=expected, found="both")
+    table = np.array([values for values, _, _ in rows], dtype=np.float64).reshape(-1, 13)
+    w, x, y, z = table[:, 6:10].T
+    return NuScenesBoxes(
+        centre_m=table[:, :3],
+        size_m=table[:, [4, 3, 5]],
+        yaw_rad=np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z),
+        velocity_m_s=table[:, 10:12],
+        score=table[:, 12],
+        label=tuple(label for _, label, _ in rows),
+        track=tuple(track for _, _, track in rows if track is not None),
+    )
+
+
+def _row(box: Mapping[str, Any]) -> _Row:
+    """Thirteen numbers, class and identity of a box."""
+    kind = next((kind for kind in _KINDS if f"{kind}_name" in box), _KINDS[0])
+    values = [
+        *_numbers(box["translation"], 3),
+        *_numbers(box["size"], 3),
+        *_numbers(box["rotation"], 4),
+        *_speed(box.get("velocity", [math.nan, math.nan])),
+        *_numbers([box[f"{kind}_score"]], 1),
+    ]
+    if min(values[3:6]) <= 0 or not any(values[6:10]):
+        raise ValueError("a size that is not positive, or no rotation")
+    label, track = box[f"{kind}_name"], box["tracking_id"] if kind == "tracking" else None
+    if not isinstance(label, str) or not (track is None or isinstance(track, str)):
+        raise TypeError("a name that is no text")
+    return values, label, track
+
+
+def _numbers(values: Any, count: int) -> list[float]:
+    if not isinstance(values, list) or len(values) != count or not all(type(v) in (int, float) for v in values):
+        raise TypeError(f"expected {count} numbers, got {str(values)[:60]}")
+    if not all(abs(value) < _LARGEST for value in values):
+        raise ValueError(f"numbers that are not finite or above 1e9: {str(values)[:60]}")
+    return [float(value) for value in values]
+
+
+def _speed(values: Any) -> list[float]:
+    """A velocity of which NaN says that it is not known."""
+    if isinstance(values, list) and any(type(v) is float and math.isnan(v) for v in values):
+        return [math.nan, math.nan]
+    return _numbers(values[:2] if isinstance(values, list) else values, 2)

@@ -1,0 +1,217 @@
+"""OpenLABEL 1.0 (ASAM): cuboids by frame and object, here one file a sequence.
+
+Its form::
+
+    {"openlabel": {"metadata": {"schema_version": "1.0.0"},
+      "coordinate_systems": {"lidar": {"type": "local", "parent": "", "children": []}},
+      "objects": {"17": {"name": "17", "type": "Car"}},
+      "frames": {"0": {"frame_properties": {"timestamp": 1.5, "frame_id": "00033_00001"},
+        "objects": {"17": {"object_data": {"cuboid": [{"name": "box", "coordinate_system": "lidar",
+          "val": [x, y, z, qx, qy, qz, qw, sx, sy, sz]}]}}}}}}}
+
+``val`` is the centre, a quaternion and the full sizes along the box's own axes; with 9 numbers Euler angles about x, y
+and z stand in the quaternion's place. 10 are written. ``frame_id`` is ours: the frame's name, as frames have numbers.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from farfield.errors import FileFormatError
+from farfield.files.cuboids import Cuboid, Placed, attributes_of, checked, numbers, word
+from farfield.files.json_text import append, parse_json, set_value, span
+
+SYSTEM = "lidar"
+_ROOT = "openlabel"
+
+
+def parse_openlabel(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+    """The cuboids of all frames, in the file's order; the object's uid is the track.
+
+    Raises:
+        FileFormatError: If it is not of this form.
+    """
+    content = parse_json(data, path)
+    root = content.get(_ROOT) if isinstance(content, dict) else None
+    if not isinstance(root, dict):
+        raise FileFormatError(path, where="the root", expected="an object 'openlabel'", found=repr(content)[:80])
+    types = _mapping(root.get("objects", {}), path, "objects")
+    found: list[Placed] = []
+    for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
+        frame = _mapping(frame, path, f"frame {number}")
+        name = frame_name(number, frame, path)
+        for uid, entry in _mapping(frame.get("objects", {}), path, f"frame {number}").items():
+            where = f"frame {number}, object {uid}"
+            kind = word(_mapping(types.get(uid, {}), path, where).get("type"), path, where, "type")
+            inner = _mapping(_mapping(entry, path, where).get("object_data", {}), path, where).get("cuboid", [])
+            if not isinstance(inner, list):
+                raise FileFormatError(path, where=where, expected="a list of cuboids", found=repr(inner)[:80])
+            for place, cuboid in enumerate(inner):
+                steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", place)
+                found.append(Placed(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
+    return tuple(found)
+
+
+def frame_name(number: str, frame: Mapping[str, Any], path: Path | str) -> str:
+    """A frame's name: ours where the file has it, else its number."""
+    properties = frame.get("frame_properties")
+    known = properties.get("frame_id") if isinstance(properties, dict) else None
+    return number if known is None else word(known, path, f"frame {number}", "frame_id")
+
+
+def _cuboid(entry: Mapping[str, Any], frame: str, label: str, uid: str, path: Path | str, where: str) -> Cuboid:
+    value = entry.get("val")
+    if not isinstance(value, list) or len(value) not in (9, 10):
+        expected = "val with 10 numbers (a quaternion) or 9 (Euler angles)"
+        raise FileFormatError(path, where=where, expected=expected, found=repr(value)[:80])
+    row = numbers(value, len(value), path, where, "val")
+    yaw = row[5] if len(row) == 9 else _yaw(row[3:7], path, where)
+    return Cuboid(
+        frame=frame,
+        label=label,
+        box=checked(row[:3], row[-3:], yaw, path, where),
+        track=word(uid, path, where, "uid"),
+        attributes=_attributes(entry),
+    )
+
+
+def _yaw(quaternion: Sequence[float], path: Path | str, where: str) -> float:
+    """Direction of the turned x axis seen from above."""
+    x, y, z, w = quaternion
+    norm = x * x + y * y + z * z + w * w
+    if not 1e-6 < norm < 1e6:
+        raise FileFormatError(path, where=where, expected="a quaternion", found=repr(list(quaternion)))
+    return math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
+
+
+def _attributes(entry: Mapping[str, Any]) -> dict[str, str | float | bool]:
+    """Texts, numbers and flags of ``attributes``, whose lists hold ``{"name", "val"}``."""
+    groups = entry.get("attributes")
+    lists = groups.values() if isinstance(groups, dict) else []
+    pairs = {
+        str(each["name"]): each.get("val")
+        for group in lists
+        if isinstance(group, list)
+        for each in group
+        if isinstance(each, dict) and isinstance(each.get("name"), str)
+    }
+    return attributes_of(pairs)
+
+
+def values(cuboid: Cuboid) -> Mapping[tuple[str | int, ...], Any]:
+    """What an entry of 10 numbers says of a cuboid."""
+    return {("val", place): number for place, number in enumerate(_val(cuboid))}
+
+
+def values_of_nine(cuboid: Cuboid) -> Mapping[tuple[str | int, ...], Any]:
+    """What an entry of 9 numbers says of a cuboid; its other two angles stay."""
+    x, y, z, length, width, height, yaw = cuboid.box
+    row = {0: x, 1: y, 2: z, 5: yaw, 6: length, 7: width, 8: height}
+    return {("val", place): number for place, number in row.items()}
+
+
+def _val(cuboid: Cuboid) -> list[float]:
+    x, y, z, length, width, height, yaw = cuboid.box
+    return [x, y, z, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2), length, width, height]
+
+
+def entry_of(cuboid: Cuboid) -> dict[str, Any]:
+    """A whole new cuboid."""
+    entry: dict[str, Any] = {"name": "box", "val": _val(cuboid), "coordinate_system": SYSTEM}
+    kinds = {"text": str, "boolean": bool, "num": float}
+    groups = {
+        kind: [{"name": name, "val": each} for name, each in cuboid.attributes.items() if type(each) is known]
+        for kind, known in kinds.items()
+    }
+    held = {kind: group for kind, group in groups.items() if group}
+    return entry | ({"attributes": held} if held else {})
+
+
+def with_new(text: str, cuboid: Cuboid) -> str:
+    """A file's text with a cuboid more: of an object that is there, or of a new one.
+
+    Args:
+        text: The file's text.
+        cuboid: The cuboid; without a track it gets a uid that no object has.
+    """
+    root = json.loads(text.removeprefix("\ufeff"))[_ROOT]
+    uid = cuboid.track or _free(root)
+    for name in ("objects", "frames"):
+        text = text if name in root else append(text, (_ROOT,), {}, key=name)
+    if uid not in root.get("objects", {}):
+        text = append(text, (_ROOT, "objects"), {"name": uid, "type": cuboid.label}, key=uid)
+    frames = root.get("frames", {})
+    number = next((key for key, frame in frames.items() if frame_name(key, frame, "") == cuboid.frame), None)
+    if number is None:
+        number = (
+            cuboid.frame if _is_free_number(cuboid.frame, frames) else str(1 + max(map(_whole, frames), default=-1))
+        )
+        text = append(text, (_ROOT, "frames"), _new_frame(number, cuboid.frame), key=number)
+    way: tuple[str | int, ...] = (_ROOT, "frames", number)
+    for step, empty in (("objects", {}), (uid, {}), ("object_data", {}), ("cuboid", [])):
+        text = text if span(text, (*way, step)) else append(text, way, empty, key=step)
+        way = (*way, step)
+    return append(text, way, entry_of(cuboid))
+
+
+def with_class(text: str, uid: str, label: str) -> str:
+    """A file's text in which an object is of another class, in all frames."""
+    return set_value(text, (_ROOT, "objects", uid, "type"), label)
+
+
+def _new_frame(number: str, name: str) -> dict[str, Any]:
+    return {"frame_properties": {} if number == name else {"frame_id": name}, "objects": {}}
+
+
+def _is_free_number(name: str, frames: Mapping[str, Any]) -> bool:
+    return name.isascii() and name.isdigit() and str(int(name)) == name and name not in frames
+
+
+def _whole(number: str) -> int:
+    return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else 0
+
+
+def _free(root: Mapping[str, Any]) -> str:
+    known = root.get("objects", {})
+    return next(str(number) for number in range(len(known) + 1) if str(number) not in known)
+
+
+def format_openlabel(cuboids: Sequence[Cuboid], frames: Sequence[str], times_ns: Sequence[int | None] = ()) -> str:
+    """A new file's text.
+
+    Args:
+        cuboids: All boxes; one without a track becomes an object of its own.
+        frames: Names of all frames in order, also of those without boxes.
+        times_ns: Time of each frame, as far as known; written as seconds.
+    """
+    numbered = {name: str(number) for number, name in enumerate(frames)}
+    properties: list[dict[str, Any]] = [{"frame_id": name} for name in frames]
+    for known, time_ns in zip(properties, times_ns, strict=False):
+        if time_ns is not None:
+            known["timestamp"] = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+    rows = [{"frame_properties": known, "objects": {}} for known in properties]
+    objects: dict[str, Any] = {}
+    by_number: dict[str, Any] = dict(zip(map(str, range(len(frames))), rows, strict=True))
+    named = {cuboid.track for cuboid in cuboids}
+    lonely = (str(number) for number in range(len(cuboids) + len(named) + 1) if str(number) not in named)
+    for cuboid in cuboids:
+        uid = cuboid.track or next(lonely)
+        objects.setdefault(uid, {"name": uid, "type": cuboid.label})
+        entry = by_number[numbered[cuboid.frame]]["objects"].setdefault(uid, {"object_data": {"cuboid": []}})
+        entry["object_data"]["cuboid"].append(entry_of(cuboid))
+    systems = {SYSTEM: {"type": "local", "parent": "", "children": []}}
+    root = {
+        "metadata": {"schema_version": "1.0.0"},
+        "coordinate_systems": systems,
+        "objects": objects,
+        "frames": by_number,
+    }
+    return json.dumps({_ROOT: root}, indent=1) + "\n"
+
+
+def _mapping(value: Any, path: Path | str, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise FileFormatError(path, where=where, expected="an object", found=repr(value)[:80])
+    return value

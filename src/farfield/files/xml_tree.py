@@ -1,0 +1,85 @@
+"""XML that strangers wrote, as a tree of plain elements: nothing is expanded, fetched or larger than allowed."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from farfield.errors import FileFormatError
+
+MAX_BYTES = 64 << 20
+_DEPTH = 32
+
+
+@dataclass(slots=True)
+class Element:
+    """One element: its name, its text without blanks around it, and the elements in it."""
+
+    name: str
+    text: str = ""
+    children: list["Element"] = field(default_factory=list)
+
+    def all(self, name: str) -> list["Element"]:
+        """The elements of a name directly in it."""
+        return [child for child in self.children if child.name == name]
+
+    def get(self, name: str) -> str | None:
+        """The text of the first element of a name in it, or None."""
+        return next((child.text for child in self.children if child.name == name), None)
+
+
+class _RefusedError(Exception):
+    """What the parser met is not allowed."""
+
+
+class _Builder:
+    """Builds the tree as the parser goes along."""
+
+    def __init__(self) -> None:
+        self.root = Element("")
+        self.open = [self.root]
+        self.words: list[str] = []
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        del attributes
+        if len(self.open) > _DEPTH:
+            raise _RefusedError(f"elements nested deeper than {_DEPTH}")
+        self.words.clear()
+        element = Element(name)
+        self.open[-1].children.append(element)
+        self.open.append(element)
+
+    def end(self, name: str) -> None:
+        del name
+        self.open.pop().text = "".join(self.words).strip()
+        self.words.clear()
+
+    def characters(self, text: str) -> None:
+        self.words.append(text)
+
+    def refuse(self, *arguments: Any) -> int:
+        del arguments
+        raise _RefusedError("a declared entity")
+
+
+def parse_xml(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> Element:
+    """The outermost element of an XML file. Attributes and comments are left out.
+
+    Raises:
+        FileFormatError: If it is no XML, too large, nested too deep, or declares entities, which could grow without
+            bound or name other files.
+    """
+    if len(data) > max_bytes:
+        raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", found=f"{len(data)} bytes")
+    builder, parser = _Builder(), expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.characters
+    parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = builder.refuse
+    parser.ExternalEntityRefHandler = parser.SkippedEntityHandler = builder.refuse
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, _RefusedError, ValueError, LookupError) as error:
+        where = f"line {parser.CurrentLineNumber}"
+        raise FileFormatError(path, where=where, expected="XML without entities", found=str(error)[:200]) from error
+    return builder.root.children[0]

@@ -1,0 +1,259 @@
+"""Weather laid over a sweep that was measured in other weather: what is lost of it, and what the air adds.
+
+Each point stands for a shot whose signal its intensity and distance tell, S = rho / rho_ref (R_ref / R)^2. The laid air
+takes exp(-2 alpha R) of it, the window its transmission twice; drops, flakes and fog compete with what is left, as in
+the simulator itself (:func:`farfield.simulation.lidar.air.compete`). The sweep was detected before: a point stays with
+the probability P(S') / P(S). Shots that brought nothing back meet drops and flakes too: their directions are those of
+the sensor's grid that no point has.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from farfield.simulation.lidar.air import BLANKING_M, SURFACE, beam_of, compete
+from farfield.simulation.lidar.echoes import Echoes
+from farfield.simulation.lidar.model import (
+    HDL_64E,
+    OS1_128,
+    OS2_64,
+    REFERENCE_REFLECTANCE,
+    LidarModel,
+    detection_probability,
+    range_spread_m,
+)
+from farfield.simulation.weather.conditions import Weather
+from farfield.simulation.weather.fog import FOG_MOR_M, soft_echo
+from farfield.simulation.weather.icing import WindowField
+from farfield.simulation.weather.laid import CLEAR, Laid
+from farfield.simulation.weather.optics import extinction_per_m, film_transmission, haze_extinction_per_m
+from farfield.simulation.weather.precipitation import Strongest, falling, strongest_particle
+
+LIDARS = {model.name: model for model in (LidarModel(), OS2_64, OS1_128, HDL_64E)}
+"""The sensors by name."""
+
+_LEAST_SIGNAL = 1.0  # a point that was measured had a signal of about the threshold at least
+_FAINT = 0.3  # weaker echoes of the air are detected in one shot of seven hundred, at 0.8 dB
+_LEVELS = 255  # intensities are written in so many steps
+
+
+@dataclass(frozen=True, eq=False)
+class Overlaid:
+    """What weather makes of a sweep.
+
+    Args:
+        kept: Which points are still there, shape (n,).
+        gain: What their intensity is to be multiplied with, shape (n,).
+        points_m: Returns of drops, flakes and fog, shape (m, 3).
+        intensity: Theirs, shape (m,).
+    """
+
+    kept: Bool[np.ndarray, " n"]
+    gain: Float32[np.ndarray, " n"]
+    points_m: Float32[np.ndarray, "m 3"]
+    intensity: Float32[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class LaidWindow:
+    """A window as it is laid over one frame.
+
+    Args:
+        field: In which order its parts get covered; None for a clean one.
+        share: Covered share of its front.
+        clear: One-way transmission where nothing covers it: that of the film of water.
+        covered: The same where it is covered.
+    """
+
+    field: WindowField | None
+    share: float
+    clear: float
+    covered: float
+
+    @classmethod
+    def draw(cls, model: LidarModel, laid: Laid) -> "LaidWindow":
+        """Draw what covers a sensor's window."""
+        clear = film_transmission(laid.weather.film_mm, model.wavelength_nm)
+        share = laid.weather.icing_at(0.0)
+        if share <= 0:
+            return cls(None, 0.0, clear, clear)
+        half = 180.0 if model.spinning else model.azimuth_deg
+        field = WindowField.draw(
+            laid.seed, laid.kind, azimuth_deg=half, elevation_deg=_elevations_deg(model), widths_deg=laid.patches_deg
+        )
+        return cls(field, share, clear, clear * laid.transmission)
+
+    def gain(self, direction_rad: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, " n"]:
+        """Two-way transmission for shots.
+
+        Args:
+            direction_rad: Azimuth and elevation of each, shape (n, 2).
+        """
+        once = np.full(len(direction_rad), self.clear, dtype=np.float32)
+        if self.field is not None:
+            azimuth, elevation = np.degrees(direction_rad).T
+            once[self.field.covered(self.share, azimuth, elevation)] = self.covered
+        return once**2
+
+
+def overlay(
+    points_m: Float32[np.ndarray, "n 3"],
+    intensity: Float32[np.ndarray, " n"],
+    model: LidarModel,
+    laid: Laid,
+    rng: np.random.Generator,
+    *,
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Overlaid:
+    """Lay weather over a sweep.
+
+    Args:
+        points_m: The points, with the axes of the sensor: x forward, y left, z up.
+        intensity: Their reflectance, 0 to 1, as the sensor shows it in clear air.
+        model: The sensor.
+        laid: The weather, in addition to that of the sweep.
+        rng: Source of randomness.
+        origin_m: Where the sensor stands in the points' coordinates.
+    """
+    offset = points_m - np.array(origin_m, dtype=np.float32)
+    flat = np.hypot(offset[:, 0], offset[:, 1])
+    range_m = np.maximum(np.hypot(flat, offset[:, 2]), np.float32(0.1))
+    azimuth, elevation = np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(offset[:, 2], flat)
+    seen = np.column_stack([azimuth, elevation]).astype(np.float32)
+    window = LaidWindow.draw(model, laid)
+    through = window.gain(seen)
+    before = np.maximum(intensity / REFERENCE_REFLECTANCE * (model.reference_range_m / range_m) ** 2, _LEAST_SIGNAL)
+    alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR, model.wavelength_nm)
+    left = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
+    echoes = Echoes(range_m, left, np.zeros(len(left), dtype=np.int64))
+    at_m, strength, kind = compete(model, laid.weather, echoes, range_m, through, None, rng)
+    lucky, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
+    kept = surface & (lucky < detection_probability(model, strength) / detection_probability(model, before))
+    gain = np.where(surface, np.minimum(strength / before, 1), 1).astype(np.float32)
+    heard = np.flatnonzero(~surface & (lucky < detection_probability(model, strength) * (1 - model.dropout)))
+    own = _returns((offset / range_m[:, None])[heard], at_m[heard], strength[heard], model, rng)
+    sky = _open_sky(seen, model, laid.weather, window, rng)
+    points_m, shown = (np.concatenate(pair) for pair in zip(own, sky, strict=True))
+    return Overlaid(kept, gain, points_m + np.array(origin_m, dtype=np.float32), shown)
+
+
+def _open_sky(
+    seen_rad: Float32[np.ndarray, "n 2"],
+    model: LidarModel,
+    weather: Weather,
+    window: "LaidWindow",
+    rng: np.random.Generator,
+) -> tuple[Float32[np.ndarray, "m 3"], Float32[np.ndarray, " m"]]:
+    """What the shots that met no surface bring back, of the sensor: points and intensities."""
+    if not falling(weather, model.wavelength_nm) and weather.mor_m >= FOG_MOR_M:
+        return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.float32)
+    empty = empty_shots(seen_rad, model, rng)
+    laws, source, power, at_m = _loudest(len(empty), model, weather, rng)
+    met = np.flatnonzero(power > _FAINT)
+    chance = detection_probability(model, power[met] * window.gain(empty[met])) * (1 - model.dropout)
+    shots = met[rng.random(len(met), dtype=np.float32) < chance]
+    for number, law in enumerate(laws):
+        own = shots[source[shots] == number]
+        at_m[own], _ = law.place(power[own], rng.random(len(own)))
+    shots = shots[at_m[shots] > model.min_range_m]
+    left = (power[shots] * window.gain(empty[shots])).astype(np.float32)
+    return _returns(_directions(empty[shots]), at_m[shots], left, model, rng)
+
+
+def _loudest(
+    count: int, model: LidarModel, weather: Weather, rng: np.random.Generator
+) -> tuple[list[Strongest], Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """What shots into the open hear loudest of the air.
+
+    Returns:
+        The laws of what falls; which of them each shot hears, -1 for fog; its signal; the range of fog's.
+    """
+    beam, extinction = beam_of(model), extinction_per_m(weather, model.wavelength_nm)
+    source, power, at_m = np.full(count, -1), np.zeros(count), np.zeros(count, dtype=np.float32)
+    if weather.mor_m < FOG_MOR_M:
+        soft = soft_echo(beam, haze_extinction_per_m(weather.mor_m, model.wavelength_nm))
+        low, high = BLANKING_M
+        at, power = soft.beyond(low + (high - low) * rng.random(count))
+        at_m[:] = at
+    laws = [strongest_particle(each, beam, extinction) for each in falling(weather, model.wavelength_nm)]
+    for number, law in enumerate(laws):
+        drawn = law.strength(rng.random(count), least=_FAINT)
+        louder = np.flatnonzero(drawn > power)
+        source[louder], power[louder] = number, drawn[louder]
+    return laws, source, power, at_m
+
+
+def _elevations_deg(model: LidarModel) -> tuple[float, float]:
+    if model.beams is None:
+        return -model.elevation_deg, model.elevation_deg
+    return min(model.beams.elevation_deg), max(model.beams.elevation_deg)
+
+
+def empty_shots(
+    seen_rad: Float32[np.ndarray, "n 2"], model: LidarModel, rng: np.random.Generator
+) -> Float32[np.ndarray, "m 2"]:
+    """Directions of the shots of a frame that brought nothing back.
+
+    Those of a sensor that draws lines stand evenly over its field of view: its pattern is not told by a cloud.
+
+    Args:
+        seen_rad: Azimuth and elevation of the points, shape (n, 2).
+        model: The sensor.
+        rng: Chooses among the directions without a point, if there are more of them than shots are missing.
+
+    Returns:
+        Azimuths and elevations, shape (m, 2); points and these are as many as the sensor has shots, or fewer.
+    """
+    azimuth, elevation = _grid(model)
+    rising = elevation[::-1] if elevation[0] > elevation[-1] else elevation
+    row = np.rint(np.interp(seen_rad[:, 1], rising, np.arange(len(rising)))).astype(np.int64)
+    row = len(rising) - 1 - row if elevation[0] > elevation[-1] else row
+    step = azimuth[0, 1] - azimuth[0, 0]
+    column = np.rint((seen_rad[:, 0] - azimuth[row, 0]) / step).astype(np.int64)
+    columns = azimuth.shape[1]
+    column = column % columns if model.spinning else np.clip(column, 0, columns - 1)
+    taken = np.zeros(azimuth.size, dtype=np.bool_)
+    taken[row * columns + column] = True
+    free = np.flatnonzero(~taken)
+    missing = max(azimuth.size - len(seen_rad), 0)
+    if missing < len(free):
+        free = rng.permutation(free)[:missing]
+    row, column = np.divmod(free, columns)
+    return np.column_stack([azimuth[row, column], elevation[row]]).astype(np.float32)
+
+
+def _grid(model: LidarModel) -> tuple[Float[np.ndarray, "rings columns"], Float[np.ndarray, " rings"]]:
+    """Azimuth of every shot and elevation of every row, radians."""
+    column = np.arange(model.columns)
+    if model.beams is None:
+        half = np.radians(model.azimuth_deg)
+        azimuth = -half + 2 * half * (column + 0.5) / model.columns
+        elevation = np.radians(np.linspace(-model.elevation_deg, model.elevation_deg, model.lines))
+        return np.broadcast_to(azimuth, (model.lines, model.columns)), elevation
+    offset = np.radians(np.array(model.beams.offset_deg))
+    azimuth = np.pi - 2 * np.pi * column / model.columns - offset[:, None]
+    return azimuth, np.radians(np.array(model.beams.elevation_deg))
+
+
+def _directions(shot_rad: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
+    azimuth, elevation = shot_rad.T
+    across = np.cos(elevation)
+    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
+
+
+def _returns(
+    towards: Float32[np.ndarray, "n 3"],
+    at_m: Float32[np.ndarray, " n"],
+    strength: Float32[np.ndarray, " n"],
+    model: LidarModel,
+    rng: np.random.Generator,
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
+    """Points and intensities of echoes of the air that were heard; as the simulator measures them."""
+    noise, texture = rng.standard_normal((2, len(at_m)), dtype=np.float32)
+    measured = at_m + range_spread_m(model, strength).astype(np.float32) * noise
+    shown = (
+        REFERENCE_REFLECTANCE / model.reference_range_m**2 * strength * measured**2 * np.exp(model.texture * texture)
+    )
+    points_m = (towards * measured[:, None]).astype(np.float32)
+    return points_m, (np.rint(shown.clip(0, 1) * _LEVELS) / _LEVELS).astype(np.float32)

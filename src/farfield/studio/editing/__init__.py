@@ -1,0 +1,1 @@
+"""Annotations as they are edited: journal, undo, store, tracks and checks."""

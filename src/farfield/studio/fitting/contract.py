@@ -1,0 +1,109 @@
+"""What a gesture's fit takes and gives: the prior of an object, the box found, and the other boxes it may be."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.geometry.boxes import Boxes
+from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+
+Box = tuple[float, float, float, float, float, float, float]
+"""x, y, z of the centre, length, width, height (metres), yaw (radians), as everywhere in Farfield."""
+
+Extent = Literal["whole body", "visible part"]
+HeadingFrom = Literal["track", "drag", "lane", "ask"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is known of an object before its points are looked at.
+
+    Args:
+        size_m: Length, width, height: of the track, of its class or of its type.
+        anchored: Whether the box grows away from the sensor to that size (vehicles), or about its middle (people and
+            two-wheelers, which are seen nearly whole).
+        extent: What the data set's boxes stand for; boxes of visible parts do not grow to the prior.
+        yaw_rad: Heading of the track, with its sign, or None.
+        lane_rad: Heading of the lane or of the ego vehicle, whose sign is a guess, or None.
+        fixed_size: Whether the size is the track's and stays as it is.
+        ego_m: x and y of the sensor in the points' coordinates.
+
+    Raises:
+        ValueError: If a size is not positive and finite.
+    """
+
+    size_m: tuple[float, float, float]
+    anchored: bool = True
+    extent: Extent = "whole body"
+    yaw_rad: float | None = None
+    lane_rad: float | None = None
+    fixed_size: bool = False
+    ego_m: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if len(self.size_m) != 3 or not all(np.isfinite(size) and size > 0 for size in self.size_m):
+            raise ValueError(f"Prior.size_m: expected three positive lengths in metres, got {self.size_m}")
+
+    @property
+    def grows(self) -> bool:
+        """Whether a box takes the prior's length and width where its points show less."""
+        return self.extent == "whole body" or self.fixed_size
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """Another box that the same gesture may mean.
+
+    Args:
+        box: The box.
+        score: What the search gave it; larger is better, comparable within one fit only.
+    """
+
+    box: Box
+    score: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """What a gesture gave.
+
+    Args:
+        box: The box.
+        points: Number of points inside it, the ground's left out.
+        candidates: Other boxes, the best first.
+        criterion: What decided the yaw: ``closeness``, ``variance``, ``drag``, ``track``, ``lane`` or ``drawn``.
+        heading: Where the sign of the heading is from; ``ask`` where nothing tells it: the page offers key G.
+        ms: Time that the fit took, milliseconds.
+        note: What the person should know, such as that too few points were there; empty where nothing.
+    """
+
+    box: Box
+    points: int
+    candidates: tuple[Candidate, ...] = ()
+    criterion: str
+    heading: HeadingFrom
+    ms: float
+    note: str = ""
+
+
+def prior_of(name: str, *, size_m: Sequence[float] | None = None, extent: Extent = "whole body") -> Prior:
+    """The prior of a class or of a vehicle's type.
+
+    Args:
+        name: Class in K-Radar's or Cirrus's words, or a type below ``Bus or Truck``: ``van``, ``box truck``, ``bus``...
+        size_m: The track's size or the data set's median; None takes the preset, and a car's for an unknown class.
+        extent: What the data set's boxes stand for.
+    """
+    small = SMALL_KINDS.get(name)
+    preset = small or VEHICLE_KINDS.get(name) or VEHICLE_KINDS["vehicle"]
+    length, width, height = preset if size_m is None else size_m
+    return Prior(size_m=(float(length), float(width), float(height)), anchored=small is None, extent=extent)
+
+
+def boxes_of(box: Sequence[float] | Float[np.ndarray, " 7"]) -> Boxes:
+    """One box as a set of one."""
+    row = np.asarray(box, dtype=np.float64).reshape(1, 7)
+    return Boxes(centre_m=row[:, :3], size_m=row[:, 3:6], yaw_rad=row[:, 6])

@@ -1,0 +1,318 @@
+"""What the page sends. ``id`` is the page's own: a message sent again after a lost reply is recognised by it."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from farfield.studio.messages.base import (
+    BoxNumbers,
+    Count,
+    FileName,
+    Index,
+    Name,
+    Note,
+    Part,
+    Place,
+    Size,
+    Track,
+    Word,
+    message,
+)
+from farfield.studio.messages.rows import BoxValue
+
+
+@message
+class Hello:
+    """First message of a window."""
+
+    op: Literal["hello"] = "hello"
+    window: Name
+    annotator: Word = ""
+    version: int = 1
+
+
+@message
+class FrameOpen:
+    """Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent.
+
+    ``purpose`` ahead: only the state, the window still shows another frame; here: the page has the state already.
+    """
+
+    op: Literal["frame.open"] = "frame.open"
+    frame: Index
+    threshold: Part = 0.0
+    sweeps: Annotated[int, Field(ge=1, le=20)] = 1
+    purpose: Literal["show", "ahead", "here"] = "show"
+
+
+@message
+class BoxSet:
+    """Change a box; ``base`` is the version that the page saw. ``group`` joins edits that undo together."""
+
+    op: Literal["box.set"] = "box.set"
+    id: Name
+    frame: Index
+    box: Name
+    base: Count
+    value: BoxValue
+    group: Name | None = None
+
+
+@message
+class BoxAdd:
+    """Add a box under an identity that the page makes up."""
+
+    op: Literal["box.add"] = "box.add"
+    id: Name
+    frame: Index
+    box: Name
+    value: BoxValue
+    group: Name | None = None
+
+
+@message
+class BoxDelete:
+    """Remove a box."""
+
+    op: Literal["box.delete"] = "box.delete"
+    id: Name
+    frame: Index
+    box: Name
+    base: Count
+    group: Name | None = None
+
+
+@message
+class TrackSet:
+    """Set what holds for a track: class, locked size, last frame. ``ends`` -1: no end. None leaves as it is."""
+
+    op: Literal["track.set"] = "track.set"
+    id: Name
+    track: Track
+    base: Count
+    class_name: Word | None = None
+    size_locked: bool | None = None
+    size: tuple[Size, Size, Size] | None = None
+    ends: Annotated[int, Field(ge=-1)] | None = None
+
+
+@message
+class TrackMerge:
+    """Make one track a part of another."""
+
+    op: Literal["track.merge"] = "track.merge"
+    id: Name
+    track: Track
+    into: Track
+    base: Count
+    into_base: Count
+
+
+@message
+class TrackSplit:
+    """Give the boxes of a track from a frame on a new number."""
+
+    op: Literal["track.split"] = "track.split"
+    id: Name
+    track: Track
+    frame: Index
+    new_track: Track
+    base: Count
+
+
+@message
+class TrackInterpolate:
+    """Fill the frames between keyframes, from ``first`` to ``last``."""
+
+    op: Literal["track.interpolate"] = "track.interpolate"
+    id: Name
+    track: Track
+    first: Index
+    last: Index
+
+
+@message
+class TrackPropagate:
+    """Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller)."""
+
+    op: Literal["track.propagate"] = "track.propagate"
+    id: Name
+    track: Track
+    first: Index
+    last: Index
+    fit: bool = True
+
+
+@message
+class Preview:
+    """A box while it is dragged: passed on to the other windows, stored nowhere."""
+
+    op: Literal["preview"] = "preview"
+    frame: Index
+    box: Name
+    value: BoxNumbers
+
+
+@message
+class Fit:
+    """Find a box at a gesture. ``at``: click x y; drag x0 y0 x1 y1 along the heading; rectangle: four corners x y.
+
+    ``kind`` refit takes ``around`` (the box as it stands); peak is a radar's peak at x y.
+    """
+
+    op: Literal["fit"] = "fit"
+    id: Name
+    frame: Index
+    kind: Literal["click", "drag", "rectangle", "refit", "peak"]
+    at: Annotated[tuple[Place, ...], Field(max_length=8)] = ()
+    class_name: Word
+    type_name: Word = ""
+    track: Track | None = None
+    around: BoxNumbers | None = None
+    keep_size: bool = False
+
+
+@message
+class Undo:
+    """Take back the last edit of mine (or of anybody)."""
+
+    op: Literal["undo"] = "undo"
+    id: Name
+    scope: Literal["mine", "all"] = "mine"
+    force: bool = False  # also where somebody else changed the object since
+
+
+@message
+class Redo:
+    """Do again what was taken back last."""
+
+    op: Literal["redo"] = "redo"
+    id: Name
+    scope: Literal["mine", "all"] = "mine"
+    force: bool = False
+
+
+@message
+class CheckList:
+    """Ask for the checks of a frame; of all frames if None."""
+
+    op: Literal["check.list"] = "check.list"
+    frame: Index | None = None
+
+
+@message
+class CheckIgnore:
+    """Let a finding stand, with a reason; an empty reason brings it back."""
+
+    op: Literal["check.ignore"] = "check.ignore"
+    id: Name
+    check: Annotated[str, Field(min_length=1, max_length=200)]
+    reason: Note
+
+
+@message
+class InferStart:
+    """Detect in frames; ``propose`` adds the boxes above the threshold as proposals to the annotation."""
+
+    op: Literal["infer.start"] = "infer.start"
+    id: Name
+    detector: Word
+    first: Index
+    last: Index
+    threshold: Part = 0.1
+    propose: bool = False
+
+
+@message
+class InferCancel:
+    """Stop a job."""
+
+    op: Literal["infer.cancel"] = "infer.cancel"
+    id: Name
+    job: Name
+
+
+@message
+class BookmarkSet:
+    """Bookmark a frame; ``note`` None takes the bookmark away."""
+
+    op: Literal["bookmark.set"] = "bookmark.set"
+    id: Name
+    frame: Index
+    note: Note | None = ""
+
+
+@message
+class Save:
+    """Write the label files now. ``folder``: a name beside the data set's other saves; None: where saves go."""
+
+    op: Literal["save"] = "save"
+    id: Name
+    format: Word = ""
+    folder: FileName | None = None
+
+
+@message
+class Export:
+    """Make a file to take away: ``html`` of frames, a film of pictures sent to /shot, or labels in a format."""
+
+    op: Literal["export"] = "export"
+    id: Name
+    kind: Literal["html", "gif", "webp", "labels"]
+    frames: Annotated[tuple[Index, ...], Field(max_length=100_000)] = ()
+    format: Word = ""
+    name: FileName = "export"
+    shots: Annotated[tuple[Name, ...], Field(max_length=2000)] = ()
+    rate_hz: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
+
+
+@message
+class PolicySet:
+    """Declare once what the boxes of the data set hold: whole bodies or visible parts."""
+
+    op: Literal["policy.set"] = "policy.set"
+    id: Name
+    extent: Literal["full", "visible"]
+
+
+@message
+class Timing:
+    """Time that a person spent on a box: from its selection to the next, pauses left out."""
+
+    op: Literal["timing"] = "timing"
+    frame: Index
+    box: Name
+    seconds: Annotated[float, Field(ge=0.0, le=3600.0)]
+    edits: Count = 0
+
+
+Edit = BoxSet | BoxAdd | BoxDelete | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate
+"""What changes the annotation, and is answered by ack, conflict or refused."""
+
+Request = Annotated[
+    Hello
+    | FrameOpen
+    | BoxSet
+    | BoxAdd
+    | BoxDelete
+    | TrackSet
+    | TrackMerge
+    | TrackSplit
+    | TrackInterpolate
+    | TrackPropagate
+    | Preview
+    | Fit
+    | Undo
+    | Redo
+    | CheckList
+    | CheckIgnore
+    | InferStart
+    | InferCancel
+    | BookmarkSet
+    | Save
+    | Export
+    | PolicySet
+    | Timing,
+    Field(discriminator="op"),
+]
+"""Whatever the page sends."""

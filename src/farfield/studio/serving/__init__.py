@@ -1,0 +1,1 @@
+"""The server: who may speak to it, routes, the WebSocket, and how it is started."""

@@ -1,0 +1,168 @@
+"""The routes: the page, layers, pictures, radar maps, health, the WebSocket."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+
+from farfield.errors import FarfieldError
+from farfield.studio.messages.replies import VERSION
+from farfield.studio.serving.guard import App
+from farfield.studio.serving.socket import socket
+from farfield.studio.session.book import first_of
+from farfield.studio.session.desk import Desk
+from farfield.studio.showing.opened import STATIC, Payload, plain_error
+from farfield.studio.threads import Threads
+
+_KINDS = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".json": "application/json",
+    ".woff2": "font/woff2",
+}
+_NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
+
+
+def make_app(desk: Desk, *, static: Path = STATIC) -> App:
+    """The application; who may speak to it is its :class:`~farfield.studio.serving.guard.Guard`'s business.
+
+    Args:
+        desk: What is open, and who is at it.
+        static: Folder of the built page.
+    """
+    routes = [
+        Route("/health", _health),
+        Route("/", _static),
+        Route("/layer/{frame:int}/{layer:int}", _layer),
+        Route("/image/{frame:int}/{layer:int}", _image),
+        Route("/radar/{frame:int}/{kind:str}", _radar),
+        Route("/shot", _shot, methods=["POST"]),
+        Route("/export/{job:str}", _export),
+        WebSocketRoute("/socket", socket),
+        Route("/{name:str}", _static),
+    ]
+    app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
+    app.state.desk, app.state.readers = desk, Threads(4, "read")
+    app.state.files = _files(static)
+    return app
+
+
+def _files(static: Path) -> dict[str, Path]:
+    """The page's files by name: what is not among them is not there, whatever its name says."""
+    found = sorted(static.iterdir()) if static.is_dir() else []
+    return {path.name: path for path in found if path.is_file() and path.suffix in _KINDS}
+
+
+async def _health(request: Request) -> Response:
+    return JSONResponse({"status": "ok", "version": VERSION, "ready": request.app.state.desk.ready})
+
+
+async def _static(request: Request) -> Response:
+    name = request.path_params.get("name", "index.html")
+    if name == "index.html" and request.query_params.get("frame", "0").rpartition("/")[1]:
+        return _numbered(request)
+    path = request.app.state.files.get(name)
+    if path is None:
+        return PlainTextResponse(_NO_PAGE if name == "index.html" else "There is nothing of this name.", 404)
+    payload = await in_thread(request, lambda: Payload.of(path.read_bytes(), _KINDS[path.suffix]))
+    return _answer(request, payload)
+
+
+def _numbered(request: Request) -> Response:
+    """Send a link to ``?frame=sequence/frame``, as reports have it, on to the frame's number."""
+    desk: Desk = request.app.state.desk
+    try:
+        index = first_of(request.query_params["frame"], desk.book.data) if desk.ready else 0
+    except FarfieldError:
+        index = 0
+    rest = {name: value for name, value in request.query_params.items() if name == "test"}
+    return RedirectResponse("/?" + urlencode({"frame": index, **rest}), 303)
+
+
+async def _layer(request: Request) -> Response:
+    frame, layer = request.path_params["frame"], request.path_params["layer"]
+    sweeps = _number(request, "sweeps", 1, 1, 20)
+    return await _payload(request, lambda desk: desk.opened.cloud(frame, layer, sweeps))
+
+
+async def _image(request: Request) -> Response:
+    frame, layer = request.path_params["frame"], request.path_params["layer"]
+    return await _payload(request, lambda desk: desk.opened.picture(frame, layer))
+
+
+async def _radar(request: Request) -> Response:
+    frame, kind = request.path_params["frame"], request.path_params["kind"]
+    if kind not in ("bev", "bfs"):
+        return PlainTextResponse("radar: expected bev or bfs", 404)
+    low, high = _metres(request, "low", 0.0), _metres(request, "high", float("inf"))
+    return await _payload(request, lambda desk: desk.opened.radar_map(frame, kind, low, high))
+
+
+async def _shot(request: Request) -> Response:
+    desk: Desk = request.app.state.desk
+    body = await request.body()
+    name = await in_thread(request, lambda: desk.exports.keep(body))
+    return JSONResponse({"shot": name}, 201)
+
+
+async def _export(request: Request) -> Response:
+    desk: Desk = request.app.state.desk
+    found = desk.exports.result(request.path_params["job"])
+    if found is None:
+        return PlainTextResponse("There is no such file; exports live as long as the studio runs.", 404)
+    body = await in_thread(request, found.path.read_bytes)
+    headers = {"content-disposition": f'attachment; filename="{found.name}"', "cache-control": "no-store"}
+    return Response(body, media_type=found.kind, headers=headers)
+
+
+async def _payload(request: Request, make: Callable[[Desk], Payload]) -> Response:
+    desk: Desk = request.app.state.desk
+    if not desk.ready:
+        return PlainTextResponse("The data set is still being opened.", 503)
+    return _answer(request, await in_thread(request, lambda: make(desk)))
+
+
+def _answer(request: Request, payload: Payload) -> Response:
+    headers = {"etag": payload.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
+    if request.headers.get("if-none-match") == payload.tag:
+        return Response(status_code=304, headers=headers)
+    body, coding = payload.coded(request.headers.get("accept-encoding", ""))
+    return Response(body, media_type=payload.kind, headers=headers | ({"content-encoding": coding} if coding else {}))
+
+
+async def in_thread(request: Request, work: Callable[[], Any]) -> Any:
+    """Run what reads files beside the event loop."""
+    return await request.app.state.readers.do(work)
+
+
+def _number(request: Request, name: str, usual: int, low: int, high: int) -> int:
+    text = request.query_params.get(name, "")
+    return min(max(int(text), low), high) if text.isdecimal() and len(text) < 6 else usual
+
+
+def _metres(request: Request, name: str, usual: float) -> float:
+    try:
+        value = float(request.query_params.get(name, usual))
+    except ValueError:
+        return usual
+    return value if abs(value) <= 1000 else usual
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    data = request.app.state.desk.data
+    return PlainTextResponse(plain_error(error, data), 404 if request.method == "GET" else 400)
+
+
+async def _failed(request: Request, error: Exception) -> Response:
+    del request
+    return PlainTextResponse(
+        f"The studio met an error of its own ({type(error).__name__}); its terminal shows it.", 500
+    )

@@ -1,0 +1,168 @@
+"""The gate before all routes: refusals, limits of size, and the headers that every answer carries."""
+
+from collections.abc import Awaitable, Callable, MutableMapping
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qs, urlencode
+
+from starlette.exceptions import HTTPException
+
+from farfield.studio.serving.entry import Entry, refusal
+from farfield.studio.serving.limits import BODY_BYTES
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "worker-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = (
+    (b"content-security-policy", POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+)
+OPEN = ("/health",)
+"""Paths for which nobody needs a cookie."""
+USED = (
+    "This link was used before, or is older than ten minutes. Press Enter in the terminal in which the studio runs "
+    "for a new one."
+)
+
+
+class Guard:
+    """An ASGI application before another: what is not allowed never reaches it.
+
+    Args:
+        app: The application.
+        entry: Tokens and cookies.
+    """
+
+    def __init__(self, app: App, entry: Entry) -> None:
+        self.app, self.entry = app, entry
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse, admit or pass on."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._socket(scope, receive, send)
+        else:
+            await self._request(scope, receive, _Dressed(send))
+
+    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _headers(scope)
+        refused = refusal("GET", headers, socket=True)
+        if refused or scope["path"] != "/socket" or not self.entry.admitted("; ".join(headers.get("cookie", []))):
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": ""})  # before accepting: status 403
+            return
+        await self.app(scope, receive, send)
+
+    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers, path, method = _headers(scope), scope["path"], scope["method"]
+        if method == "GET" and path == "/" and _linked(headers):
+            query = parse_qs(scope["query_string"].decode("latin-1")).get("frame", [""])[0]
+            await answer(send, 200, _bounce(query), kind="text/html; charset=utf-8")
+            return
+        refused = refusal(method, headers)
+        if refused:
+            await answer(send, *refused)
+            return
+        if method == "GET" and path == "/" and b"token=" in scope["query_string"]:
+            await self._admit(scope, send)
+            return
+        if path not in OPEN and not self.entry.admitted("; ".join(headers.get("cookie", []))):
+            await answer(send, 403, f"This window was not let in. {USED}")
+            return
+        length = headers.get("content-length", ["0"])[0]
+        if not length.isdecimal() or int(length) > BODY_BYTES:
+            await answer(send, 413, _too_large())
+            return
+        await self.app(scope, _Counted(receive), send)
+
+    async def _admit(self, scope: Scope, send: Send) -> None:
+        given = parse_qs(scope["query_string"].decode("latin-1"))
+        session = self.entry.admit(given["token"][0]) if given.get("token") else None
+        if session is None:
+            await answer(send, 403, USED)
+            return
+        rest = {name: values[0] for name, values in given.items() if name in ("frame", "test")}
+        where = "/" + ("?" + urlencode(rest) if rest else "")
+        more = [(b"location", where.encode()), (b"set-cookie", self.entry.set_cookie(session).encode())]
+        await answer(send, 303, "", more=more)
+
+
+def _too_large() -> str:
+    return f"This is longer than the {BODY_BYTES >> 20} MiB that are taken."
+
+
+def _headers(scope: Scope) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return found
+
+
+def _linked(headers: dict[str, list[str]]) -> bool:
+    """Whether a person followed a link of another page, such as a report, to the studio's own page."""
+    return (
+        headers.get("sec-fetch-site", [""])[0] in ("cross-site", "same-site")
+        and headers.get("sec-fetch-mode", [""])[0] == "navigate"
+        and headers.get("sec-fetch-dest", [""])[0] == "document"
+        and "origin" not in headers
+        and refusal("GET", {"host": headers.get("host", [])}) is None
+    )
+
+
+def _bounce(frame: str) -> str:
+    """A page that opens the studio's page from itself: a strict cookie does not follow a link of another page."""
+    where = "/?" + urlencode({"frame": frame}) if frame else "/"
+    return f'<!doctype html><meta http-equiv="refresh" content="0;url={where}"><title>Farfield</title>'
+
+
+async def answer(
+    send: Send,
+    status: int,
+    text: str,
+    *,
+    kind: str = "text/plain; charset=utf-8",
+    more: list[tuple[bytes, bytes]] | None = None,
+) -> None:
+    """Answer a request with a sentence."""
+    body = (text or HTTPStatus(status).phrase).encode()
+    headers = [(b"content-type", kind.encode()), (b"content-length", str(len(body)).encode()), *(more or [])]
+    headers.append((b"cache-control", b"no-store"))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
+
+
+class _Dressed:
+    """Sends answers with the headers that all of them carry."""
+
+    def __init__(self, send: Send) -> None:
+        self.send = send
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *HEADERS]}
+        await self.send(message)
+
+
+class _Counted:
+    """Receives a body up to what is taken."""
+
+    def __init__(self, receive: Receive) -> None:
+        self.receive, self.bytes = receive, 0
+
+    async def __call__(self) -> Message:
+        message = await self.receive()
+        self.bytes += len(message.get("body", b""))
+        if self.bytes > BODY_BYTES:
+            raise HTTPException(413, _too_large())
+        return message

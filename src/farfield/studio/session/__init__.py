@@ -1,0 +1,1 @@
+"""What windows ask of the open data set, and what they are answered."""

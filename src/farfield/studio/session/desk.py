@@ -1,0 +1,163 @@
+"""The desk: one open data set, the windows before it, and what each message does."""
+
+import asyncio
+import sys
+import traceback
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from farfield.datasets.base import Dataset
+from farfield.errors import FarfieldError
+from farfield.studio.exporting.exports import Exports
+from farfield.studio.messages.replies import Bye, Refused, Reply, Windows
+from farfield.studio.session.book import Book
+from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
+from farfield.studio.showing.opened import Opened, plain_error
+from farfield.studio.threads import Threads
+
+if TYPE_CHECKING:
+    from farfield.studio.annotating.annotation import Annotating
+    from farfield.studio.inferring.jobs import Jobs
+
+T = TypeVar("T")
+Handler = Callable[["Desk", Window, Any], Awaitable[None]]
+
+
+class Desk:
+    """What windows share.
+
+    Args:
+        settings: What the studio was started with.
+        handlers: What each kind of message does.
+    """
+
+    def __init__(self, settings: StudioSettings, handlers: dict[type, Handler]) -> None:
+        self.settings, self.handlers = settings, handlers
+        self.annotator = settings.annotator
+        self.windows: dict[str, Window] = {}
+        self.threads = Threads(3, "desk")
+        self.exports = Exports()
+        self.data: Dataset | None = None
+        self.annotating: Annotating | None = None
+        self.jobs: Jobs | None = None
+        self.checking: set[int] = set()
+        self._ready = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the data set is open."""
+        return self._ready.is_set()
+
+    @property
+    def opened(self) -> Opened:
+        """Layers of the open data set."""
+        return self.book.opened
+
+    def open(self, data: Dataset) -> None:
+        """Take a data set: what reads files, for a thread. :meth:`let_in` lets the windows in.
+
+        Raises:
+            FarfieldError: If predictions or edits cannot be read or do not belong to it.
+        """
+        self.data = data
+        opened = Opened(data)
+        if self.settings.mode == "annotate":
+            from farfield.studio.annotating.annotation import Annotating
+
+            self.annotating = Annotating(opened, self.settings)
+        edited = self.annotating
+        given = () if edited is None else (edited.rows, edited.centres)
+        self.book = Book(opened, self.settings, *given)
+
+    def let_in(self) -> None:
+        """Let the windows in that wait."""
+        self._ready.set()
+
+    async def in_thread(self, work: Callable[[], T]) -> T:
+        """Run what reads files or computes beside the event loop."""
+        return await self.threads.do(work)
+
+    def aside(self, window: Window, name: str | None, work: Awaitable[None]) -> None:
+        """Let something go on beside further messages; what goes wrong is told to the window."""
+        task = asyncio.get_running_loop().create_task(self._aside(window, name, work))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _aside(self, window: Window, name: str | None, work: Awaitable[None]) -> None:
+        try:
+            await work
+        except Exception as error:  # noqa: BLE001
+            window.send(self.refusal(name, error))
+
+    def refusal(self, name: str | None, error: Exception) -> Refused:
+        """An error as a reply: its message, never a traceback or a path of this machine."""
+        if not isinstance(error, FarfieldError):
+            traceback.print_exception(error, file=sys.stderr)
+            sentence = f"the studio met an error of its own ({type(error).__name__}); its terminal shows it"
+            return Refused(id=name, code="failed", sentence=sentence)
+        code, mend = str(getattr(error, "code", "refused")), plain_error(getattr(error, "mend", ""), self.data)
+        sentence = str(getattr(error, "sentence", "")) or str(error)
+        return Refused(id=name, code=code, sentence=plain_error(sentence, self.data), mend=mend)
+
+    async def handle(self, window: Window, request: Any) -> None:
+        """Do what a message asks."""
+        name = getattr(request, "id", None)
+        work = self.handlers.get(type(request))
+        if work is None:
+            window.send(Refused(id=name, code="view", sentence=_ONLY_SHOWS, mend=_ANNOTATE))
+            return
+        try:
+            await work(self, window, request)
+        except Exception as error:  # noqa: BLE001
+            window.send(self.refusal(name, error))
+
+    def name_of(self, wanted: str) -> str:
+        """A name for a new window: the one that it wants if that is free."""
+        name, number = wanted, 1
+        while name in self.windows:
+            number += 1
+            name = f"{wanted[:56]}-{number}"
+        return name
+
+    async def join(self, window: Window, welcome: Callable[["Desk", Window], Reply]) -> None:
+        """Welcome a window, once the data set is open."""
+        self.windows[window.id] = window
+        await self._ready.wait()
+        window.send(await self.in_thread(lambda: welcome(self, window)))
+        self._count_windows()
+
+    def leave(self, window: Window) -> None:
+        """Forget a window."""
+        self.windows.pop(window.id, None)
+        self._count_windows()
+
+    def tell(self, reply: Reply, *, but: Window | None = None) -> None:
+        """Send something to all windows, or to all but one."""
+        for window in self.windows.values():
+            if window is not but:
+                window.send(reply)
+
+    def _count_windows(self) -> None:
+        names = tuple(sorted({window.annotator for window in self.windows.values() if window.annotator}))
+        self.tell(Windows(count=len(self.windows), annotators=names))
+
+    def goodbye(self, reason: str) -> None:
+        """Say goodbye to all windows."""
+        self.tell(Bye(reason=reason))
+
+    async def close(self) -> None:
+        """End what still works for the windows."""
+        for task in list(self._tasks):
+            task.cancel()
+        if self.jobs is not None:
+            await self.jobs.close()
+        if self.annotating is not None:
+            await self.in_thread(self.annotating.close)
+        self.threads.end()
+        self.exports.close()
+
+
+_ONLY_SHOWS = "this studio shows only"
+_ANNOTATE = "start it as `farfield annotate` to change boxes"

@@ -1,0 +1,159 @@
+"""Detectors on what is shown: single frames as they are opened, sequences on demand, two beside each other."""
+
+import itertools
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+from farfield.errors import ConfigError
+from farfield.frame import Boxes
+from farfield.studio.inferring.jobs import InferJob, Jobs
+from farfield.studio.inferring.worker import Worker
+from farfield.studio.messages import requests as asked
+from farfield.studio.messages.replies import Job, Predicted
+from farfield.studio.messages.rows import DetectorRow, PredictionSet
+from farfield.studio.session.desk import Desk
+from farfield.studio.session.editing import propose
+from farfield.studio.session.window import Window
+from farfield.studio.settings import StudioSettings
+from farfield.studio.showing.opened import plain_error
+from farfield.studio.showing.predictions import Predictions, colour
+
+_NUMBERS = itertools.count(1)
+
+
+def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
+    """The detectors that windows may run: those named at the start, and the ones that ship. None without torch."""
+    from importlib.util import find_spec
+
+    if find_spec("torch") is None:
+        return ()
+    from farfield.detectors.catalogue import catalogue
+
+    given = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
+    known = {row.name for row in given}
+    entries = (entry for entry in catalogue() if entry.weights and entry.weights not in known)
+    return (*given, *(DetectorRow(name=entry.weights, title=entry.weights) for entry in entries))
+
+
+def _jobs(desk: Desk) -> Jobs:
+    if desk.jobs is None:
+        desk.jobs = Jobs(Worker(desk.book.data), _Found(desk), lambda job: desk.tell(_told(desk, job)))
+    return desk.jobs
+
+
+def _told(desk: Desk, job: InferJob) -> Job:
+    found = desk.book.sets.get(set_name(job.detector))
+    message = plain_error(job.message, desk.data)
+    return replace(job.reply(), message=message, set=None if found is None else found.about)
+
+
+def set_name(detector: str) -> str:
+    """Name of a detector's set."""
+    return f"detector-{Path(detector).name}"
+
+
+def predictions_of(desk: Desk, detector: str) -> Predictions:
+    """The set that a detector fills, made when it first runs."""
+    name = set_name(detector)
+    if name not in desk.book.sets:
+        about = PredictionSet(
+            name=name,
+            title=Path(detector).name,
+            kind="detections",
+            protocol=desk.book.protocol,
+            colour=colour(len(desk.book.sets)),
+        )
+        desk.book.sets[name] = Predictions(about)
+    return desk.book.sets[name]
+
+
+def detect_shown(desk: Desk, window: Window, frame: int) -> None:
+    """Run the detectors named at the start on a frame that somebody looks at, unless that was done."""
+    key = desk.book.data.keys[frame]
+    for name in desk.settings.detectors:
+        known = desk.book.sets.get(set_name(name))
+        asked_for = desk.jobs is not None and any(
+            frame in job.frames and job.detector == name for job in desk.jobs.jobs.values()
+        )
+        if not asked_for and (known is None or key not in known.boxes):
+            _start(desk, window, "", name, [frame])
+
+
+async def infer(desk: Desk, window: Window, request: asked.InferStart) -> None:
+    """Run a detector on frames.
+
+    Raises:
+        ConfigError: If the detector is not on offer, or there are no such frames.
+    """
+    if request.detector not in {row.name for row in offered(desk.settings)}:
+        raise ConfigError("infer: expected one of the detectors on offer; name others with --detector at the start")
+    desk.opened.check(request.first)
+    desk.opened.check(request.last)
+    if request.last < request.first:
+        raise ConfigError(f"infer: expected the last frame after the first, got {request.first} to {request.last}")
+    if request.propose and desk.annotating is None:
+        raise ConfigError("infer: boxes can be proposed in `farfield annotate` only")
+    frames = list(range(request.first, request.last + 1))
+    _start(desk, window, request.id, request.detector, frames, request.threshold, request.propose)
+
+
+def _start(
+    desk: Desk,
+    window: Window,
+    name: str,
+    detector: str,
+    frames: list[int],
+    threshold: float = 0.0,
+    propose: bool = False,
+) -> None:
+    predictions_of(desk, detector)
+    job = InferJob(
+        id=name,
+        name=f"job-{next(_NUMBERS)}",
+        detector=detector,
+        frames=deque(frames),
+        window=window.id,
+        by=window.annotator,
+        threshold=threshold,
+        propose=propose,
+    )
+    _jobs(desk).add(job)
+
+
+async def cancel(desk: Desk, window: Window, request: asked.InferCancel) -> None:
+    """Stop a job.
+
+    Raises:
+        ConfigError: If there is none of this name that still runs.
+    """
+    del window
+    if desk.jobs is None or not desk.jobs.cancel(request.job):
+        raise ConfigError("infer: there is no such job that still runs")
+
+
+class _Found:
+    """Takes what was found in a frame: into its set, to the windows that show it, into the annotation."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+
+    async def __call__(self, job: InferJob, index: int, boxes: Boxes) -> None:
+        desk = self.desk
+        if boxes.score is not None:
+            boxes = boxes[boxes.score >= min(desk.settings.threshold, job.threshold or 1.0)]
+        found = predictions_of(desk, job.detector)
+        found.boxes[desk.book.data.keys[index]] = boxes
+        known = sorted({*found.about.classes, *map(str, boxes.label)})
+        found.about = replace(found.about, frames=len(found.boxes), classes=tuple(known))
+        if job.propose and desk.annotating is not None:
+            await propose(desk, job, index, boxes)
+        for window in list(desk.windows.values()):
+            if window.frame == index:
+                await self._show(window, found, index)
+
+    async def _show(self, window: Window, found: Predictions, index: int) -> None:
+        book = self.desk.book
+        shown = await self.desk.in_thread(lambda: book.predicted_by(found, index, book.boxes(index), window.threshold))
+        if shown is not None:
+            window.send(Predicted(frame=index, predicted=shown, set=found.about))

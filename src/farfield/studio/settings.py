@@ -1,0 +1,46 @@
+"""What a studio is started with."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudioSettings:
+    """Choices of a studio.
+
+    Args:
+        mode: Whether boxes can be changed.
+        title: What the page calls the data set.
+        annotator: Who edits, where a window does not say it.
+        protocol: By which predictions are matched with the truth; empty takes the data set's own.
+        predictions: Files of predicted boxes to show.
+        format: Their format, see :data:`farfield.metrics.reading.FORMATS`.
+        detectors: Detectors to run on what is shown: bundled names, runs' folders or weights files.
+        threshold: Least score of a box that a detector gives.
+        first: Frame to show first: its number, or sequence/frame.
+        classes: ``name:length,width,height`` of the classes to offer; the data set's own unless given.
+        extent: What the boxes hold, whole bodies or visible parts; None where it is still to be declared.
+        edits: Folder of the journal; beside the labels unless given.
+        out: Folder into which labels are saved; beside the journal unless given.
+        to: Format of the saved labels; the data set's own unless given.
+        write: Whether saves go into the data set's own label files.
+        notes: Folder for bookmarks; the user's data folder unless given.
+    """
+
+    mode: Literal["view", "annotate"] = "view"
+    title: str = ""
+    annotator: str = ""
+    protocol: str = ""
+    predictions: tuple[Path, ...] = ()
+    format: str = "boxes-csv"
+    detectors: tuple[str, ...] = ()
+    threshold: float = 0.1
+    first: str = ""
+    classes: tuple[str, ...] = ()
+    extent: Literal["full", "visible"] | None = None
+    edits: Path | None = None
+    out: Path | None = None
+    to: str = ""
+    write: bool = False
+    notes: Path | None = None

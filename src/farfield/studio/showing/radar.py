@@ -1,0 +1,117 @@
+"""A radar's power from above and from the front, as maps in dB: polar where the data are, else in metres."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
+from farfield.radar.cells import RadarCells
+from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE
+from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
+from farfield.studio.fitting.radar_snap import peak_near
+from farfield.studio.messages.rows import Grid, LayerKind, Polar
+from farfield.vocabulary.kradar import REGIONS_M
+
+PRODUCTS = ("polar3d", "moments", "cube", "cells")
+"""Of which maps are made, the first that is there."""
+
+
+def product_of(radar: Mapping[str, Any]) -> str | None:
+    """The product of which a frame's maps are made, or None; nothing is read."""
+    return next((name for name in PRODUCTS if name in radar), None)
+
+
+def axes_of(product: str, kind: LayerKind) -> tuple[Polar | None, Grid | None]:
+    """Where the cells of a map lie; see :class:`~farfield.studio.messages.rows.Polar`."""
+    if product in ("polar3d", "moments"):
+        angles = [np.radians(axis) for axis in (KRADAR_AXES.azimuth_deg, KRADAR_AXES.elevation_deg)]
+        known = {"range_m": _axis(KRADAR_AXES.range_m), "azimuth_rad": _axis(angles[0])}
+        return Polar(**known, elevation_rad=_axis(angles[1])), None
+    if kind == "bev":
+        return None, Grid(x_m=_axis(CUBE_X_M), y_m=_axis(CUBE_Y_M))
+    return None, Grid(y_m=_axis(CUBE_Y_M), z_m=_axis(CUBE_Z_M))
+
+
+def _axis(values: Float[np.ndarray, " n"]) -> tuple[float, float, int]:
+    return float(values[0]), float(values[1] - values[0]), len(values)
+
+
+@dataclass(frozen=True, eq=False)
+class RadarPower:
+    """A frame's power, ready to be seen from any side.
+
+    Args:
+        product: What it was read from.
+        power: Polar over ``POWER_UNIT`` (range, azimuth, elevation), or the cube (z, y, x) in file units.
+    """
+
+    product: str
+    power: Float[np.ndarray, "_ _ _"]
+
+    @classmethod
+    def read(cls, radar: Mapping[str, Any]) -> "RadarPower":
+        """Read it.
+
+        Raises:
+            KeyError: If the frame has none of :data:`PRODUCTS`.
+        """
+        product = product_of(radar)
+        if product is None:
+            raise KeyError(f"the frame has no radar product of {', '.join(PRODUCTS)}")
+        values: Any = radar[product]
+        if product == "polar3d":
+            return cls(product, np.ascontiguousarray(values[0], dtype=np.float32))
+        if product == "moments":
+            unit = np.float32(1 / POWER_UNIT)
+            return cls(product, np.ascontiguousarray(values.mean_power_63.transpose(0, 2, 1)) * unit)
+        return cls(product, _cube(values) if product == "cells" else np.asarray(values, dtype=np.float32))
+
+    @property
+    def polar(self) -> bool:
+        """Whether its cells are range, azimuth and elevation."""
+        return self.product in ("polar3d", "moments")
+
+    def from_above(self) -> Float[np.ndarray, "_ _"]:
+        """BEV-2D in dB: polar (range, azimuth), of a cube (y, x) over the heights of K-Radar's wide region."""
+        if self.polar:
+            return decibel(polar_views(self.power, "mean").bird, unit=1.0)
+        low, high = REGIONS_M["wide"][4:]
+        return decibel(bev_2d(self.power[(low <= CUBE_Z_M) & (high > CUBE_Z_M)], "mean"))
+
+    def from_front(self, low_m: float = 0.0, high_m: float = float("inf")) -> Float[np.ndarray, "_ _"]:
+        """BFS-2D in dB: the strongest cell between two ranges; polar (elevation, azimuth), of a cube (z, y).
+
+        Args:
+            low_m: Range, of a cube x, from which on.
+            high_m: Up to which.
+        """
+        steps = KRADAR_AXES.range_m if self.polar else CUBE_X_M
+        half = (KRADAR_AXES.range_step_m if self.polar else CUBE_STEP_M) / 2
+        rows = np.flatnonzero((steps >= low_m - half) & (steps <= high_m + half))
+        if not len(rows):
+            rows = np.array([int(np.abs(steps - (low_m + min(high_m, 1e6)) / 2).argmin())])
+        part = slice(int(rows[0]), int(rows[-1]) + 1)
+        if self.polar:
+            return decibel(polar_views(self.power[part], "max").front, unit=1.0)
+        return decibel(bfs_2d(np.ascontiguousarray(self.power[:, :, part]), "max").front)
+
+    def peak_near(self, at_xy: tuple[float, float], *, reach_m: float = 1.5) -> tuple[float, float] | None:
+        """The strongest echo within reach of a place, both in the radar's own axes; None where there is none."""
+        if self.polar:
+            return peak_near(self.power.max(axis=2), at_xy, KRADAR_AXES, reach_m=reach_m)
+        level = self.power.max(axis=0)
+        y, x = np.meshgrid(CUBE_Y_M, CUBE_X_M, indexing="ij")
+        near = (level > 0) & (np.hypot(x - at_xy[0], y - at_xy[1]) <= reach_m)
+        if not near.any():
+            return None
+        row, column = np.unravel_index(int(np.argmax(np.where(near, level, OUTSIDE))), level.shape)
+        return float(CUBE_X_M[column]), float(CUBE_Y_M[row])
+
+
+def _cube(cells: RadarCells) -> Float[np.ndarray, "150 400 250"]:
+    cube = np.full(CUBE_SHAPE, OUTSIDE, dtype=np.float32)
+    cube.ravel()[cells.index] = cells.power * np.float32(POWER_UNIT)
+    return cube

@@ -1,0 +1,125 @@
+"""Boxes as rows for the page, and rows as boxes for everything that computes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from farfield.frame import Annotation, Boxes, Frame
+from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.studio.messages.rows import BoxRow, FrameInfo, PredictedRow
+from farfield.studio.showing.classes import our_class
+from farfield.studio.showing.layers import matrix
+
+
+def numbers(boxes: Boxes, row: int) -> Any:
+    """Centre, size and yaw of one box."""
+    values = (*boxes.centre_m[row], *boxes.size_m[row], boxes.yaw_rad[row])
+    return tuple(float(value) for value in values)
+
+
+def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[BoxRow, ...]:
+    """What was annotated, as rows whose identity is their place in the frame.
+
+    Args:
+        annotation: The annotation.
+        frame: Where points are counted; without it those of the annotation stand.
+    """
+    boxes = annotation.boxes
+    lidar, radar = (None, None) if frame is None else (counted(frame, boxes, "lidar"), counted(frame, boxes, "radar"))
+    lidar = boxes.point_count if lidar is None else lidar
+    seen = annotation.visibility
+    return tuple(
+        BoxRow(
+            id=str(row),
+            track=None if boxes.track_id is None or boxes.track_id[row] < 0 else int(boxes.track_id[row]),
+            class_name=str(boxes.label[row]),
+            box=numbers(boxes, row),
+            version=0,
+            state="accepted",
+            source="lidar",
+            attributes=_attributes(annotation, row),
+            points=None if lidar is None or lidar[row] < 0 else int(lidar[row]),
+            radar_points=None if radar is None else int(radar[row]),
+            distance_m=float(boxes.range_m[row]),
+            visibility=None if seen is None else str(seen[row]),
+            moving=None if annotation.moving is None else bool(annotation.moving[row]),
+        )
+        for row in range(len(boxes))
+    )
+
+
+def _attributes(annotation: Annotation, row: int) -> dict[str, str | int | float | bool | None]:
+    known: dict[str, Any] = {}
+    if annotation.original_label is not None:
+        known["original_label"] = str(annotation.original_label[row])
+    for name, rows in annotation.details.items():
+        value = np.asarray(rows)[row]
+        if value.ndim == 0:
+            plain = value.item()
+            known[name] = plain if not isinstance(plain, float) or np.isfinite(plain) else None
+    return known
+
+
+def counted(frame: Frame, boxes: Boxes, kind: str) -> Int[np.ndarray, " n"] | None:
+    """Points of the first cloud of a kind inside each box; None where the frame has no such cloud in its axes."""
+    for name in frame.clouds:
+        sensor = frame.sensors.get(name)
+        if (kind == "lidar") if sensor is None else (sensor.kind == kind and sensor.in_frame):
+            return np.asarray(count_points_in_boxes(frame.cloud(name).points_m, boxes, margin_m=BOX_MARGIN_M))
+    return None
+
+
+def boxes_of(rows: Sequence[BoxRow]) -> Boxes:
+    """Rows as boxes with classes in Cirrus's words, in their order; a size that is not positive becomes 1 mm."""
+    if not rows:
+        return Boxes.empty()
+    values = np.array([row.box for row in rows], dtype=np.float64)
+    return Boxes(
+        centre_m=values[:, :3],
+        size_m=np.maximum(values[:, 3:6], 1e-3),
+        yaw_rad=values[:, 6],
+        label=[our_class(row.class_name) for row in rows],
+        track_id=np.array([-1 if row.track is None else row.track for row in rows], dtype=np.int64),
+    )
+
+
+def predicted_rows(boxes: Boxes) -> list[PredictedRow]:
+    """Predicted boxes as rows, not yet matched, the highest score first."""
+    order = range(len(boxes)) if boxes.score is None else np.argsort(-boxes.score, kind="stable")
+    return [
+        PredictedRow(
+            class_name=str(boxes.label[row]),
+            box=numbers(boxes, row),
+            score=None if boxes.score is None else float(boxes.score[row]),
+            track=None if boxes.track_id is None or boxes.track_id[row] < 0 else int(boxes.track_id[row]),
+            velocity=_velocity(boxes, row),
+            distance_m=float(boxes.range_m[row]),
+        )
+        for row in map(int, order)
+    ]
+
+
+def _velocity(boxes: Boxes, row: int) -> tuple[float, float] | None:
+    if boxes.velocity_m_s is None or not np.isfinite(boxes.velocity_m_s[row]).all():
+        return None
+    return float(boxes.velocity_m_s[row, 0]), float(boxes.velocity_m_s[row, 1])
+
+
+def frame_info(
+    frame: Frame, index: int, *, simulated: bool | None = None, extra: dict[str, str] | None = None
+) -> FrameInfo:
+    """What the page says about a frame."""
+    return FrameInfo(
+        index=index,
+        sequence=frame.sequence,
+        frame_id=frame.frame_id,
+        time_ns=None if frame.time_ns is None else str(frame.time_ns),
+        reference=frame.reference,
+        conditions={str(name): str(value) for name, value in frame.conditions.items()},
+        world_T_frame=None if frame.world_T_frame is None else matrix(frame.world_T_frame),
+        annotated=frame.has_annotation,
+        simulated=frame.simulated if frame.simulated is not None else simulated,
+        metadata=extra or {},
+    )

@@ -1,0 +1,126 @@
+"""Tracks of one object that was out of sight for a while, joined afterwards: by motion, size and class.
+
+A track's end and another's begin are one object's if it may have moved from the one to the other: on with the speed
+that it had, back with the speed that it has, or with the mean of both, each within an error that grows with the time
+between. The pairs of a drive are chosen together, for the least sum of errors.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+
+from farfield.errors import ConfigError
+from farfield.frame.drive import Key
+from farfield.geometry.boxes import Boxes
+from farfield.metrics.detections import Detections
+from farfield.tracking.smoothing import TrackRows, tracks_of
+from farfield.tracking.timeline import timelines
+
+_NOT = 2.0  # worth of pairs that are no pair: above the 1 of the worst that is one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joining:
+    """What two tracks of one object may differ by.
+
+    Args:
+        longest_s: Longest time between them.
+        near_m: Error of the place that is allowed at once.
+        speed_m_s: What the error grows by for each second between them.
+        size: Largest relative difference of length, width or height, as means of the tracks.
+        boxes: Boxes at a track's end from which its speed is taken.
+    """
+
+    longest_s: float = 10.0
+    near_m: float = 3.0
+    speed_m_s: float = 5.0
+    size: float = 0.1
+    boxes: int = 8
+
+    def __post_init__(self) -> None:
+        for name in ("longest_s", "near_m", "size"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)!r}")
+        if not self.speed_m_s >= 0 or self.boxes < 1:
+            raise ConfigError(f"joining: expected speed_m_s of 0 or more and 1 box or more, got {self}")
+
+
+def joined(tracks: Detections, chosen: Joining | None = None, *, step_s: float = 0.1) -> Detections:
+    """Join tracks, looking ahead; boxes stay as they are, and no two boxes of a frame become one object's.
+
+    Args:
+        tracks: Boxes with ``track_id``.
+        chosen: What is allowed.
+        step_s: Seconds between frames where there are no stamps.
+
+    Returns:
+        The same with the ``track_id`` of each object's first track.
+    """
+    names: dict[tuple[str, int], int] = {}
+    for drive in timelines(tracks, step_s=step_s):
+        found = tracks_of(tracks, drive)
+        times_s = np.cumsum(drive.step_s)
+        after = _pairs(found, times_s, chosen or Joining())
+        for row, each in enumerate(found):
+            first = row
+            while first in after:
+                first = after[first]
+            sequence = drive.keys[int(each.number[0])][0]
+            names[sequence, each.name] = found[first].name
+    boxes = {key: _renamed(key, part, names) for key, part in tracks.boxes.items()}
+    return replace(tracks, boxes=boxes)
+
+
+def _renamed(key: Key, part: Boxes, names: dict[tuple[str, int], int]) -> Boxes:
+    if part.track_id is None or not len(part):
+        return part
+    return part.replace(track_id=np.array([names[key[0], name] for name in part.track_id.tolist()], dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """One end of each track: when and where it is, and how fast the object moves there (0 for a single box)."""
+
+    time_s: Float[np.ndarray, " n"]
+    place_m: Float[np.ndarray, "n 2"]
+    speed_m_s: Float[np.ndarray, "n 2"]
+
+    @classmethod
+    def of(cls, tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], boxes: int, *, last: bool) -> "_Ends":
+        rows = []
+        for each in tracks:
+            chosen = slice(-boxes, None) if last else slice(None, boxes)
+            time, place = times_s[each.number[chosen]], each.boxes.centre_m[chosen, :2]
+            away = time - time.mean()
+            spread = float(away @ away)
+            speed = away @ place / spread if spread > 0 else np.zeros(2)
+            end = -1 if last else 0
+            rows.append(np.concatenate([[time[end]], place[end], speed]))
+        table = np.array(rows).reshape(-1, 5)
+        return cls(table[:, 0], table[:, 1:3], table[:, 3:])
+
+
+def _pairs(tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], chosen: Joining) -> dict[int, int]:
+    """For each track that goes on another: the number of that one."""
+    if len(tracks) < 2:
+        return {}
+    ends, begins = (_Ends.of(tracks, times_s, chosen.boxes, last=last) for last in (True, False))
+    gap_s = begins.time_s[None] - ends.time_s[:, None]
+    may = (gap_s > 0) & (gap_s <= chosen.longest_s) & _alike(tracks, chosen.size)
+    way = begins.place_m[None] - ends.place_m[:, None]
+    speeds = (ends.speed_m_s[:, None], begins.speed_m_s[None], (ends.speed_m_s[:, None] + begins.speed_m_s[None]) / 2)
+    off_m = np.min([np.linalg.norm(way - speed * gap_s[..., None], axis=2) for speed in speeds], axis=0)
+    error = np.where(may, off_m / (chosen.near_m + chosen.speed_m_s * np.maximum(gap_s, 0)), _NOT)
+    before, after = linear_sum_assignment(np.where(error <= 1, error, _NOT))
+    good = error[before, after] <= 1
+    return dict(zip(after[good].tolist(), before[good].tolist(), strict=True))
+
+
+def _alike(tracks: list[TrackRows], most: float) -> Bool[np.ndarray, "n n"]:
+    """Which tracks are of one class and of sizes that differ by at most a share."""
+    size = np.log([each.boxes.size_m.mean(axis=0) for each in tracks])
+    label = np.array([str(each.boxes.label[0]) for each in tracks])
+    near = np.abs(size[:, None] - size[None]).max(axis=2) <= np.log1p(most)
+    return np.asarray(near & (label[:, None] == label[None]))

@@ -1,0 +1,133 @@
+"""Lines of the journal: what is written is read, what is damaged is found."""
+
+import json
+import zlib
+from array import array
+from pathlib import Path
+
+import pytest
+
+from farfield.datasets.edits import Change, Record, State, box_cell, decode, encode, journal_folder, read_journal
+from farfield.datasets.edits.places import user_folder
+from farfield.errors import DatasetError, FileFormatError
+
+CELL = box_cell(("a", "0001"), "4")
+
+
+def _edit(seq: int, old: int | None, new: int | None, **more: object) -> Record:
+    return Record(seq, f"w-{seq}", 5, "ann", "w", "box.set", (Change(CELL, 0, old, new),))._replace(**more)
+
+
+def _written(path: Path, records: list[Record]) -> bytes:
+    path.write_bytes(b"".join(map(encode, records)))
+    return path.read_bytes()
+
+
+def test_a_line_is_its_edit() -> None:
+    record = _edit(1, None, 3, group="g", undoes=(2, 3), data={"files": ["ä\n"]})
+    line = encode(record)
+    assert line.count(b"\n") == 1
+    assert line.isascii()
+    assert decode(line) == record
+    assert int(line[:8], 16) == zlib.crc32(line[9:-1])
+    assert list(json.loads(encode(_edit(1, None, 3))[9:])) == ["seq", "id", "time_ns", "by", "window", "op", "changes"]
+
+
+def test_numbers_that_json_lacks_are_refused() -> None:
+    with pytest.raises(ValueError, match="Out of range"):
+        encode(_edit(1, None, float("nan")))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", [b"[]", b"{}", b'{"seq":"1"}', b"[" * 100_000, b"\xff", b'{"seq":true,"id":1}'])
+def test_sound_checksums_of_nonsense_are_refused(text: bytes) -> None:
+    with pytest.raises(ValueError, match=r"line that is no edit|decode|Expecting|codec"):
+        decode(b"%08x %s\n" % (zlib.crc32(text), text))
+
+
+def test_every_flipped_bit_is_found() -> None:
+    line = encode(_edit(1, None, 3))
+    for place in range(len(line)):
+        for bit in range(8):
+            damaged = bytearray(line)
+            damaged[place] ^= 1 << bit
+            with pytest.raises(ValueError):  # noqa: PT011
+                decode(bytes(damaged))
+
+
+def test_read_back_in_order(tmp_path: Path) -> None:
+    records = [_edit(1, None, 3), _edit(2, 3, 4), _edit(3, 4, None)]
+    data = _written(tmp_path / "edits.jsonl", records)
+    seen: list[Record] = []
+    starts, end, torn = read_journal(tmp_path / "edits.jsonl", seen.append)
+    assert seen == records
+    assert (end, torn) == (len(data), b"")
+    assert starts == array("q", [0, len(encode(records[0])), len(encode(records[0])) + len(encode(records[1]))])
+
+
+@pytest.mark.parametrize("cut", range(1, 60, 7))
+def test_a_torn_end_is_left_out(tmp_path: Path, cut: int) -> None:
+    data = _written(tmp_path / "edits.jsonl", [_edit(1, None, 3), _edit(2, 3, 4)])
+    (tmp_path / "edits.jsonl").write_bytes(data[:-cut])
+    seen: list[Record] = []
+    starts, end, torn = read_journal(tmp_path / "edits.jsonl", seen.append)
+    assert [record.seq for record in seen] == [1] == [len(starts)]
+    assert data[:end] + torn == data[:-cut]
+
+
+def test_a_last_line_with_a_wrong_checksum_is_left_out(tmp_path: Path) -> None:
+    data = _written(tmp_path / "edits.jsonl", [_edit(1, None, 3), _edit(2, 3, 4)])
+    (tmp_path / "edits.jsonl").write_bytes(data[:-3] + b"x" + data[-2:])
+    assert len(read_journal(tmp_path / "edits.jsonl", lambda record: None).starts) == 1
+
+
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [
+        ([_edit(1, None, 3), _edit(3, 3, 4), _edit(4, 4, 5)], "line 2: expected edit number 2, found number 3"),
+        ([_edit(1, None, 3), _edit(2, 9, 4), _edit(3, 4, 5)], "line 2: .*starts from another value"),
+    ],
+)
+def test_edits_that_do_not_follow_are_found(tmp_path: Path, records: list[Record], message: str) -> None:
+    _written(tmp_path / "edits.jsonl", records)
+    with pytest.raises(FileFormatError, match=message):
+        read_journal(tmp_path / "edits.jsonl", State().apply)
+
+
+def test_a_bad_line_in_the_middle_stops_with_its_number(tmp_path: Path) -> None:
+    data = _written(tmp_path / "edits.jsonl", [_edit(1, None, 3), _edit(2, 3, 4), _edit(3, 4, 5)])
+    lines = data.split(b"\n")
+    lines[1] = lines[1].replace(b"ann", b"eve")
+    (tmp_path / "edits.jsonl").write_bytes(b"\n".join(lines))
+    with pytest.raises(FileFormatError, match=r"line 2: .*checksum.*head -n 1"):
+        read_journal(tmp_path / "edits.jsonl", lambda record: None)
+
+
+def test_state_knows_version_and_birth() -> None:
+    state = State()
+    for record in (_edit(1, 2, 3), _edit(2, 3, None, by="eve")):
+        state.apply(record)
+    standing = state.get(CELL)
+    assert standing is not None
+    assert standing == (None, 2, "eve", 1, True)
+    assert state.touched(("a", "0001")) == {"4": standing}
+    assert state.frames() == (("a", "0001"),)
+    with pytest.raises(ValueError, match="3 is due"):
+        state.apply(_edit(5, None, 1))
+
+
+def test_edits_stand_beside_the_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "mine"))
+    assert journal_folder(tmp_path) == tmp_path.resolve() / ".farfield-studio"
+    blocked = tmp_path / "data"
+    blocked.mkdir()
+    (blocked / ".farfield-studio").write_text("a file where the folder should be")
+    there = journal_folder(blocked)
+    assert there == user_folder(blocked)
+    assert there.parent == tmp_path / "mine" / "farfield" / "studio"
+
+
+def test_edits_that_cannot_be_gone_on_with_are_not_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (journal_folder(tmp_path) / "edits.jsonl").write_bytes(encode(_edit(1, None, 3)))
+    monkeypatch.setattr("farfield.datasets.edits.places._writable", lambda folder: False)
+    with pytest.raises(DatasetError, match="holds edits"):
+        journal_folder(tmp_path)

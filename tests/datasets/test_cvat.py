@@ -1,0 +1,113 @@
+"""Tasks of CVAT read: Datumaro, KITTI raw with tracklets, Supervisely."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from farfield.datasets import open_dataset
+from farfield.datasets.cvat import Cvat
+from farfield.datasets.labels import label_format
+from farfield.errors import DatasetError
+from farfield.files.pcd import write_pcd
+from farfield.geometry.points import count_points_in_boxes
+from farfield.recording.convert import convert
+from farfield.testing import check_dataset
+
+POSE = "<item><tx>{x}</tx><ty>2</ty><tz>-1.75</tz><rx>0</rx><ry>0</ry><rz>0.5235987755982988</rz></item>"
+OBJECT = "<objectType>Car</objectType><h>1.5</h><w>1.9</w><l>4.6</l><first_frame>1</first_frame>"
+TRACKLETS = f"<b><tracklets><item>{OBJECT}<poses>{POSE.format(x=10)}{POSE.format(x=11)}</poses></item></tracklets></b>"
+PLACE = {"x": 10.0, "y": 2.0, "z": -1.0}
+GEOMETRY = {
+    "position": PLACE,
+    "rotation": {"x": 0, "y": 0, "z": 0.5235987755982988},
+    "dimensions": {"x": 4.6, "y": 1.9, "z": 1.5},
+}
+SUPERVISELY = {
+    "objects": [{"key": "k", "classTitle": "Car"}],
+    "figures": [{"objectKey": "k", "geometryType": "cuboid_3d", "geometry": GEOMETRY}],
+}
+
+
+def clouds(folder: Path, names: tuple[str, ...]) -> None:
+    folder.mkdir(parents=True)
+    for name in names:
+        write_pcd(folder / f"{name}.pcd", {axis: np.float32([1, 2]) for axis in "xyz"})
+
+
+def test_datumaro_comes_back_from_a_conversion(street_root: Path, tmp_path: Path) -> None:
+    source = open_dataset(street_root)
+    convert(source, tmp_path / "tasks", to="cvat")
+    made = open_dataset(tmp_path / "tasks")
+    assert made.name == "cvat"
+    assert made.keys == source.keys
+    for got, want in zip(made, source, strict=True):
+        assert got.boxes is not None
+        assert want.boxes is not None
+        np.testing.assert_array_equal(got.cloud().points_m, want.cloud().points_m)
+        np.testing.assert_allclose(got.boxes.size_m, want.boxes.size_m)
+        np.testing.assert_allclose(got.boxes.yaw_rad, want.boxes.yaw_rad, atol=1e-12)
+        assert got.boxes.label.tolist() == want.boxes.label.tolist()
+    check_dataset(made)
+
+
+def test_datumaro_is_edited_where_it_stands(street_root: Path, tmp_path: Path) -> None:
+    convert(open_dataset(street_root), tmp_path / "tasks", to="cvat")
+    made = open_dataset(tmp_path / "tasks")
+    labels = label_format(made)
+    assert labels is not None
+    key = made.keys[0]
+    path = labels.path(key)
+    found = labels.parse(path.read_bytes(), path, [key])[key]
+    moved = [replace(found[0], box=(1.25, *found[0].box[1:])), *found[1:]]
+    path.write_bytes(labels.render(path.read_bytes(), path, {key: moved}))
+    boxes = open_dataset(tmp_path / "tasks")[0].boxes
+    assert boxes is not None
+    assert boxes.centre_m[0, 0] == 1.25
+
+
+@pytest.mark.parametrize("names", [("0000000000", "0000000001", "0000000002"), ("a", "b", "c")])
+def test_tracklets_by_the_number_of_the_frame(tmp_path: Path, names: tuple[str, ...]) -> None:
+    clouds(tmp_path / "drive" / "velodyne_points" / "data", names)
+    (tmp_path / "drive" / "tracklet_labels.xml").write_text(TRACKLETS)
+    data = open_dataset(tmp_path)
+    assert data.sequences == ("drive",) * 3
+    boxes = [frame.boxes for frame in data]
+    assert [0 if each is None else len(each) for each in boxes] == [0, 1, 1]
+    assert boxes[2] is not None
+    assert boxes[2].centre_m[0].tolist() == [11.0, 2.0, -1.0]
+    assert boxes[2].size_m[0].tolist() == [4.6, 1.9, 1.5]
+    assert np.rad2deg(boxes[2].yaw_rad[0]) == pytest.approx(30)
+    assert boxes[2].label.tolist() == ["vehicle"]
+    assert label_format(data) is None
+
+
+def test_supervisely_by_the_clouds_name(tmp_path: Path) -> None:
+    clouds(tmp_path / "ds0" / "pointcloud", ("a", "b"))
+    (tmp_path / "ds0" / "ann").mkdir()
+    (tmp_path / "ds0" / "ann" / "b.pcd.json").write_text(json.dumps(SUPERVISELY))
+    data = open_dataset(tmp_path)
+    assert [data.has_annotation(index) for index in (0, 1)] == [False, True]
+    annotation = data.annotation(1)
+    assert annotation is not None
+    assert annotation.boxes.size_m[0].tolist() == [4.6, 1.9, 1.5]
+    assert annotation.original_label == ("Car",)
+
+
+def test_a_real_drive(shared_real: Path) -> None:
+    data = open_dataset(shared_real / "kitti_raw")
+    assert isinstance(data, Cvat)
+    assert len(data) == 4
+    for frame in data:
+        assert frame.boxes is not None
+        assert len(frame.boxes) == 5
+        assert (count_points_in_boxes(frame.cloud().points_m, frame.boxes) > 0).all()
+
+
+def test_nothing_is_no_task(tmp_path: Path) -> None:
+    (tmp_path / "annotations").mkdir()
+    (tmp_path / "annotations" / "a.json").write_text("{}")
+    with pytest.raises(DatasetError, match="task of CVAT"):
+        Cvat(tmp_path)

@@ -1,0 +1,652 @@
+// Made by `python -m farfield.studio.protocol`; do not edit. Metres, radians; int64 nanoseconds are strings.
+
+/** Of these messages; the server sends pages of another version away. */
+export const VERSION = 1;
+
+/** First message of a window. */
+export interface Hello {
+  op: "hello";
+  window: string;
+  annotator?: string;
+  version?: number;
+}
+
+/** Show a frame: answered by frame.state, then by checks. ``threshold`` bounds the predicted boxes sent. ``purpose`` ahead: only the state, the window still shows another frame; here: the page has the state already. */
+export interface FrameOpen {
+  op: "frame.open";
+  frame: number;
+  threshold?: number;
+  sweeps?: number;
+  purpose?: "show" | "ahead" | "here";
+}
+
+/** What a person decides about a box. */
+export interface BoxValue {
+  box: number[];
+  class_name: string;
+  track?: number | null;
+  state?: "proposed" | "edited" | "accepted" | "rejected";
+  source?: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "detector";
+  attributes?: Record<string, string | number | boolean | null>;
+}
+
+/** Change a box; ``base`` is the version that the page saw. ``group`` joins edits that undo together. */
+export interface BoxSet {
+  op: "box.set";
+  id: string;
+  frame: number;
+  box: string;
+  base: number;
+  value: BoxValue;
+  group?: string | null;
+}
+
+/** Add a box under an identity that the page makes up. */
+export interface BoxAdd {
+  op: "box.add";
+  id: string;
+  frame: number;
+  box: string;
+  value: BoxValue;
+  group?: string | null;
+}
+
+/** Remove a box. */
+export interface BoxDelete {
+  op: "box.delete";
+  id: string;
+  frame: number;
+  box: string;
+  base: number;
+  group?: string | null;
+}
+
+/** Set what holds for a track: class, locked size, last frame. ``ends`` -1: no end. None leaves as it is. */
+export interface TrackSet {
+  op: "track.set";
+  id: string;
+  track: number;
+  base: number;
+  class_name?: string | null;
+  size_locked?: boolean | null;
+  size?: number[] | null;
+  ends?: number | null;
+}
+
+/** Make one track a part of another. */
+export interface TrackMerge {
+  op: "track.merge";
+  id: string;
+  track: number;
+  into: number;
+  base: number;
+  into_base: number;
+}
+
+/** Give the boxes of a track from a frame on a new number. */
+export interface TrackSplit {
+  op: "track.split";
+  id: string;
+  track: number;
+  frame: number;
+  new_track: number;
+  base: number;
+}
+
+/** Fill the frames between keyframes, from ``first`` to ``last``. */
+export interface TrackInterpolate {
+  op: "track.interpolate";
+  id: string;
+  track: number;
+  first: number;
+  last: number;
+}
+
+/** Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller). */
+export interface TrackPropagate {
+  op: "track.propagate";
+  id: string;
+  track: number;
+  first: number;
+  last: number;
+  fit?: boolean;
+}
+
+/** A box while it is dragged: passed on to the other windows, stored nowhere. */
+export interface Preview {
+  op: "preview";
+  frame: number;
+  box: string;
+  value: number[];
+}
+
+/** Find a box at a gesture. ``at``: click x y; drag x0 y0 x1 y1 along the heading; rectangle: four corners x y. ``kind`` refit takes ``around`` (the box as it stands); peak is a radar's peak at x y. */
+export interface Fit {
+  op: "fit";
+  id: string;
+  frame: number;
+  kind: "click" | "drag" | "rectangle" | "refit" | "peak";
+  at?: number[];
+  class_name: string;
+  type_name?: string;
+  track?: number | null;
+  around?: number[] | null;
+  keep_size?: boolean;
+}
+
+/** Take back the last edit of mine (or of anybody). */
+export interface Undo {
+  op: "undo";
+  id: string;
+  scope?: "mine" | "all";
+  force?: boolean;
+}
+
+/** Do again what was taken back last. */
+export interface Redo {
+  op: "redo";
+  id: string;
+  scope?: "mine" | "all";
+  force?: boolean;
+}
+
+/** Ask for the checks of a frame; of all frames if None. */
+export interface CheckList {
+  op: "check.list";
+  frame?: number | null;
+}
+
+/** Let a finding stand, with a reason; an empty reason brings it back. */
+export interface CheckIgnore {
+  op: "check.ignore";
+  id: string;
+  check: string;
+  reason: string;
+}
+
+/** Detect in frames; ``propose`` adds the boxes above the threshold as proposals to the annotation. */
+export interface InferStart {
+  op: "infer.start";
+  id: string;
+  detector: string;
+  first: number;
+  last: number;
+  threshold?: number;
+  propose?: boolean;
+}
+
+/** Stop a job. */
+export interface InferCancel {
+  op: "infer.cancel";
+  id: string;
+  job: string;
+}
+
+/** Bookmark a frame; ``note`` None takes the bookmark away. */
+export interface BookmarkSet {
+  op: "bookmark.set";
+  id: string;
+  frame: number;
+  note?: string | null;
+}
+
+/** Write the label files now. ``folder``: a name beside the data set's other saves; None: where saves go. */
+export interface Save {
+  op: "save";
+  id: string;
+  format?: string;
+  folder?: string | null;
+}
+
+/** Make a file to take away: ``html`` of frames, a film of pictures sent to /shot, or labels in a format. */
+export interface Export {
+  op: "export";
+  id: string;
+  kind: "html" | "gif" | "webp" | "labels";
+  frames?: number[];
+  format?: string;
+  name?: string;
+  shots?: string[];
+  rate_hz?: number;
+}
+
+/** Declare once what the boxes of the data set hold: whole bodies or visible parts. */
+export interface PolicySet {
+  op: "policy.set";
+  id: string;
+  extent: "full" | "visible";
+}
+
+/** Time that a person spent on a box: from its selection to the next, pauses left out. */
+export interface Timing {
+  op: "timing";
+  frame: number;
+  box: string;
+  seconds: number;
+  edits?: number;
+}
+
+/** A drive: which frames of the data set, in time order. */
+export interface DriveRow {
+  name: string;
+  frames: number[];
+  times_ns: string[] | null;
+}
+
+/** A kind of vehicle within a class, with its own preset size. */
+export interface TypeSpec {
+  name: string;
+  size: number[];
+}
+
+/** A class: its preset size and its colour (``#rrggbb``); ``types`` are finer sizes, such as a van. */
+export interface ClassSpec {
+  name: string;
+  title: string;
+  size: number[];
+  colour: string;
+  key: string;
+  group: "vehicle" | "person" | "two_wheeler" | "other";
+  types: TypeSpec[];
+}
+
+/** Boxes of a detector or a tracker, from a file or made here. */
+export interface PredictionSet {
+  name: string;
+  title: string;
+  kind: "detections" | "tracks";
+  classes: string[];
+  frames: number;
+  protocol: string;
+  colour: string;
+}
+
+/** A detector on offer. */
+export interface DetectorRow {
+  name: string;
+  title: string;
+  classes: string[];
+  cloud: string;
+}
+
+/** A frame to come back to. */
+export interface Bookmark {
+  frame: number;
+  note: string;
+  by: string;
+}
+
+/** An object over its frames. ``version`` is the ``base`` of track.set. */
+export interface TrackRow {
+  track: number;
+  class_name: string;
+  version: number;
+  size_locked: boolean;
+  size: number[] | null;
+  frames: number[];
+  keyframes: number[];
+  ends: number | null;
+}
+
+/** Answer to hello: what is open. */
+export interface Welcome {
+  op: "welcome";
+  version: number;
+  farfield: string;
+  mode: "view" | "annotate";
+  data: string;
+  title: string;
+  frames: number;
+  drives: DriveRow[];
+  labels: string[];
+  classes: ClassSpec[];
+  predictions: PredictionSet[];
+  detectors: DetectorRow[];
+  protocols: string[];
+  bookmarks: Bookmark[];
+  tracks: TrackRow[];
+  annotator: string;
+  window: string;
+  windows: number;
+  journal_seq: number;
+  extent: "full" | "visible" | null;
+  first: number;
+  formats: string[];
+  saves_to: string;
+  undo: boolean;
+  redo: boolean;
+}
+
+/** One moment of one drive. */
+export interface FrameInfo {
+  index: number;
+  sequence: string;
+  frame_id: string;
+  time_ns: string | null;
+  reference: string;
+  conditions: Record<string, string>;
+  world_T_frame: number[] | null;
+  annotated: boolean;
+  simulated: boolean | null;
+  metadata: Record<string, string>;
+}
+
+/** A pinhole camera: ``matrix`` fx 0 cx / 0 fy cy / 0 0 1 (row by row), ``distortion`` k1 k2 p1 p2 k3. */
+export interface CameraModel {
+  width_px: number;
+  height_px: number;
+  matrix: number[];
+  distortion: number[];
+  camera_T_frame: number[];
+}
+
+/** Axes of a radar map: first value and step of range (m), azimuth and elevation (rad), and their counts. A BEV-2D has rows of range and columns of azimuth; a BFS-2D rows of elevation and columns of azimuth or range. */
+export interface Polar {
+  range_m: number[];
+  azimuth_rad: number[];
+  elevation_rad: number[] | null;
+}
+
+/** Axes of a map in metres along the sensor's own axes: first value, step and count; a BFS-2D has rows of z. */
+export interface Grid {
+  x_m: number[] | null;
+  y_m: number[] | null;
+  z_m: number[] | null;
+}
+
+/** Something to show of a frame: fetched from ``url`` (relative to the page). */
+export interface Layer {
+  id: number;
+  name: string;
+  title: string;
+  kind: "points" | "bev" | "bfs" | "image";
+  sensor: "lidar" | "radar" | "camera";
+  url: string;
+  fields: string[];
+  frame_T_layer: number[] | null;
+  placed: boolean;
+  time_ns: string | null;
+  lag_ms: number | null;
+  sweeps: number;
+  camera: CameraModel | null;
+  polar: Polar | null;
+  grid: Grid | null;
+  holds: string[];
+  file: string;
+}
+
+/** A box of a frame as it stands. ``version`` is what an edit gives as its ``base``. */
+export interface BoxRow {
+  id: string;
+  track: number | null;
+  class_name: string;
+  box: number[];
+  version: number;
+  state: "proposed" | "edited" | "accepted" | "rejected";
+  source: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "detector";
+  attributes: Record<string, string | number | boolean | null>;
+  score: number | null;
+  points: number | null;
+  radar_points: number | null;
+  distance_m: number;
+  keyframe: boolean;
+  visibility: string | null;
+  moving: boolean | null;
+  proposal: number[] | null;
+}
+
+/** A predicted box, and what the protocol makes of it. */
+export interface PredictedRow {
+  class_name: string;
+  box: number[];
+  score: number | null;
+  track: number | null;
+  velocity: number[] | null;
+  match: "matched" | "false" | "ignored" | "unknown";
+  truth: string | null;
+  distance_m: number;
+  points: number | null;
+}
+
+/** What a set predicts in a frame. A truth found only below the page's threshold counts as missed there. */
+export interface PredictedFrame {
+  set: string;
+  rows: PredictedRow[];
+  missed: string[];
+  ignored: string[];
+}
+
+/** Where a track was and will be: frame, x, y, z in the coordinates of the frame shown. */
+export interface Trail {
+  set: string;
+  track: number;
+  points: number[][];
+}
+
+/** A frame as it stands: boxes, layers, predictions with their matching, trails. */
+export interface FrameState {
+  op: "frame.state";
+  frame: FrameInfo;
+  layers: Layer[];
+  boxes: BoxRow[];
+  predicted: PredictedFrame[];
+  trails: Trail[];
+  notes: string[];
+}
+
+/** What a set predicts in a frame, where it became known after the frame was opened. */
+export interface Predicted {
+  op: "predicted";
+  frame: number;
+  predicted: PredictedFrame;
+  set: PredictionSet;
+}
+
+/** An edit is on the disk. Its rows follow in ``changed`` where the tool made them. */
+export interface Ack {
+  op: "ack";
+  id: string;
+  seq: number;
+  version: number;
+  saved_ns: string;
+  row: BoxRow | null;
+  undo: boolean;
+  redo: boolean;
+}
+
+/** An edit came too late: somebody changed the box since ``base``. Nothing was changed. */
+export interface Conflict {
+  op: "conflict";
+  id: string;
+  by: string;
+  sentence: string;
+  frame: number | null;
+  present: BoxRow | null;
+  track: TrackRow | null;
+}
+
+/** A message was understood and refused. */
+export interface Refused {
+  op: "refused";
+  id: string | null;
+  code: string;
+  sentence: string;
+  mend: string;
+}
+
+/** A box and the frame in which it stands. */
+export interface PlacedRow {
+  frame: number;
+  row: BoxRow;
+}
+
+/** A box that is no more. */
+export interface RemovedRow {
+  frame: number;
+  id: string;
+}
+
+/** Boxes and tracks as they now stand, after an edit of another window, of a tool, or an undo (sent to all). */
+export interface Changed {
+  op: "changed";
+  seq: number;
+  id: string;
+  by: string;
+  window: string;
+  rows: PlacedRow[];
+  removed: RemovedRow[];
+  tracks: TrackRow[];
+  show: number | null;
+  sentence: string;
+  undo: boolean;
+  redo: boolean;
+}
+
+/** A box that somebody else is dragging. */
+export interface Previewed {
+  op: "previewed";
+  window: string;
+  frame: number;
+  box: string;
+  value: number[];
+}
+
+/** A box that was found, the best first. */
+export interface Candidate {
+  box: number[];
+  score: number;
+}
+
+/** Answer to fit; ``box`` None with a sentence where nothing was found. */
+export interface Fitted {
+  op: "fitted";
+  id: string;
+  frame: number;
+  box: number[] | null;
+  points: number;
+  candidates: Candidate[];
+  ms: number;
+  sentence: string;
+  source: "lidar" | "radar";
+}
+
+/** Something that a check found. ``id`` stays the same as long as the finding does. */
+export interface CheckRow {
+  id: string;
+  frame: number;
+  box: string | null;
+  track: number | null;
+  check: string;
+  severity: "info" | "warning" | "error";
+  sentence: string;
+  ignored: string | null;
+}
+
+/** Findings of a frame, or of all frames (``frame`` None). */
+export interface Checks {
+  op: "checks";
+  frame: number | null;
+  rows: CheckRow[];
+}
+
+/** Progress of something that takes time. A finished detection is shown with the next frame.state. */
+export interface Job {
+  op: "job";
+  id: string;
+  job: string;
+  kind: "infer" | "export" | "save";
+  state: "queued" | "running" | "done" | "cancelled" | "failed";
+  done: number;
+  total: number;
+  eta_s: number | null;
+  message: string;
+  url: string;
+  set: PredictionSet | null;
+}
+
+/** All bookmarks. */
+export interface Bookmarks {
+  op: "bookmarks";
+  rows: Bookmark[];
+}
+
+/** Label files were written. */
+export interface Saved {
+  op: "saved";
+  id: string;
+  seq: number;
+  files: number;
+  saved_ns: string;
+  folder: string;
+  sentence: string;
+}
+
+/** How many windows are open, and who else is there. */
+export interface Windows {
+  op: "windows";
+  count: number;
+  annotators: string[];
+}
+
+/** What the boxes hold: declared. */
+export interface PolicyIs {
+  op: "policy";
+  extent: "full" | "visible";
+}
+
+/** Something went wrong: what, and how to mend it. */
+export interface Failure {
+  op: "error";
+  sentence: string;
+  mend: string;
+}
+
+/** The server stops, or the page is of another version. */
+export interface Bye {
+  op: "bye";
+  reason: string;
+}
+
+export type Request =
+  | Hello
+  | FrameOpen
+  | BoxSet
+  | BoxAdd
+  | BoxDelete
+  | TrackSet
+  | TrackMerge
+  | TrackSplit
+  | TrackInterpolate
+  | TrackPropagate
+  | Preview
+  | Fit
+  | Undo
+  | Redo
+  | CheckList
+  | CheckIgnore
+  | InferStart
+  | InferCancel
+  | BookmarkSet
+  | Save
+  | Export
+  | PolicySet
+  | Timing;
+
+export type Reply =
+  | Welcome
+  | FrameState
+  | Predicted
+  | Ack
+  | Conflict
+  | Refused
+  | Changed
+  | Previewed
+  | Fitted
+  | Checks
+  | Job
+  | Bookmarks
+  | Saved
+  | Windows
+  | PolicyIs
+  | Failure
+  | Bye;

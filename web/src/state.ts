@@ -1,0 +1,150 @@
+// What the page knows, in one place; whoever shows a part listens to its topic.
+
+import type { Box } from "./boxes";
+import type { BoxRow, Bookmark, CheckRow, FrameState, Job, PredictedRow, PredictionSet, TrackRow, Welcome } from "./protocol";
+
+export type Topic =
+  | "welcome" | "frame" | "boxes" | "selection" | "looks" | "filters" | "checks" | "connection" | "jobs" | "tracks" | "bookmarks" | "tool" | "play" | "saved";
+
+export interface LayerLook {
+  visible: boolean;
+  opacity: number;
+  side: 0 | 1 | 2; // 0 both panes, 1 left, 2 right
+}
+
+export type Tool = "none" | "draw" | "measure";
+
+export interface Filters {
+  hidden: Set<string>;
+  score: number;
+  range: [number, number];
+  visibility: Set<string>;
+}
+
+export const state = {
+  welcome: null as Welcome | null,
+  mode: "view" as "view" | "annotate",
+  frame: 0,
+  shown: null as FrameState | null,
+  boxes: [] as BoxRow[],
+  tracks: new Map<number, TrackRow>(),
+  bookmarks: [] as Bookmark[],
+  checks: [] as CheckRow[],
+  predictions: [] as PredictionSet[],
+  jobs: new Map<string, Job>(),
+  selection: null as string | null,
+  chosenClass: "",
+  chosenType: "",
+  tool: "none" as Tool,
+  looks: new Map<string, LayerLook>(),
+  colour: "height",
+  window: null as [number, number] | null,
+  pointSize: 1.5,
+  grow: true,
+  sweeps: 1,
+  powerGate: null as number | null, // share of a radar's points left out, the weakest first; null: as many as make 9,000 remain
+  showTruth: true,
+  showMissed: true,
+  showTrails: true,
+  showRings: true,
+  showLabels: true,
+  onlySelection: false,
+  sideBySide: false,
+  setSides: new Map<string, 0 | 1 | 2>(),
+  hiddenSets: new Set<string>(),
+  filters: { hidden: new Set<string>(), score: 0.3, range: [0, 400], visibility: new Set<string>() } as Filters,
+  follow: false,
+  playing: false,
+  direction: 1,
+  rate: 10,
+  windows: 1,
+  connected: false,
+  everConnected: false,
+  pending: 0,
+  savedAt: "",
+  undo: false,
+  redo: false,
+  takenBack: 0, // undos and redos that the server did for this window
+  tape: [] as [number, number, number][],
+};
+
+const listeners = new Map<Topic, Set<() => void>>();
+const waiting = new Set<Topic>();
+
+export function on(topics: Topic | Topic[], listener: () => void): void {
+  for (const topic of [topics].flat()) {
+    if (!listeners.has(topic)) listeners.set(topic, new Set());
+    listeners.get(topic)!.add(listener);
+  }
+}
+
+/** Say that a part changed; listeners run once, at the end of this turn. */
+export function changed(...topics: Topic[]): void {
+  if (waiting.size === 0) queueMicrotask(flush);
+  topics.forEach((topic) => waiting.add(topic));
+}
+
+function flush(): void {
+  const run = new Set<() => void>();
+  for (const topic of waiting) listeners.get(topic)?.forEach((listener) => run.add(listener));
+  waiting.clear();
+  run.forEach((listener) => listener());
+}
+
+export const boxOf = (row: { box: number[] }): Box => row.box as unknown as Box;
+
+export function selected(): BoxRow | null {
+  return state.boxes.find((row) => row.id === state.selection) ?? null;
+}
+
+export function select(id: string | null): void {
+  if (state.selection === id) return;
+  state.selection = id;
+  changed("selection");
+}
+
+export function colourOf(name: string): string {
+  const found = state.welcome?.classes.find((spec) => spec.name === name);
+  return found?.colour ?? "#c8c8c8";
+}
+
+export function titleOf(name: string): string {
+  return state.welcome?.classes.find((spec) => spec.name === name)?.title || name;
+}
+
+function passes(row: { class_name: string; distance_m: number }): boolean {
+  const { hidden, range } = state.filters;
+  return !hidden.has(row.class_name) && row.distance_m >= range[0] && row.distance_m <= range[1];
+}
+
+/** The annotated boxes that the filters let through. */
+export function shownBoxes(): BoxRow[] {
+  const { visibility } = state.filters;
+  return state.boxes.filter(
+    (row) =>
+      passes(row) &&
+      row.state !== "rejected" &&
+      !(row.visibility !== null && visibility.has(row.visibility)) &&
+      (!state.onlySelection || row.id === state.selection),
+  );
+}
+
+export function shownPredictions(pane: number): { set: PredictionSet | undefined; name: string; rows: PredictedRow[]; missed: string[] }[] {
+  const out = [];
+  for (const found of state.shown?.predicted ?? []) {
+    if (state.hiddenSets.has(found.set)) continue;
+    const side = state.setSides.get(found.set) ?? 0;
+    if (state.sideBySide && side !== 0 && side !== pane + 1) continue;
+    const set = state.predictions.find((one) => one.name === found.set);
+    const rows = found.rows.filter((row) => passes(row) && (row.score === null || row.score >= state.filters.score));
+    out.push({ set, name: found.set, rows, missed: found.missed });
+  }
+  return out;
+}
+
+export function lookOf(name: string, kind: string, visible?: boolean): LayerLook {
+  const key = `${kind} ${name}`;
+  let look = state.looks.get(key);
+  if (!look) state.looks.set(key, (look = { visible: visible ?? true, opacity: kind === "bev" ? 0.7 : 1, side: 0 }));
+  return look;
+}
