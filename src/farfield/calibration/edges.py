@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Int, Shaped
+from jaxtyping import Float, Float16, Int, Shaped
 from scipy import ndimage
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -212,7 +212,7 @@ def _sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Floa
     grid = views.levels[level]
     at = pixels / _step_px(SIGMAS_PX[level])
     low = np.floor(at).astype(np.int64)
-    inside: Bool[np.ndarray, " n"] = ((low >= 0) & (low < np.array(grid.shape[:1:-1]) - 1)).all(axis=1)
+    inside = np.all((low >= 0) & (low < np.array(grid.shape[:1:-1]) - 1), axis=1)
     column, row = np.where(inside[:, None], low, 0).T
     right, down = np.where(inside[:, None], at - low, 0.0).T
     flat, width = grid.reshape(-1), grid.shape[3]

@@ -171,8 +171,8 @@ def lidars_job(data: Dataset, indices: Sequence[int], first: str, second: str) -
         raise DatasetError(f"lidar-lidar: expected frames with the clouds {first} and {second}, found none")
     sensor = frames[0].sensors[second]
     start = None if sensor.in_frame else sensor.frame_T_sensor
-    clouds = ([each.clouds[name].points_m.astype(np.float64) for each in frames] for name in (first, second))
-    return register(*clouds, start=start)
+    targets, sources = ([each.clouds[name].points_m.astype(np.float64) for each in frames] for name in (first, second))
+    return register(targets, sources, start=start)
 
 
 def read_pairs(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:

@@ -125,9 +125,15 @@ def _ransac(
 ) -> tuple[Camera, Bool[np.ndarray, " n"]] | None:
     import cv2
 
-    options = {"reprojectionError": _REPROJECTION_PX, "iterationsCount": 500, "flags": cv2.SOLVEPNP_SQPNP}
-    points, picked = np.ascontiguousarray(points_m, float), np.ascontiguousarray(pixels, float)
-    done, turn, shift, chosen = cv2.solvePnPRansac(points, picked, camera.matrix, camera.distortion, **options)
+    done, turn, shift, chosen = cv2.solvePnPRansac(
+        np.ascontiguousarray(points_m, float),
+        np.ascontiguousarray(pixels, float),
+        camera.matrix,
+        camera.distortion,
+        reprojectionError=_REPROJECTION_PX,
+        iterationsCount=500,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
     if not done or chosen is None or len(chosen) < LEAST_PAIRS:
         return None
     rotation = cv2.Rodrigues(turn)[0]

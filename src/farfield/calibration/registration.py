@@ -128,6 +128,7 @@ def _planes(points_m: Float[np.ndarray, "n 3"]) -> _Planes:
     if len(points) <= _NEIGHBOURS:
         return _Planes(tree=cKDTree(np.zeros((1, 3)) + 1e9), points_m=np.zeros((1, 3)), normals=np.zeros((1, 3)))
     _, near = cKDTree(points).query(points, k=_NEIGHBOURS)
+    near = np.asarray(near)
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / _NEIGHBOURS)
     flat = (values[:, 0] < _PLANAR * values[:, 1]) & (values[:, 1] > 0.05 * values[:, 2])
@@ -139,7 +140,7 @@ def _pairs(
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"], Int[np.ndarray, " m"]]:
     at = transform_points(found, source_m)
     distance, partner = planes.tree.query(at, distance_upper_bound=gate_m)
-    kept = np.flatnonzero(np.isfinite(distance))
+    partner, kept = np.asarray(partner), np.flatnonzero(np.isfinite(distance))
     kept = kept[:: max(len(kept) // 6000, 1)]
     plane = partner[kept]
     return at[kept], planes.points_m[plane], planes.normals[plane], np.full(len(kept), number)

@@ -7,10 +7,8 @@ and yaw into the development kit's ``info_matching/<radar>_<lidar>.txt`` on requ
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +16,8 @@ from jaxtyping import Float
 from farfield.calibration.radar_lidar import RadarCalibration, RadarPose
 from farfield.datasets.calibration import read_calibration, write_calibration
 from farfield.datasets.kradar.layout import camera_number
-from farfield.datasets.kradar.texts import format_camera, numbers_of, read_radar_calibration
+from farfield.datasets.kradar.radar_pose import SIDE_FILE
+from farfield.datasets.kradar.texts import format_camera
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_bytes, write_text
 from farfield.files.kitti import read_calib
@@ -26,7 +25,6 @@ from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, pose_from_yaw
 
 _MAX_BYTES = 1 << 20
-SIDE_FILE = "calib_radar_lidar.farfield.json"
 
 
 def keep_copy(path: Path) -> Path | None:
@@ -81,71 +79,6 @@ def save_radar(path: Path, found: RadarCalibration, *, difference: int) -> list[
 def radar_T_lidar(pose: RadarPose) -> Float[np.ndarray, "4 4"]:
     """The pose as a matrix."""
     return pose_from_yaw(pose.yaw_rad, (pose.x_m, pose.y_m, pose.z_m))
-
-
-def read_side_file(path: Path) -> dict[str, Any]:
-    """Read the side file of ``calib_radar_lidar.txt``.
-
-    Raises:
-        FileFormatError: If it is damaged, or says another x or y than the text file beside it.
-    """
-    try:
-        content = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
-        matrix = np.array(content["radar_T_lidar"], dtype=np.float64).reshape(4, 4)
-        yaw = float(content["yaw_rad"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise FileFormatError(
-            path, where="the file", expected="radar_T_lidar, yaw_rad", found=str(error)[:100]
-        ) from error
-    text = path.with_name("calib_radar_lidar.txt")
-    if text.exists():
-        _, x, y = read_radar_calibration(text)
-        if max(abs(matrix[0, 3] + x), abs(matrix[1, 3] + y)) > 1e-3:
-            found = f"{matrix[0, 3]:.4f}, {matrix[1, 3]:.4f} against {-x:.4f}, {-y:.4f}"
-            mend = "The text file counts: delete the side file or calibrate anew."
-            raise FileFormatError(path, where="x, y", expected=f"those of {text.name}", found=found, mend=mend)
-    return dict(content, radar_T_lidar=matrix, yaw_rad=yaw)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Matching:
-    """One frame's ``info_matching`` of K-Radar's development kit.
-
-    Args:
-        names: File names of radar, LiDAR and camera.
-        base: x and y in metres and yaw in degrees before.
-        offset: What was added to them.
-    """
-
-    names: tuple[str, str, str]
-    base: tuple[float, float, float]
-    offset: tuple[float, float, float]
-
-    def text(self) -> str:
-        """The file: names, then total, base and offset; no line end after the last."""
-        total = tuple(a + b for a, b in zip(self.base, self.offset, strict=True))
-        rows = [", ".join(f"{value:+.3f}" for value in row) for row in (total, self.base, self.offset)]
-        return "\n".join([", ".join(self.names), *rows])
-
-
-def read_matching(path: Path) -> Matching:
-    """Read ``info_matching/<radar>_<lidar>.txt``.
-
-    Raises:
-        FileFormatError: If it is not a line of three names and three lines of three numbers, or they do not add up.
-    """
-    lines = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8", errors="replace").splitlines()
-    names = [name.strip() for name in lines[0].split(",")] if lines else []
-    rows = [numbers_of(line.split(",")) for line in lines[1:4]]
-    if len(names) != 3 or len(rows) != 3 or any(row is None or len(row) != 3 for row in rows):
-        raise FileFormatError(
-            path, where="the file", expected="three names, three lines of three numbers", found=str(lines[:4])[:120]
-        )
-    total, base, offset = (np.array(row, dtype=np.float64) for row in rows)
-    if np.abs(base + offset - total).max() > 0.0021:
-        raise FileFormatError(path, where="line 2", expected=f"the sum {base + offset}", found=f"{total}")
-    a, b = ((float(row[0]), float(row[1]), float(row[2])) for row in (base, offset))
-    return Matching(names=(names[0], names[1], names[2]), base=a, offset=b)
 
 
 def save_kradar_camera(path: Path, camera: Camera, number: int) -> list[Path]:

@@ -115,7 +115,7 @@ def _camera(
     first = next((data[index] for index in indices if data[index].cameras), None)
     names = [] if first is None else [each for each in first.cameras if each in first.images]
     chosen = name or next(iter(names), None)
-    if first is None or chosen not in names:
+    if first is None or chosen is None or chosen not in names:
         raise ConfigError(f"--camera: expected one of {', '.join(names) or 'no camera at all'}; got {name}")
     start = None
     if picks[0] is not None:
