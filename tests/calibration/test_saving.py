@@ -10,15 +10,9 @@ import pytest
 from farfield.calibration import Parameter, Solution
 from farfield.calibration.edges import difference, moved
 from farfield.calibration.radar_lidar import RadarCalibration, RadarPose
-from farfield.calibration.saving import (
-    SIDE_FILE,
-    Matching,
-    read_matching,
-    read_side_file,
-    save_camera,
-    save_radar,
-)
+from farfield.calibration.saving import save_camera, save_radar
 from farfield.datasets.calibration import read_calibration
+from farfield.datasets.kradar.radar_pose import SIDE_FILE, Matching, read_matching, read_side_file
 from farfield.datasets.kradar.texts import format_camera, read_camera, read_radar_calibration
 from farfield.errors import FileFormatError
 from farfield.geometry.cameras import Camera
