@@ -24,14 +24,23 @@ def examples() -> list[str]:
 
 
 @pytest.mark.parametrize("example", examples())
-def test_examples_of_the_help_run(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [str(tmp_path) if word in ("K-Radar", "kitti") else word for word in shlex.split(example)]
+def test_examples_of_the_help_run(
+    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    places = ("K-Radar", "kitti", "Cirrus_dataset1", "PICTURES")
+    words = [str(tmp_path) if word in places else word for word in shlex.split(example)]
+    if "--draw" in words:
+        pytest.importorskip("cv2")
+        assert cli.main(["calibrate", *words]) == 0
+        assert (tmp_path / "board.png").stat().st_size > 1000
+        return
     assert cli.main(["calibrate", *words]) == 1  # an empty folder: arguments are understood, no data set is found
     assert "farfield calibrate" in capsys.readouterr().err
 
 
 def test_there_are_examples_of_each_kind() -> None:
-    assert {line.split()[0] for line in examples()} == {"radar-lidar", "lidar-camera", "lidar-lidar"}
+    assert {line.split()[0] for line in examples()} == {"radar-lidar", "lidar-camera", "lidar-lidar", "board"}
 
 
 def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
