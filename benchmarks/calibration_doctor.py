@@ -33,8 +33,8 @@ LENGTH = 6
 PICTURES = (0, 3, 5)
 ERRORS = (
     ("correct", 0.0),
-    *(("deg", each) for each in (0.1, 0.2, 0.5, 1.0, 2.0)),
-    *(("cm", each) for each in (2.0, 5.0, 10.0, 20.0, 40.0)),
+    *(("deg", each) for each in (1.0, 0.1, 0.2, 0.5, 2.0)),
+    *(("cm", each) for each in (20.0, 2.0, 5.0, 10.0, 40.0)),
     ("drift deg", 1.0),
     ("drift cm", 20.0),
 )
@@ -109,11 +109,15 @@ def check_set(root: Path, number: int, done: set[tuple[int, str, str, float]]) -
         yield {"set": number, "sensor": sensor, "kind": kind, "size": size, **vars(found)}
 
 
+def _in_order(error: tuple[str, float]) -> tuple[int, float]:
+    return ["correct", "deg", "cm", "drift deg", "drift cm"].index(error[0]), error[1]
+
+
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Claims by sensor and error."""
     yield f"{'':<8}{'error':>16}{'sets':>6}{'off':>7}{'moved':>7}{'not told':>10}   median: deg    cm    px  evidence"
     for sensor in ("camera", "radar"):
-        for kind, size in ERRORS:
+        for kind, size in sorted(ERRORS, key=_in_order):
             own = [row for row in rows if (row["sensor"], row["kind"], row["size"]) == (sensor, kind, size)]
             if own:
                 verdicts = [row["verdict"] for row in own]

@@ -92,8 +92,8 @@ def _texture(
 
     Where rays meet the board is smooth over the picture: traced every few pixels, and by splines between.
     """
-    knots = [np.linspace(each[0], each[-1], max(int((each[-1] - each[0]) / _KNOTS_PX), 4)) for each in (rows, columns)]
-    v, u = np.meshgrid(*knots, indexing="ij")
+    down, across = (np.linspace(a[0], a[-1], max(int((a[-1] - a[0]) / _KNOTS_PX), 4)) for a in (rows, columns))
+    v, u = np.meshgrid(down, across, indexing="ij")
     flat = (np.column_stack([u.ravel(), v.ravel()]) - camera.matrix[:2, 2]) / np.diag(camera.matrix)[:2]
     rays = np.column_stack([undistort(flat, camera.distortion), np.ones(len(flat))])
     board_T_camera = invert(camera_T_board)
@@ -101,7 +101,7 @@ def _texture(
     reach = -origin[2] / np.where(np.abs(towards[:, 2]) > 1e-3, towards[:, 2], 1e-3)
     cell = ((origin[:2] + towards[:, :2] * reach[:, None]) / board.square_m + _MARGIN) * _FINE_PX - 0.5
     cell = np.where((reach > 0)[:, None], np.clip(cell, -1e4, 1e5), -1e4).reshape(*u.shape, 2)
-    x, y = (RectBivariateSpline(*knots, cell[..., axis])(rows, columns).astype(np.float32) for axis in (0, 1))
+    x, y = (RectBivariateSpline(down, across, cell[..., axis])(rows, columns).astype(np.float32) for axis in (0, 1))
     texture = board_picture(board, _FINE_PX).astype(np.float32)
     return np.asarray(ndimage.map_coordinates(texture, np.stack([y, x]), order=1, mode="constant", cval=110.0))
 

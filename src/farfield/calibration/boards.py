@@ -175,7 +175,8 @@ def _refined(
 ) -> Float[np.ndarray, "n 2"]:
     """Corners to a tenth of a pixel, in a window (in squares) that holds one corner and no marker's edge."""
     cv2 = opencv()
-    square_px = float(np.median(cKDTree(pixels).query(pixels, k=2)[0][:, 1]))
+    apart = np.asarray(cKDTree(pixels).query(pixels, k=2)[0])
+    square_px = float(np.median(apart[:, 1]))
     half = int(np.clip(round(window * square_px), 2, 6))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
     begun = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)

@@ -1,9 +1,10 @@
 """Does a given calibration fit the data? How far off is it, and did a sensor move during the drive?
 
 A camera is aligned from its given calibration on each half of the frames, the first and the second in time. It is
-called off where both the edges' score over frames gains clearly and the camera moved by more than it moves on correct
-data; edges that fit nowhere much better than by chance tell nothing. It drifted where each half's own camera fits that
-half clearly better than the other half's camera does. A K-Radar radar is refined from matched objects likewise.
+called off where the edges' score over frames gains clearly and the camera moved by more than it moves on correct data,
+in pixels or on both halves alike; edges that fit nowhere much better than by chance tell nothing. It drifted where each
+half's own camera fits that half clearly better than the other half's camera does. A K-Radar radar is refined from
+matched objects likewise.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,8 @@ LEAST_FRAMES = 6
 _CLEAR = 3.0  # standard errors over frames
 _OBSERVED = 3.0  # the same, against chance
 _FAR_RAD = np.radians(3.0)  # a camera turned so far meets edges by chance
-_CAMERA_FLOOR_PX = 3.0
+_FLOOR_RAD = np.radians(0.25)  # what a median pixel may be off on correct data, as an angle
+_FLOORS = np.array([np.radians(0.5)] * 3 + [0.12] * 3)  # and a turn or a shift on which both halves agree
 _LEVEL = 2
 _FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
 _RADAR_FLOOR = np.array([0.12, 0.12, np.radians(0.3)])
@@ -83,10 +85,12 @@ def check_camera(camera: Camera, views: Views) -> Check:
     away = min(float(np.nanmedian(np.linalg.norm(each - pixels[0], axis=1))) for each in pixels[1:])
     apart = float(np.nanmedian(np.linalg.norm(pixels[1] - pixels[2], axis=1)))
     gain, drift = _errors(best - scores[0]), min(_errors((mine - best)[half]) for half in halves)
+    agreed = np.where(np.sign(change[0]) == np.sign(change[1]), np.abs(change).min(axis=0), 0.0)
+    floor_px = max(1.5, _FLOOR_RAD * float(camera.matrix[0, 0]))
     verdict: Verdict = "fits"
-    if gain > _CLEAR and away > _CAMERA_FLOOR_PX:
+    if gain > _CLEAR and (away > floor_px or (agreed > _FLOORS).any()):
         verdict = "off"
-    if verdict == "fits" and drift > _CLEAR and apart > _CAMERA_FLOOR_PX:
+    if verdict == "fits" and drift > _CLEAR and apart > floor_px:
         verdict = "moved"
     turn, shift = _sizes(change.mean(axis=0))
     drift_turn, drift_shift = _sizes(difference(own[1], own[0]))

@@ -93,7 +93,8 @@ def run(
     if kind == "board":
         result = _board(path, board, camera, save)
         return _write(folder, result)
-    data = open_dataset(path, **({} if mapping is None else {"mapping": mapping}))
+    given: dict[str, Any] = {} if mapping is None else {"mapping": mapping}
+    data = open_dataset(path, **given)
     indices = chosen(data, sequence, frames, runs=kind == "radar-lidar")
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "radar-lidar":

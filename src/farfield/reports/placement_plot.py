@@ -47,13 +47,13 @@ def _draw(axes: "Axes", found: Placement, across_up: tuple[int, int], size: floa
         for number, (_, colour) in enumerate(_AXES):
             end = at + 0.18 * size * each.frame_T_sensor[rows, number]
             if np.linalg.norm(end - at) > 0.02 * size:
-                axes.annotate("", end, at, arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})
-        axes.scatter(*at, s=26, color=_KINDS[each.kind], zorder=3)
-        lower = sum(np.linalg.norm(at - other) < 0.15 * size for other in taken)
+                arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.2}
+                axes.annotate("", (float(end[0]), float(end[1])), (float(at[0]), float(at[1])), arrowprops=arrow)
+        axes.scatter(at[0], at[1], s=26, color=_KINDS[each.kind], zorder=3)
+        lower = sum(bool(np.linalg.norm(at - other) < 0.15 * size) for other in taken)
         taken.append(at)
-        axes.annotate(
-            _name(each), at, xytext=(6, -10 - 11 * lower), textcoords="offset points", fontsize=7.5, color=INK
-        )
+        place, below = (float(at[0]), float(at[1])), (6, -10 - 11 * lower)
+        axes.annotate(_name(each), place, below, textcoords="offset points", fontsize=7.5, color=INK)
     spread = np.array([each.frame_T_sensor[rows, 3] for each in found.sensors] + [np.zeros(2)])
     middle, reach = (spread.min(axis=0) + spread.max(axis=0)) / 2, 0.5 * size + 0.35 * size
     low, high = middle - reach, middle + reach
