@@ -77,6 +77,7 @@ def solve(
     parameters: Sequence[Parameter],
     *,
     group: Int[np.ndarray, " n"] | None = None,
+    share: Float[np.ndarray, " n"] | None = None,
     huber: float = _HUBER,
     steps: int = 50,
 ) -> Solution:
@@ -91,6 +92,7 @@ def solve(
         start: Values to begin with; the priors' means too.
         parameters: What each value is.
         group: Block of frames of each residual, shape (n,); each its own unless given.
+        share: For how many observations each residual counts, shape (n,): less than one where several err alike.
         huber: From how many sigma a residual counts linearly.
         steps: Most evaluations of the Jacobian in each of the rounds.
 
@@ -103,12 +105,13 @@ def solve(
     first = residuals(start)
     if not first.size or not np.isfinite(first).all():
         raise ConfigError("calibration: expected finite residuals at the start, got none; give a nearer start")
+    own = np.ones(len(first)) if share is None else share
     total = _Whole(residuals, start, scale, prior)
-    x, weight, converged = np.zeros(len(start)), _weights(first, huber), False
+    x, weight, converged = np.zeros(len(start)), own * _weights(first, huber), False
     for _ in range(10):
         done = least_squares(total.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
         moved, x = float(np.abs(done.x - x).max()), done.x
-        weight = _weights(residuals(start + x * scale), huber)
+        weight = own * _weights(residuals(start + x * scale), huber)
         converged = bool(done.success) and moved < 1e-3
         if converged:
             break
@@ -116,7 +119,9 @@ def solve(
     last = residuals(value)
     jacobian = _jacobian(residuals, value, scale)
     numbers = np.arange(len(last)) if group is None else group
-    covariance, unobserved, information = _spread(jacobian, last, weight, prior, numbers, parameters)
+    spare = max(float(own.sum()) * last.shape[1] - len(prior), 1.0)
+    factor = max(float((weight[:, None] * last**2).sum()) / spare, 1e-12)
+    covariance, unobserved, information = _spread(jacobian, last, weight, prior, numbers, parameters, factor)
     return Solution(
         parameters=tuple(parameters),
         value=value,
@@ -164,11 +169,10 @@ def _spread(
     prior: Float[np.ndarray, " k"],
     group: Int[np.ndarray, " n"],
     parameters: Sequence[Parameter],
+    factor: float,
 ) -> tuple[Float[np.ndarray, "k k"], tuple[str, ...], Float[np.ndarray, " k"]]:
-    """Covariance in scaled steps, what is not observed, and the information's roots."""
+    """Covariance in scaled steps, what is not observed, and the information's roots; ``factor``: chi^2 a freedom."""
     fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian)
-    spare = max(last.size - len(prior), 1)
-    factor = max(float((weight[:, None] * last**2).sum()) / spare, 1e-12)
     inverse = np.linalg.inv(fisher + np.diag(factor / prior**2))
     plain = factor * inverse
     _, members = np.unique(group, return_inverse=True)

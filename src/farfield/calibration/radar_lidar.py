@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from farfield.calibration.bird import Start, correlate
@@ -27,6 +27,8 @@ _SIGMA_FACE_M = 0.12
 _GATES_M = (1.6, 1.0, 0.8, 0.8)
 _LEAST_MATCHES = 12
 _GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
+_ALIKE = 0.5  # correlation of what an object's matches err by
+_UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
 _BLOCK = 4  # neighbouring frames see the same objects
 _CLEAR = 2.0
 _LOOSE_S = 0.3
@@ -130,7 +132,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Pairs:
-    """Matched objects: LiDAR place, width, velocity in m/s, lag, radar place, number of the object."""
+    """Matched objects: LiDAR place, width, velocity in m/s and whether it is known, lag, radar place, object."""
 
     lidar_m: Float[np.ndarray, "n 3"]
     width_m: Float[np.ndarray, " n"]
@@ -138,6 +140,7 @@ class _Pairs:
     lag_s: Float[np.ndarray, " n"]
     radar_m: Float[np.ndarray, "n 3"]
     track: Int[np.ndarray, " n"]
+    tracked: Bool[np.ndarray, " n"]
 
 
 def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4) -> RadarCalibration:
@@ -222,9 +225,19 @@ def _solved(
         if len(pairs.track) < _LEAST_MATCHES:
             return None
         rows = partial(_whitened, pairs=pairs)
-        solution = solve(rows, guess.vector, parameters, group=pairs.track)
+        solution = solve(rows, guess.vector, parameters, group=pairs.track, share=_shares(pairs, value))
         value, found = solution.value, (pairs, solution)
     return found
+
+
+def _shares(pairs: _Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+    """For how many observations each match counts: an object's echo errs alike in all of its frames.
+
+    One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed.
+    """
+    _, which, count = np.unique(pairs.track, return_inverse=True, return_counts=True)
+    moved_m = np.where(pairs.tracked, 0.0, _UNKNOWN_M_S) * (value[3] - pairs.lag_s)
+    return np.asarray(1.0 / ((1.0 + _ALIKE * (count[which] - 1.0)) * (1.0 + (moved_m / _SIGMA_RANGE_M) ** 2)))
 
 
 def _place(
@@ -254,8 +267,10 @@ def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
 def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:
     """Pairs that are each other's nearest."""
     rows = [_matched(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
-    lidar, width, speed, lag, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return _Pairs(lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track)
+    lidar, width, speed, lag, tracked, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return _Pairs(
+        lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track, tracked=tracked
+    )
 
 
 def _matched(
@@ -272,7 +287,7 @@ def _matched(
         back = cKDTree(at).query(peaks[:, :2])[1]
         kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
     width = targets.size_m.max(axis=1, initial=0.0)
-    columns = (targets.place_m, width, speed, targets.lag_s)
+    columns = (targets.place_m, width, speed, targets.lag_s, np.isfinite(targets.velocity[:, 0]))
     return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
 
 
@@ -332,3 +347,22 @@ def _notes(
         named = ", ".join(f"{offset - pose.frames:+d}" for offset in close)
         notes.append(f"frame offset is not certain: {named} frames explain the objects nearly as well")
     return tuple(dict.fromkeys(notes))
+
+
+def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:
+    """Solve from a near start by matched objects alone, with the frame offset as given.
+
+    Args:
+        evidence: Frames of one sequence.
+        guess: Within half a metre and two degrees.
+
+    Returns:
+        x, y, yaw and time offset; sigma holds the systematic part.
+
+    Raises:
+        DatasetError: If fewer than twelve objects match.
+    """
+    found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, _GATES_M)
+    if found is None:
+        raise DatasetError(f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer")
+    return replace(found[1], covariance=found[1].covariance + np.diag(_SYSTEMATIC**2))

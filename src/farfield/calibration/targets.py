@@ -20,6 +20,12 @@ _FACE_M = 0.6
 _STEP_M = 8.0
 _AGREE_M = 0.45
 _PEAK_M = 0.9
+_LOBE_RAD, _LOBE_M, _DEPTH_M = np.radians(2.5), 1.5, 0.7  # half of what an echo spreads over, across and along
+_CELL_RAD = np.radians(1.2)
+_LEAST_SHARE = 0.05  # of an echo's power: side lobes lie below
+_BESIDE_RAD, _BEFORE_M = np.radians(0.6), 1.0
+_SLOW_M = 0.25  # a frame
+_NEAR_M = (5.0, 1.5)
 _LEAST_STEPS = 4
 _UNEVEN_M = 0.15  # a frame
 
@@ -70,7 +76,26 @@ def find_targets(moments: Sequence[Moment]) -> list[Targets]:
             track = _continued(found[-1], place, velocity, track)
         count, last = count + len(place), number
         found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=velocity, track=track))
-    return _steadied(found, count)
+    return _reunited(_steadied(found, count))
+
+
+def _reunited(found: list[Targets]) -> list[Targets]:
+    """What keeps its place beside the car, as leading traffic does, is one object in later runs of frames too."""
+    last: dict[int, np.ndarray] = {}  # where each object was seen last
+    named: dict[int, int] = {}
+    for each in found:
+        slow = np.linalg.norm(each.velocity, axis=1) < _SLOW_M
+        seen = {named[int(track)] for track in each.track[slow] if int(track) in named}
+        for track, place in zip(each.track[slow], each.place_m[slow, :2], strict=True):
+            if int(track) not in named:
+                near = [one for one, at in last.items() if one not in seen and (np.abs(at - place) < _NEAR_M).all()]
+                named[int(track)] = near[-1] if near else int(track)
+            seen.add(named[int(track)])
+            last[named[int(track)]] = place
+    return [
+        replace(each, track=np.array([named.get(int(track), int(track)) for track in each.track], dtype=np.int64))
+        for each in found
+    ]
 
 
 def _steadied(found: list[Targets], count: int) -> list[Targets]:
@@ -101,6 +126,7 @@ def _continued(
 
 def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     points = moment.points_m
+    shadow = _Shadow.of(points)
     places, sizes, lags = [], [], []
     for members in _components(points):
         part = points[members]
@@ -111,12 +137,38 @@ def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarra
         front = float(np.percentile(reach, 5))
         face = reach < front + _FACE_M
         bearing = np.arctan2(part[face, 1], part[face, 0])
+        if shadow.falls_on(bearing.min(), bearing.max(), front, float(part[face, 2].mean()) / front):
+            continue
         middle = 0.5 * (bearing.min() + bearing.max())
         near = front + 0.05
         places.append([near * np.cos(middle), near * np.sin(middle), float(part[face, 2].mean())])
         sizes.append(size)
         lags.append(float(moment.lag_s[members][face].mean()))
     return np.reshape(places, (-1, 3)), np.reshape(sizes, (-1, 2)), np.array(lags)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shadow:
+    """Bearings, ranges and slopes of all points by bearing: what is half hidden shows no middle."""
+
+    bearing: Float[np.ndarray, " n"]
+    reach_m: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, points_m: Float[np.ndarray, "n 3"]) -> "_Shadow":
+        bearing = np.arctan2(points_m[:, 1], points_m[:, 0])
+        order = np.argsort(bearing)
+        reach = np.hypot(points_m[:, 0], points_m[:, 1])
+        return cls(bearing[order], reach[order], (points_m[:, 2] / np.maximum(reach, 1.0))[order])
+
+    def falls_on(self, right_rad: float, left_rad: float, front_m: float, slope: float) -> bool:
+        """Whether something nearer stands just beside, on either side, as high as the middle of the face or higher."""
+        for begin, end in ((right_rad - _BESIDE_RAD, right_rad), (left_rad, left_rad + _BESIDE_RAD)):
+            low, high = np.searchsorted(self.bearing, (begin, end))
+            if ((self.reach_m[low:high] < front_m - _BEFORE_M) & (self.slope[low:high] > slope)).any():
+                return True
+        return False
 
 
 def _components(points_m: Float[np.ndarray, "n 3"]) -> list[Int[np.ndarray, " _"]]:
@@ -170,15 +222,29 @@ def _usual(candidates: list[Float[np.ndarray, "_ 2"]]) -> Float[np.ndarray, " 2"
 
 
 def find_peaks(moment: Moment) -> Peaks:
-    """Local maxima of the radar's echoes with their places within the cell: means of the echoes around, by power."""
+    """Local maxima of the radar's echoes with their places within the cell: means over the lobe, by power.
+
+    The lobe is taken in range and azimuth, wide enough for its far side to count: a narrower window draws every echo
+    to the middle of its cell, by up to 0.3 of one degree.
+    """
     places, power = moment.echoes_m, moment.power_db
     if not len(places):
         return Peaks(place_m=np.zeros((0, 3)), power_db=np.zeros(0))
-    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], _PEAK_M).tolist()
-    top = _tops(around, power)
-    linear = 10 ** (power / 10)
-    means = [linear[around[i]] @ places[around[i]] / linear[around[i]].sum() for i in np.flatnonzero(top)]
-    return Peaks(place_m=np.reshape(means, (-1, 3)), power_db=power[top])
+    reach, bearing = np.hypot(places[:, 0], places[:, 1]), np.arctan2(places[:, 1], places[:, 0])
+    radius = np.maximum(_PEAK_M, _CELL_RAD * reach)  # or each far cell would be its own maximum
+    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], radius).tolist()
+    top = np.flatnonzero(_tops(around, power))
+    means = np.zeros((len(top), 3))
+    for row, i in enumerate(top):
+        aside = (bearing - bearing[i] + np.pi) % (2 * np.pi) - np.pi
+        across = max(_LOBE_RAD, _LOBE_M / max(float(reach[i]), 1.0))
+        lobe = (np.abs(reach - reach[i]) < _DEPTH_M) & (np.abs(aside) < across)
+        weight = np.maximum(10 ** ((power[lobe] - power[i]) / 10) - _LEAST_SHARE, 0.0)
+        off = np.column_stack([aside, reach, places[:, 2]])[lobe]
+        turn, range_m, height_m = weight @ off / weight.sum()
+        azimuth = bearing[i] + turn
+        means[row] = range_m * np.cos(azimuth), range_m * np.sin(azimuth), height_m
+    return Peaks(place_m=means, power_db=power[top])
 
 
 def _tops(around: Sequence[Sequence[int]], power: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
