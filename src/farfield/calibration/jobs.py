@@ -16,12 +16,12 @@ from farfield.calibration.edges import (
     edge_residual_px,
     edge_score,
     edge_spread,
-    lidar_edges,
     views_of,
 )
 from farfield.calibration.moments import Moment, read_moments
 from farfield.calibration.radar_lidar import Evidence, RadarCalibration, RadarPose, calibrate_radar
 from farfield.calibration.registration import Registration, register
+from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
@@ -96,6 +96,7 @@ class CameraJob:
         views: The frames' edges.
         picture: The first frame's picture.
         keys: The frames.
+        skewed: Of how many frames the car's own motion could not be taken out: no times of points, or no poses.
     """
 
     before: Camera
@@ -103,6 +104,7 @@ class CameraJob:
     views: Views
     picture: UInt8[np.ndarray, "height width 3"]
     keys: Sequence[tuple[str, str]]
+    skewed: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Change, sigma, residuals in pixels with their histogram, and what is not observed."""
@@ -119,11 +121,18 @@ class CameraJob:
                 name: float(value) if np.isfinite(value) else None
                 for name, value in zip(names, sigma * units, strict=True)
             },
-            "notes": list(sentences),
+            "notes": [*sentences, *_skew_note(self.skewed, len(self.keys))],
             "residual_before": _residual(self.before, self.views),
             "residual_after": _residual(self.after, self.views),
             "frames": ["/".join(key) for key in self.keys],
         }
+
+
+def _skew_note(skewed: int, frames: int) -> list[str]:
+    if not skewed:
+        return []
+    what = "the car's own motion during the sweep is not taken out, for times of points or poses are not known"
+    return [f"in {skewed} of {frames} frames {what}: take frames below 2 m/s"]
 
 
 def _residual(camera: Camera, views: Views) -> dict[str, Any]:
@@ -145,19 +154,25 @@ def camera_job(
     Raises:
         DatasetError: If no frame has the picture with a calibration.
     """
-    frames = [data[index] for index in indices]
-    frames = [each for each in frames if camera in each.images and (start is not None or camera in each.cameras)]
+    found = {index: data[index] for index in indices}
+    kept = [i for i, each in found.items() if camera in each.images and (start is not None or camera in each.cameras)]
+    frames = [found[index] for index in kept]
     if not frames:
         raise DatasetError(f"{camera}: expected frames with this picture and a calibration to begin with, found none")
     pictures = [each.images[camera] for each in frames]
     before = frames[0].cameras[camera] if start is None else start
     before = replace(before, width_px=pictures[0].shape[1], height_px=pictures[0].shape[0])
     alike = [i for i, each in enumerate(pictures) if each.shape == pictures[0].shape]
-    clouds = [frames[i].cloud(lidar) for i in alike]
-    edges = [lidar_edges(each.points_m, each.extra.get("ring")) for each in clouds]
-    views = views_of([pictures[i] for i in alike], edges, before)
-    after = align_edges(before, views)
-    return CameraJob(before=before, after=after, views=views, picture=pictures[0], keys=[frames[i].key for i in alike])
+    swept = [sweep_edges(data, kept[i], camera=camera, lidar=lidar) for i in alike]
+    views = views_of([pictures[i] for i in alike], [edges for edges, _ in swept], before)
+    return CameraJob(
+        before=before,
+        after=align_edges(before, views),
+        views=views,
+        picture=pictures[0],
+        keys=[frames[i].key for i in alike],
+        skewed=sum(not still for _, still in swept),
+    )
 
 
 def lidars_job(data: Dataset, indices: Sequence[int], first: str, second: str) -> Registration:
