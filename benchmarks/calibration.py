@@ -1,14 +1,17 @@
 """Calibrations from random starts against the simulator's truth, with the CPU time of a start.
 
-Simulates K-Radar's car on three roads by day and one by night, 40 frames each in four runs of ten (kept in --data, so
-that a second run only solves), then starts every solver from random errors.
+Simulates K-Radar's car on three roads by day and one by night, 80 frames each in eight runs of ten, pictures in four of
+them. They stay in --data, as do the rows that are done: a second run goes on where the first ended. Every solver starts
+from random errors; the starts of a road share its drive, so that their errors are not independent.
 
     python benchmarks/calibration.py --data data/calibration --output benchmarks/results/calibration.txt
 """
 
 import argparse
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +24,6 @@ from farfield.calibration.edges import (
     difference,
     edge_residual_px,
     edge_spread,
-    lidar_edges,
     moved,
     views_of,
 )
@@ -30,16 +32,19 @@ from farfield.calibration.moments import read_moments
 from farfield.calibration.pairs import calibrate_pairs
 from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
 from farfield.calibration.registration import register
+from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter
+from farfield.files.atomic import write_text
 from farfield.geometry.poses import invert, pose
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.rigs.drive import drive_of
 
 ROADS = (("urban", "day", 0), ("highway", "day", 1), ("suburban", "day", 2), ("urban", "night", 3))
 SEED = 5
-RUNS = (30, 95, 160, 225)
+RUNS = (30, 95, 160, 225, 62, 127, 192, 257)
+PICTURED = 4  # runs with pictures
 CAMERA_FRAMES = 20
 
 
@@ -47,8 +52,8 @@ def simulated(folder: Path, road: str, light: str, sequence: int) -> tuple[Datas
     """A K-Radar of one sequence, and how much later its radar measures, in seconds."""
     preset = find_preset("kradar-sim", road=road, time=light, weather="normal", duration_s=30.0)
     writer = KRadarWriter(folder / f"{road}-{light}")
-    for index in (start + step for start in RUNS for step in range(10)):
-        sensors = ("os2-64", "sparse", *(("cam-front",) if index % 2 == 0 else ()))
+    for run, index in ((run, start + step) for run, start in enumerate(RUNS) for step in range(10)):
+        sensors = ("os2-64", "sparse", *(("cam-front",) if index % 2 == 0 and run < PICTURED else ()))
         sensors += ("os1-128",) if index in (30, 160) else ()
         frame = simulate_frame(preset, seed=SEED, sequence=sequence, index=index, sensors=sensors)
         if not writer.paths(frame)["record"].exists():
@@ -84,10 +89,11 @@ def radar_row(data: Dataset, late_s: float, starts: int) -> str:
 
 def camera_rows(data: Dataset, starts: int) -> list[str]:
     """LiDAR-camera from +-1 degree and +-0.1 m, and from twice the angle."""
-    frames = [data[i] for i in range(len(data)) if "cam-front" in data[i].images][:CAMERA_FRAMES]
-    truth = frames[0].cameras["cam-front"]
-    edges = [lidar_edges(each.clouds["os2-64"].points_m, each.clouds["os2-64"].extra["ring"]) for each in frames]
-    views = views_of([each.images["cam-front"] for each in frames], edges, truth, margin_px=100)
+    numbers = [i for i in range(len(data)) if "cam-front" in data[i].images][:CAMERA_FRAMES]
+    pictures = [data[i].images["cam-front"] for i in numbers]
+    truth = data[numbers[0]].cameras["cam-front"]
+    edges = [sweep_edges(data, i, camera="cam-front", lidar="os2-64")[0] for i in numbers]
+    views = views_of(pictures, edges, truth, margin_px=100)
     rows = []
     for turn, count in ((1.0, starts), (2.0, max(starts // 2, 1))):
         rng, away, covered, seconds, left = np.random.default_rng(1), [], [], [], []
@@ -165,32 +171,50 @@ def main() -> None:
     sets = {(road, light): simulated(options.data, road, light, number) for road, light, number in ROADS}
     lines = [
         header(),
-        f"starts: radar {options.starts}, camera {options.camera_starts}; 40 frames a road, one drive each",
+        f"starts: radar {options.starts}, camera {options.camera_starts}; {10 * len(RUNS)} frames a road, a drive each",
     ]
     print("\n".join(lines), flush=True)
-    for line in _tables(sets, options.starts, options.camera_starts):
+    kept = Kept(options.data / f"rows-{options.starts}-{options.camera_starts}.json")
+    for line in _tables(sets, options.starts, options.camera_starts, kept):
         print(line, flush=True)
         lines.append(line)
         if options.output:
             options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _tables(sets: dict[tuple[str, str], tuple[Dataset, float]], starts: int, camera_starts: int) -> Iterator[str]:
+@dataclass(frozen=True)
+class Kept:
+    """Rows that an earlier run with as many starts printed."""
+
+    path: Path
+
+    def rows(self, name: str, make: Callable[[], str | list[str]]) -> list[str]:
+        """The rows of this name; made, and kept, if there are none yet."""
+        known = json.loads(self.path.read_text(encoding="utf-8")) if self.path.exists() else {}
+        if name not in known:
+            made = make()
+            known[name] = [made] if isinstance(made, str) else made
+            write_text(self.path, json.dumps(known, indent=1) + "\n")
+        return [f"{name.split(':')[1]:<15} {row}" for row in known[name]]
+
+
+def _tables(
+    sets: dict[tuple[str, str], tuple[Dataset, float]], starts: int, camera_starts: int, kept: Kept
+) -> Iterator[str]:
     """Lines of all tables as they become known."""
+    yield "Picked pairs, 2 px of noise, from nothing"
+    yield from kept.rows("pairs:urban day", partial(pairs_row, sets["urban", "day"][0], max(starts, 30)))
     yield "\nRadar-LiDAR from +-2 m, +-3 degrees, +-3 frames; median and worst errors; covered: within 2 sigma"
     yield "road            frames   x cm   y cm yaw deg  dt ms | worst x     y     yaw   covered   CPU s"
     for (road, light), (data, late) in sets.items():
-        yield f"{road + ' ' + light:<15} {radar_row(data, late, starts)}"
+        yield from kept.rows(f"radar:{road} {light}", partial(radar_row, data, late, starts))
     yield "\nos1-128 against os2-64 from +-1 degree, +-0.2 m, two frames"
     for (road, light), (data, _) in sets.items():
-        yield f"{road + ' ' + light:<15} {lidars_row(data, min(starts, 3))}"
-    yield "\nPicked pairs, 2 px of noise, from nothing"
-    yield pairs_row(sets["urban", "day"][0], max(starts, 30))
+        yield from kept.rows(f"lidars:{road} {light}", partial(lidars_row, data, min(starts, 3)))
     yield f"\nLiDAR-camera by edges, {CAMERA_FRAMES} frames, +-0.1 m; largest of three angles and of three shifts"
     yield "road            start    n  med. deg   worst med. cm  worst  edge px  < .2, 8  covered   CPU s"
     for (road, light), (data, _) in sets.items():
-        for row in camera_rows(data, camera_starts):
-            yield f"{road + ' ' + light:<15} {row}"
+        yield from kept.rows(f"camera:{road} {light}", partial(camera_rows, data, camera_starts))
 
 
 if __name__ == "__main__":
