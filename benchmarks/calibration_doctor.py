@@ -88,16 +88,20 @@ def drifted(camera: Camera, views: Views, kind: str, size: float, rng: np.random
     return replace(views, points_m=points)
 
 
-def check_set(root: Path, number: int, done: set[tuple[int, str, str, float]]) -> Iterator[dict[str, Any]]:
+def check_set(
+    root: Path, number: int, done: set[tuple[int, str, str, float]], sensors: tuple[str, ...]
+) -> Iterator[dict[str, Any]]:
     """All checks of one drive that are not in the journal."""
-    data, wanted = open_dataset(root), [(s, k, e) for s in ("camera", "radar") for k, e in ERRORS]
+    data, wanted = open_dataset(root), [(s, k, e) for s in sensors for k, e in ERRORS]
     wanted = [
         each for each in wanted if (number, *each) not in done and not (each[0] == "radar" and "drift" in each[1])
     ]
     if not wanted:
         return
-    camera, views = camera_views(data, range(len(data)), "cam-front")
-    pose, evidence = radar_evidence(data, range(len(data)))
+    if "camera" in sensors:
+        camera, views = camera_views(data, range(len(data)), "cam-front")
+    if "radar" in sensors:
+        pose, evidence = radar_evidence(data, range(len(data)))
     for sensor, kind, size in wanted:
         rng = np.random.default_rng((number, int(10 * size), len(kind)))
         if sensor == "radar":
@@ -138,6 +142,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("data/calibration_doctor"))
     parser.add_argument("--output", type=Path)
     parser.add_argument("--sets", type=int, default=SETS)
+    parser.add_argument("--sensors", nargs="+", default=["camera", "radar"])
     options = parser.parse_args()
     journal = options.data / "checks.jsonl"
     journal.parent.mkdir(parents=True, exist_ok=True)
@@ -145,7 +150,7 @@ def main() -> None:
     for number in progress(range(options.sets), "drives"):
         root = simulate_set(options.data, number)
         done = {(row["set"], row["sensor"], row["kind"], row["size"]) for row in rows}
-        for row in check_set(root, number, done):
+        for row in check_set(root, number, done, tuple(options.sensors)):
             rows.append(row)
             with journal.open("a") as file:
                 file.write(json.dumps(row) + "\n")

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from _report import SHARED_REAL, header
 
+from farfield.calibration.checking import check_camera
 from farfield.calibration.edges import align_edges, difference, edge_spread, lidar_edges, moved, views_of
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
@@ -38,6 +39,9 @@ HEAD = (
     "set                    frames from              deg before  after  worst | cm before  after  worst |"
     " px before  after  worst  CPU s"
 )
+
+
+_YAW, _ASIDE = np.array([0, np.radians(1.0), 0, 0, 0, 0]), np.array([0, 0, 0, 0.2, 0, 0])
 
 
 def aligned(
@@ -64,6 +68,9 @@ def aligned(
         text = f"{name:<22} {len(clouds):6d} {degrees:.1f} deg {100 * metres:3.0f} cm  " + " |  ".join(cells)
         yield f"{text} {(time.process_time() - began) / starts:6.1f}", start, found
     views = views_of(pictures, edges, camera, margin_px=100)
+    if len(clouds) < 2:
+        yield "  one frame alone: no sigma", camera, camera
+        return
     sigma, notes = edge_spread(align_edges(camera, views), views)
     told = ", ".join(f"{s:.2f}" for s in np.degrees(sigma[:3])), ", ".join(f"{100 * s:.0f}" for s in sigma[3:])
     yield f"  sigma (pitch, yaw, roll) {told[0]} deg, (x, y, z) {told[1]} cm", camera, camera
@@ -71,6 +78,13 @@ def aligned(
         yield f"  {note}", camera, camera
     own = _off(align_edges(camera, views), camera, near, there)
     yield f"  begun at the published one: {own[0]:.2f} deg, {own[1]:.1f} cm, {own[2]:.1f} px away", camera, camera
+    for what, delta in (("published", np.zeros(6)), ("turned by 1 deg", _YAW), ("shifted by 20 cm", _ASIDE)):
+        check = check_camera(moved(camera, delta), views)
+        yield (
+            f"  the doctor on the {what}: {check.verdict} ({check.px:.1f} px, {check.evidence:.1f} errors)",
+            camera,
+            camera,
+        )
 
 
 def _off(found: Camera, truth: Camera, points_m: np.ndarray, pixels: np.ndarray) -> tuple[float, float, float]:
@@ -132,7 +146,7 @@ def kradar_example(folder: Path | None) -> Iterator[str]:
     place = SHARED_REAL / "kradar"
     picture = read_image(place / "example" / "img_example.png")
     boxes = annotation_of(read_labels(place / "example" / "label_example.txt"), "v1.0").boxes
-    drawn = []
+    drawn, picture = [], picture[:, : picture.shape[1] // 2]  # both eyes side by side: the left one
     for release in ("calib_seq", "calib_seq_v2"):
         with tempfile.TemporaryDirectory() as scratch, zipfile.ZipFile(place / f"{release}.zip") as archive:
             name = next(n for n in archive.namelist() if n.endswith(f"seq_{KRADAR_SEQUENCE:02d}/cam_1.yml"))
@@ -143,7 +157,7 @@ def kradar_example(folder: Path | None) -> Iterator[str]:
         yield f"  {release}: {int(seen[2].sum())} of {len(boxes)} centres in the picture of {width} x {height}: " + (
             ", ".join(f"({u:.0f}, {v:.0f})" for u, v in seen[0][seen[2]])
         )
-        drawn.append(boxes_picture(picture[:, : camera.width_px], camera, boxes))
+        drawn.append(boxes_picture(picture, camera, boxes))
     if folder is not None:
         write_image(folder / "kradar.png", np.concatenate(drawn))
 
@@ -158,7 +172,7 @@ def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
     yield f"  published: x {truth[0, 3]:.2f}, y {truth[1, 3]:.2f}, z {truth[2, 3]:.2f} m,"
     counts = ", ".join(str(len(each.echoes_m)) for each in moments)
     yield f"  yaw {np.degrees(yaw):.2f}, tilt {tilt:.2f} deg; {counts} strong echoes a frame"
-    rng = np.random.default_rng(0)
+    rng, notes = np.random.default_rng(0), ("two frames do not tell x, y, yaw or the time offset; z is not solved",)
     for number in range(starts):
         x, y = truth[:2, 3] + (rng.uniform(-0.5, 0.5, 2) if number else 0.0)
         turn = yaw + (float(np.radians(rng.uniform(-1, 1))) if number else 0.0)
@@ -168,6 +182,7 @@ def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
         except DatasetError as error:
             yield f"  from ({x - truth[0, 3]:+.2f}, {y - truth[1, 3]:+.2f}) m: {error}"
             continue
+        notes = found.notes
         away = 100 * (found.pose.x_m - truth[0, 3]), 100 * (found.pose.y_m - truth[1, 3])
         angle, sigma = np.degrees(found.pose.yaw_rad - yaw), found.solution.sigma
         yield (
@@ -176,7 +191,7 @@ def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
             f"{100 * sigma[1]:.0f} cm, yaw {angle:+.2f} +- {np.degrees(sigma[2]):.2f} deg; "
             f"{found.residual['matches']:.0f} matches"
         )
-    yield from (f"  {note}" for note in found.notes)
+    yield from (f"  {note}" for note in notes)
 
 
 def lines(starts: int, folder: Path | None) -> Iterator[str]:

@@ -4,7 +4,7 @@ A camera is aligned from its given calibration on each half of the frames, the f
 called off where the edges' score over frames gains clearly and the camera moved by more than it moves on correct data,
 in pixels or on both halves alike; edges that fit nowhere much better than by chance tell nothing. It drifted where each
 half's own camera fits that half clearly better than the other half's camera does. A K-Radar radar is refined from
-matched objects likewise.
+matched objects likewise; it takes some forty frames of a busy road to tell anything.
 """
 
 from collections.abc import Sequence
@@ -31,6 +31,7 @@ _LEVEL = 2
 _FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
 _RADAR_FLOOR = np.array([0.12, 0.12, np.radians(0.3)])
 _SIGMAS = 3.0
+_TOLD = np.array([0.12, np.radians(0.35)])  # sigma of y and yaw: with more, a radar is not judged
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,6 +159,8 @@ def check_radar(given: RadarPose, evidence: Evidence) -> Check:
         whole = refine_radar(evidence, given)
     except DatasetError:
         return _unsaid(count)
+    if (whole.sigma[1:3] > _TOLD).any():
+        return _unsaid(count)
     change = whole.value[:3] - given.vector[:3]
     limit = np.maximum(_SIGMAS * whole.sigma[:3], _RADAR_FLOOR)
     sigmas = float((np.abs(change) / whole.sigma[:3]).max())
@@ -168,7 +171,8 @@ def check_radar(given: RadarPose, evidence: Evidence) -> Check:
     if len(found) == 2:
         apart = found[1].value[:3] - found[0].value[:3]
         spread = np.hypot(found[0].sigma[:3], found[1].sigma[:3])
-        if (np.abs(apart) > np.maximum(_SIGMAS * spread, 1.5 * _RADAR_FLOOR)).any():
+        told = (spread[1:] < 2 * _TOLD).all()
+        if told and (np.abs(apart) > np.maximum(_SIGMAS * spread, 1.5 * _RADAR_FLOOR)).any():
             verdict, sigmas = "moved", float((np.abs(apart) / spread).max())
     return Check(
         verdict=verdict,
