@@ -18,10 +18,11 @@ from farfield.calibration.edges import (
     edge_spread,
     views_of,
 )
+from farfield.calibration.information import LEAST_FRAMES, information_distance
 from farfield.calibration.moments import Moment, read_moments
 from farfield.calibration.radar_lidar import Evidence, RadarCalibration, RadarPose, calibrate_radar
 from farfield.calibration.registration import Registration, register
-from farfield.calibration.sweeps import sweep_edges
+from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
@@ -97,6 +98,7 @@ class CameraJob:
         picture: The first frame's picture.
         keys: The frames.
         skewed: Of how many frames the car's own motion could not be taken out: no times of points, or no poses.
+        distances: Normalised information distance before and after; a check only.
     """
 
     before: Camera
@@ -105,6 +107,7 @@ class CameraJob:
     picture: UInt8[np.ndarray, "height width 3"]
     keys: Sequence[tuple[str, str]]
     skewed: int = 0
+    distances: tuple[float, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Change, sigma, residuals in pixels with their histogram, and what is not observed."""
@@ -121,7 +124,8 @@ class CameraJob:
                 name: float(value) if np.isfinite(value) else None
                 for name, value in zip(names, sigma * units, strict=True)
             },
-            "notes": [*sentences, *_skew_note(self.skewed, len(self.keys))],
+            "notes": [*sentences, *_skew_note(self.skewed, len(self.keys)), *_distance_note(self.distances)],
+            "information_distance": None if self.distances is None else list(self.distances),
             "residual_before": _residual(self.before, self.views),
             "residual_after": _residual(self.after, self.views),
             "frames": ["/".join(key) for key in self.keys],
@@ -133,6 +137,13 @@ def _skew_note(skewed: int, frames: int) -> list[str]:
         return []
     what = "the car's own motion during the sweep is not taken out, for times of points or poses are not known"
     return [f"in {skewed} of {frames} frames {what}: take frames below 2 m/s"]
+
+
+def _distance_note(distances: tuple[float, ...] | None) -> list[str]:
+    if distances is None or distances[1] <= distances[0]:
+        return []
+    grown = f"{distances[0]:.4f} to {distances[1]:.4f}"
+    return [f"the normalised information distance of grey and intensity grew from {grown}: look at the picture"]
 
 
 def _residual(camera: Camera, views: Views) -> dict[str, Any]:
@@ -165,14 +176,33 @@ def camera_job(
     alike = [i for i, each in enumerate(pictures) if each.shape == pictures[0].shape]
     swept = [sweep_edges(data, kept[i], camera=camera, lidar=lidar) for i in alike]
     views = views_of([pictures[i] for i in alike], [edges for edges, _ in swept], before)
+    after = align_edges(before, views)
     return CameraJob(
         before=before,
-        after=align_edges(before, views),
+        after=after,
         views=views,
         picture=pictures[0],
         keys=[frames[i].key for i in alike],
         skewed=sum(not still for _, still in swept),
+        distances=_distances((before, after), data, [kept[i] for i in alike], camera, lidar),
     )
+
+
+def _distances(
+    cameras: Sequence[Camera], data: Dataset, indices: Sequence[int], camera: str, lidar: str | None
+) -> tuple[float, ...] | None:
+    """Normalised information distance of each calibration; None with too few frames, or where intensity lacks."""
+    frames = [data[index] for index in indices]
+    clouds = [each.cloud(lidar) for each in frames]
+    if len(frames) < LEAST_FRAMES or any(each.intensity is None for each in clouds):
+        return None
+    points = []
+    for index, frame, cloud in zip(indices, frames, clouds, strict=True):
+        still = at_moment(cloud, pose_track(data, index), frame, frame.time_ns_of(camera))
+        points.append(cloud.points_m.astype(np.float64) if still is None else still)
+    pictures, strength = [each.images[camera] for each in frames], [each.intensity for each in clouds]
+    known = [each for each in strength if each is not None]
+    return tuple(information_distance(each, pictures, points, known) for each in cameras)
 
 
 def lidars_job(data: Dataset, indices: Sequence[int], first: str, second: str) -> Registration:

@@ -283,8 +283,8 @@ def _matched(
     speed = _speeds(targets, evidence.period_s)
     if len(kept) and len(peaks):
         at = _place(value, targets.place_m, speed, targets.lag_s)
-        distance, partner = cKDTree(peaks[:, :2]).query(at)
-        back = cKDTree(at).query(peaks[:, :2])[1]
+        distance, partner = (np.asarray(each) for each in cKDTree(peaks[:, :2]).query(at))
+        back = np.asarray(cKDTree(at).query(peaks[:, :2])[1])
         kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
     width = targets.size_m.max(axis=1, initial=0.0)
     columns = (targets.place_m, width, speed, targets.lag_s, np.isfinite(targets.velocity[:, 0]))

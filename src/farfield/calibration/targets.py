@@ -198,7 +198,7 @@ def _velocities(
         step = after[:, :2] - place
         near = (np.abs(step[:, 0]) < _STEP_M) & (np.abs(step[:, 1]) < 1.0)
         steps = step[near]
-        distance, partner = tree.query(place - steps) if len(steps) else (np.zeros(0), np.zeros(0, dtype=int))
+        distance, partner = (np.asarray(each) for each in tree.query(place - steps))
         good = distance < _AGREE_M
         candidates.append(0.5 * (steps[good] + place - before[partner[good], :2]))
     usual = _usual(candidates)
