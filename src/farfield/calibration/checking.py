@@ -23,6 +23,7 @@ from farfield.geometry.cameras import Camera
 Verdict = Literal["fits", "off", "moved", "not told"]
 LEAST_FRAMES = 6
 _CLEAR = 3.0  # standard errors over frames
+_OTHER = 2.0  # the same, over half of them
 _OBSERVED = 3.0  # the same, against chance
 _FAR_RAD = np.radians(3.0)  # a camera turned so far meets edges by chance
 _FLOOR_RAD = np.radians(0.25)  # what a median pixel may be off on correct data, as an angle
@@ -83,17 +84,20 @@ def check_camera(camera: Camera, views: Views) -> Check:
         return _unsaid(views.count)
     change = np.stack([difference(each, camera) for each in own])
     pixels = [_pixels(each, views) for each in (camera, *own)]
-    away = min(float(np.nanmedian(np.linalg.norm(each - pixels[0], axis=1))) for each in pixels[1:])
     apart = float(np.nanmedian(np.linalg.norm(pixels[1] - pixels[2], axis=1)))
-    gain, drift = _errors(best - scores[0]), min(_errors((mine - best)[half]) for half in halves)
+    gains = [_errors(each - scores[0]) for each in scores[1:]]
+    better = int(np.argmax(gains))  # one half may have gone astray
+    other = _errors((scores[1 + better] - scores[0])[halves[1 - better]])  # on frames to which it was not fitted
+    away = float(np.nanmedian(np.linalg.norm(pixels[1 + better] - pixels[0], axis=1)))
+    drift = min(_errors((mine - best)[half]) for half in halves)
     agreed = np.where(np.sign(change[0]) == np.sign(change[1]), np.abs(change).min(axis=0), 0.0)
     floor_px = max(1.5, _FLOOR_RAD * float(camera.matrix[0, 0]))
     verdict: Verdict = "fits"
-    if gain > _CLEAR and (away > floor_px or (agreed > _FLOORS).any()):
+    if gains[better] > _CLEAR and other > _OTHER and (away > floor_px or (agreed > _FLOORS).any()):
         verdict = "off"
     if verdict == "fits" and drift > _CLEAR and apart > floor_px:
         verdict = "moved"
-    turn, shift = _sizes(change.mean(axis=0))
+    turn, shift = _sizes(change[better])
     drift_turn, drift_shift = _sizes(difference(own[1], own[0]))
     return Check(
         verdict=verdict,
@@ -103,7 +107,7 @@ def check_camera(camera: Camera, views: Views) -> Check:
         drift_degrees=drift_turn,
         drift_cm=drift_shift,
         frames=views.count,
-        evidence=drift if verdict == "moved" else gain,
+        evidence=drift if verdict == "moved" else gains[better],
     )
 
 

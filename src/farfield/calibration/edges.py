@@ -27,6 +27,7 @@ _SHIFT_M = 0.01
 _REACH_M = 60.0
 _SHARES = np.array([0.6, 0.4])  # of upright and of level edges in a frame's score
 _CLEAR = 3.0  # times the usual gradient
+_LEAST_FRAMES = 7
 _PULL = 0.002  # what one sigma of the prior costs, in mean strength
 
 PARAMETERS = (
@@ -316,7 +317,7 @@ def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[
 
     Args:
         camera: The aligned camera.
-        views: Frames; with fewer than seven the gradients' covariance has no full rank and the sigma is too small.
+        views: Frames; seven or more, or nothing is told.
         level: Scale at which the score is taken to bend.
 
     Returns:
@@ -326,8 +327,9 @@ def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[
     score = partial(_moved_score, camera=camera, views=views, level=level, scale=scale)
     eye = np.eye(6)
     gradient = np.stack([(score(step) - score(-step)) / 2 for step in eye], axis=1)
-    if len(gradient) < 2:
-        return np.full(6, np.inf), ("one frame alone does not tell how far frames disagree",)
+    if len(gradient) < _LEAST_FRAMES:  # their gradients' covariance has no full rank
+        words = f"{len(gradient)} frames do not tell how well the six are known: take {_LEAST_FRAMES} or more"
+        return np.full(6, np.inf), (words,)
     bend = np.zeros((6, 6))
     for i in range(6):
         for j in range(i, 6):
