@@ -27,6 +27,7 @@ VERBS = {
     "evaluate": "run a detector over a data set and score it by range",
     "track": "give detections identities and velocities over time",
     "sync": "match streams of stamps to one of them: offsets, drift, gaps",
+    "calibrate": "solve where radar, camera or a second LiDAR stands, with residuals",
     "odometry": "find the poses of drives from their sweeps, and how far they drift",
     "anonymize": "cover faces in pictures, originals untouched; resumes by itself",
     "depth": "write dense depth maps of the cameras from the LiDAR, with uncertainty",

@@ -24,6 +24,7 @@ def run(
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
     clouds: int = 20,
+    calibration: int = 0,
     workers: int = 0,
     engine: str = "local",
     json: bool = False,
@@ -34,6 +35,7 @@ def run(
       farfield doctor Cirrus_dataset1
       farfield doctor Cirrus_dataset1 --mapping mapping.yaml
       farfield doctor data/kitti --clouds 0 --json > report.json
+      farfield doctor K-Radar --calibration 24
       farfield doctor dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58 --labels v2.1
 
     Exit status 1 when training would fail or score zero.
@@ -46,6 +48,8 @@ def run(
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.
+        calibration: Number of frames, such as 24, with which to check cameras and K-Radar's radar: whether the given
+            calibration fits, and whether a sensor moved during the first drive; 0 does not.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are read.
         json: Print the report as JSON instead of a table.
@@ -55,7 +59,7 @@ def run(
 
     given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
     dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
-    report = examine(dataset, max_clouds=clouds, bulk=hands(workers, engine, "reading"))
+    report = examine(dataset, max_clouds=clouds, calibration=calibration, bulk=hands(workers, engine, "reading"))
     if json:
         sys.stdout.write(json_text.dumps(report.to_json(), indent=1) + "\n")
     else:

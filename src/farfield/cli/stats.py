@@ -67,6 +67,7 @@ def run(
 
 
 def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: int, engine: str) -> "DatasetFigures":
+    from farfield.inspection.placement import placement
     from farfield.inspection.side import has_sensors, side_of
     from farfield.inspection.statistics.census import take_census
     from farfield.inspection.statistics.notes import notes_of
@@ -84,6 +85,7 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: in
         arrays={"name": census.name, "range_m": census.range_m, "objects": census.objects},
         sensors=sensors,
         notes=notes_of(dataset),
+        placed=placement(dataset),
     )
 
 

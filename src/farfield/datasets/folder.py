@@ -243,11 +243,16 @@ class Folder(Dataset):
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(_time_ns(self.frame_ids[index]) for index in indices)
 
+    @property
+    def calibration_file(self) -> Path | None:
+        """The calibration of the camera, one of the usual names in the root, or None."""
+        return next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
         image = self._beside(index, ("", "images"), _IMAGE_SUFFIXES)
-        calibration = next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
+        calibration = self.calibration_file
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
         cameras = {} if calibration is None else read_calibration(calibration)
         load = partial(read_cloud, path, bin_columns=self.bin_columns, intensity_scale=self.intensity_scale)

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.files.atomic import write_bytes, write_text
+from farfield.inspection.placement import Placement
 from farfield.inspection.side import Side
 from farfield.reports import statistics_plots as plots
 from farfield.reports.comparison import Line, table_lines
 from farfield.reports.comparison import pictures as sensor_pictures
 from farfield.reports.pictures import Picture
+from farfield.reports.placement_plot import placement_figure
 from farfield.reports.style import figure_bytes, figure_uri
 from farfield.reports.template import render_template
 
@@ -42,6 +44,7 @@ class DatasetFigures:
         sensors: Clouds, boxes and radar of some frames, as :mod:`farfield.reports.comparison` takes them; None where
             none was read.
         notes: Sentences on what is special: label versions, where conditions come from.
+        placed: Where the sensors stand; None where that is not known.
     """
 
     name: str
@@ -51,6 +54,7 @@ class DatasetFigures:
     arrays: Mapping[str, np.ndarray]
     sensors: Side | None = None
     notes: tuple[str, ...] = ()
+    placed: Placement | None = None
 
 
 def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
@@ -94,10 +98,18 @@ def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
             "Shares of boxes, and how many boxes a frame has.",
         ),
         ("per_frame", plots.per_frame(arrays), "Objects in a frame", "Frames without annotation are left out."),
+        ("sensor_placement", placement_figure(found.placed), "Sensor placement", _placed_caption(found.placed)),
     )
     for name, figure, heading, caption in drawn:
         if figure is not None:
             yield name, figure, heading, caption
+
+
+def _placed_caption(placed: Placement | None) -> str:
+    if placed is None:
+        return ""
+    lacks = f" Not known: {', '.join(placed.unknown)}." if placed.unknown else ""
+    return f"Where the sensors stand in the coordinates of {placed.reference} (cross), metres.{lacks}"
 
 
 def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
@@ -164,6 +176,7 @@ def write_statistics(folder: Path | str, found: DatasetFigures) -> Path:
         drawn.append(Picture(figure_uri(figure), f"{heading} of {found.name}", caption, heading))
     tree = {"name": found.name, "format": found.format, "path": found.path, "notes": list(found.notes)}
     content = {**tree, "annotations": found.census, "sensors": found.sensors and found.sensors.summary}
+    content |= {"placement": None if found.placed is None else found.placed.to_json()}
     write_text(folder / "statistics.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_text(folder / "statistics.html", render(found, drawn))
     return folder / "statistics.html"

@@ -33,6 +33,13 @@ from farfield.datasets.kradar.layout import (
 from farfield.datasets.kradar.motion import TimedTable
 from farfield.datasets.kradar.products import read_eye, read_lidar, read_radar
 from farfield.datasets.kradar.radar_cloud import RADAR_CLOUD, RadarView
+from farfield.datasets.kradar.radar_pose import (
+    matching_path,
+    os2_T_radar_from,
+    read_matching,
+    read_os2_T_os1,
+    sequence_yaw_rad,
+)
 from farfield.datasets.kradar.record import FrameRecord, read_record, record_path
 from farfield.datasets.kradar.sequence import RELEASES, SequenceFacts, annotated_poses, read_sequence
 from farfield.datasets.kradar.sequence_files import quarters
@@ -55,7 +62,8 @@ class KRadar(Dataset):
     ``<radar>_<os2-64>``. What a frame has depends on the files that are there:
 
     - clouds ``os2-64`` and ``os1-128``, without missing returns. The os1-128's cloud keeps its own sensor's axes: no
-      official calibration between the two exists; ``sensors["os1-128"].frame_T_sensor`` is known where the writer was.
+      official calibration between the two exists; ``sensors["os1-128"].frame_T_sensor`` is known where the writer knew
+      it or ``farfield calibrate lidar-lidar`` wrote it.
     - cloud ``radar``: the radar's strongest cells as points, column ``power`` their power over 1e13 (linear),
       ``doppler_m_s`` where it is known; see :mod:`~farfield.datasets.kradar.radar_cloud`.
     - radar ``tesseract``, ``cube``, ``polar3d``, ``sparse``, ``cells`` on the radar's axes
@@ -115,6 +123,7 @@ class KRadar(Dataset):
         self.roots = (self.root, *map(Path, roots))
         self._files = Files(self.roots)
         self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
+        self._yaw_rad = {name: sequence_yaw_rad(self._files, name) for name in self._geometry}
         versions = tuple(LABEL_TREES) if labels is None else (labels,)
         self.entries: Sequence[Entry] = [
             entry
@@ -192,7 +201,7 @@ class KRadar(Dataset):
             indices=indices,
             radar=Lazy(_products(paths)),
             reference="os2-64",
-            sensors=_sensors(paths, shared.cameras, times, os2_T_radar, record),
+            sensors=_sensors(paths, shared.cameras, times, os2_T_radar, self._os2_T_os1(entry.sequence, record)),
             metadata=Lazy(_files(entry, self._record_path(entry), paths) | _measured(shared, time_ns)),
         )
         return _USUAL_VIEW(frame, none_before)
@@ -273,9 +282,21 @@ class KRadar(Dataset):
         known = record.pose("world_T_lidar") if record is not None else None
         return self._of_sequence(self.sequences[index])[1].get(index) if known is None else known
 
+    def _os2_T_os1(self, sequence: str, record: FrameRecord | None) -> Float[np.ndarray, "4 4"] | None:
+        """As ``farfield calibrate lidar-lidar`` wrote it, or else as the writer knew it."""
+        found = read_os2_T_os1(self._files, sequence)
+        return record.pose("os2_T_os1") if found is None and record is not None else found
+
     def _os2_T_radar(self, index: int) -> Float[np.ndarray, "4 4"]:
-        _, x_m, y_m = self._geometry[self.sequences[index]]
-        return os2_T_radar() if x_m is None or y_m is None else os2_T_radar(x_m, y_m)
+        sequence = self.sequences[index]
+        own = self._files.find(matching_path(sequence, self.frame_ids[index]))
+        if own is not None:
+            return read_matching(own).os2_T_radar
+        _, x_m, y_m = self._geometry[sequence]
+        if x_m is None or y_m is None:
+            return os2_T_radar()
+        yaw_rad = self._yaw_rad[sequence]
+        return os2_T_radar_from(-x_m, -y_m, yaw_rad) if yaw_rad else os2_T_radar(x_m, y_m)
 
 
 def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
@@ -303,13 +324,12 @@ def _sensors(
     cameras: Mapping[str, Camera],
     times: Mapping[str, int],
     os2_T_radar: Float[np.ndarray, "4 4"],
-    record: FrameRecord | None,
+    os2_T_os1: Float[np.ndarray, "4 4"] | None,
 ) -> dict[str, Sensor]:
     """Where each sensor stands in the os2-64's coordinates, in which its own cloud and the radar's points are."""
     known = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=times.get("os2-64"))}
     if "os1-128" in paths:
-        pose = record.pose("os2_T_os1") if record is not None else None
-        known["os1-128"] = Sensor(kind="lidar", frame_T_sensor=pose, in_frame=False, time_ns=times.get("os1-128"))
+        known["os1-128"] = Sensor(kind="lidar", frame_T_sensor=os2_T_os1, in_frame=False, time_ns=times.get("os1-128"))
     products = [name for name in RADAR_PRODUCTS if name in paths]
     taken_ns = next((times[name] for name in (RADAR_CLOUD, *products) if name in times), None)
     known[RADAR_CLOUD] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, time_ns=taken_ns)

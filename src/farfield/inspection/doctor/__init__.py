@@ -5,6 +5,7 @@ from typing import Any
 from farfield.bulk import HERE, Bulk
 from farfield.datasets.base import Dataset
 from farfield.inspection.doctor import content, conventions, inventory
+from farfield.inspection.doctor.calibration import calibration as check_calibration
 from farfield.inspection.doctor.findings import Finding, Report
 from farfield.inspection.doctor.kradar import kradar
 from farfield.inspection.doctor.stamps import stamps
@@ -26,12 +27,13 @@ _CHECKS = (
 )
 
 
-def examine(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Report:
+def examine(dataset: Dataset, *, max_clouds: int = 20, calibration: int = 0, bulk: Bulk = HERE) -> Report:
     """Examine a data set.
 
     Args:
         dataset: What :func:`farfield.datasets.open_dataset` gave.
         max_clouds: Number of frames whose clouds are read, spread evenly; 0 reads all. Annotations are all read.
+        calibration: Number of frames with which to check the calibrations that the data set gives; 0 does not.
         bulk: Who reads the frames.
 
     Returns:
@@ -40,4 +42,6 @@ def examine(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Rep
     found = survey(dataset, max_clouds=max_clouds, bulk=bulk)
     facts: dict[str, Any] = {}
     findings = [finding for check in _CHECKS for finding in check(found, facts)]
+    if calibration:
+        findings += check_calibration(dataset, calibration, facts)
     return Report(path=str(dataset.root), format=dataset.name, findings=tuple(findings), facts=facts)

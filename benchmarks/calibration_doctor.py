@@ -1,0 +1,169 @@
+"""How often the doctor finds a planted error of calibration, and that it claims none on correct data.
+
+Simulates twenty K-Radar drives by day, each 24 frames in four runs of six with pictures, plants errors of 0.1 to 2
+degrees about, or 2 to 40 cm along, a random axis (radar: yaw, and a random direction in the plane; camera: any), and
+counts the claims. Drives are kept in --data and checks in its journal, so that a second run goes on.
+
+    python benchmarks/calibration_doctor.py --output benchmarks/results/calibration_doctor.txt
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _report import header, progress
+
+from farfield.calibration.checking import check_camera, check_radar
+from farfield.calibration.edges import Views, moved
+from farfield.calibration.radar_lidar import RadarPose
+from farfield.datasets import open_dataset
+from farfield.datasets.kradar.writer import KRadarWriter
+from farfield.geometry.cameras import Camera
+from farfield.inspection.doctor.calibration import camera_views, radar_evidence
+from farfield.simulation import find_preset, simulate_frame
+
+ROADS = ("urban", "suburban", "highway")
+SETS = 20
+RUNS = (30, 100, 170, 240)
+LENGTH = 6
+PICTURES = (0, 3, 5)
+ERRORS = (
+    ("correct", 0.0),
+    *(("deg", each) for each in (1.0, 0.1, 0.2, 0.5, 2.0)),
+    *(("cm", each) for each in (20.0, 2.0, 5.0, 10.0, 40.0)),
+    ("drift deg", 1.0),
+    ("drift cm", 20.0),
+)
+
+
+NOT_PLANTED = {("radar", "drift deg"), ("radar", "drift cm")}
+
+
+def simulate_set(folder: Path, number: int) -> Path:
+    """One drive as a K-Radar; frames that are there are kept."""
+    preset = find_preset("kradar-sim", road=ROADS[number % 3], time="day", weather="normal", duration_s=30.0)
+    writer = KRadarWriter(folder / f"{number:02d}")
+    if (writer.root / "done").exists():
+        return writer.root
+    for start in RUNS:
+        for step in range(LENGTH):
+            sensors = ("os2-64", "sparse", *(("cam-front",) if step in PICTURES else ()))
+            frame = simulate_frame(preset, seed=1000 + number, sequence=0, index=start + step, sensors=sensors)
+            if not writer.paths(frame)["record"].exists():
+                writer.write(frame)
+    writer.finish()
+    (writer.root / "done").touch()
+    return writer.root
+
+
+def planted_camera(camera: Camera, kind: str, size: float, rng: np.random.Generator) -> Camera:
+    """The camera turned about, or shifted along, a random axis."""
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    delta = np.zeros(6)
+    delta[slice(0, 3) if kind.endswith("deg") else slice(3, 6)] = axis
+    return moved(camera, delta * (np.radians(size) if kind.endswith("deg") else size / 100))
+
+
+def planted_radar(pose: RadarPose, kind: str, size: float, rng: np.random.Generator) -> RadarPose:
+    """The radar's pose with another yaw, or shifted in the plane."""
+    if kind.endswith("deg"):
+        return replace(pose, yaw_rad=pose.yaw_rad + float(np.radians(size) * rng.choice([-1, 1])))
+    turn = rng.uniform(0, 2 * np.pi)
+    x, y = np.array([np.cos(turn), np.sin(turn)]) * size / 100
+    return replace(pose, x_m=pose.x_m + float(x), y_m=pose.y_m + float(y))
+
+
+def drifted(camera: Camera, views: Views, kind: str, size: float, rng: np.random.Generator) -> Views:
+    """The LiDAR's edges of the second half of the drive as they are seen after the camera has moved."""
+    late = views.frame >= views.count // 2
+    away = planted_camera(camera, kind, size, rng)
+    step = np.linalg.inv(away.camera_T_lidar) @ camera.camera_T_lidar
+    points = views.points_m.copy()
+    points[late] = points[late] @ step[:3, :3].T + step[:3, 3]
+    return replace(views, points_m=points)
+
+
+def check_set(
+    root: Path, number: int, done: set[tuple[int, str, str, float]], sensors: tuple[str, ...]
+) -> Iterator[dict[str, Any]]:
+    """All checks of one drive that are not in the journal."""
+    data, wanted = open_dataset(root), [(s, k, e) for s in sensors for k, e in ERRORS]
+    wanted = [
+        each for each in wanted if (number, *each) not in done and not (each[0] == "radar" and "drift" in each[1])
+    ]
+    if not wanted:
+        return
+    if "camera" in sensors:
+        camera, views = camera_views(data, range(len(data)), "cam-front")
+    if "radar" in sensors:
+        pose, evidence = radar_evidence(data, range(len(data)))
+    for sensor, kind, size in wanted:
+        rng = np.random.default_rng((number, int(10 * size), len(kind)))
+        if sensor == "radar":
+            found = check_radar(planted_radar(pose, kind, size, rng), evidence)
+        elif "drift" in kind:
+            found = check_camera(camera, drifted(camera, views, kind, size, rng))
+        else:
+            found = check_camera(planted_camera(camera, kind, size, rng), views)
+        yield {"set": number, "sensor": sensor, "kind": kind, "size": size, **vars(found)}
+
+
+def _in_order(error: tuple[str, float]) -> tuple[int, float]:
+    return ["correct", "deg", "cm", "drift deg", "drift cm"].index(error[0]), error[1]
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Claims by sensor and error."""
+    yield f"{'':<8}{'error':>16}{'sets':>6}{'off':>7}{'moved':>7}{'not told':>10}   median: deg    cm    px  evidence"
+    for sensor in ("camera", "radar"):
+        for kind, size in sorted(ERRORS, key=_in_order):
+            own = [row for row in rows if (row["sensor"], row["kind"], row["size"]) == (sensor, kind, size)]
+            if own:
+                verdicts = [row["verdict"] for row in own]
+                counts = [verdicts.count(word) for word in ("off", "moved", "not told")]
+                turn, cm, px, sure = (
+                    np.median([row[key] for row in own]) for key in ("degrees", "cm", "px", "evidence")
+                )
+                what = kind if kind == "correct" else f"{kind} {size:g}"
+                yield (
+                    f"{sensor:<8}{what:>16}{len(own):6d}{counts[0]:7d}{counts[1]:7d}{counts[2]:10d}"
+                    f"   {turn:11.2f}{cm:6.1f}{px:6.1f}{sure:10.1f}"
+                )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("data/calibration_doctor"))
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--sets", type=int, default=SETS)
+    parser.add_argument("--sensors", nargs="+", default=["camera", "radar"])
+    options = parser.parse_args()
+    journal = options.data / "checks.jsonl"
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in journal.read_text().splitlines()] if journal.exists() else []
+    for number in progress(range(options.sets), "drives"):
+        root = simulate_set(options.data, number)
+        done = {(row["set"], row["sensor"], row["kind"], row["size"]) for row in rows}
+        for row in check_set(root, number, done, tuple(options.sensors)):
+            rows.append(row)
+            with journal.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        lines = [
+            header(),
+            f"{options.sets} drives, 24 frames and 12 pictures each; kradar-sim by day",
+            "",
+            *table(rows),
+        ]
+        if options.output:
+            options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Correlation of bird's-eye maps: a start for radar-LiDAR calibration that needs no matches.
+
+Both sensors' maps of 0.4 m cells are correlated over all shifts by FFT, summed over frames, for each yaw and each frame
+offset. On a road at constant speed, frame offset and x explain the standing world equally well; what drives at another
+speed decides, so the best few of each frame offset are kept for the objects to judge.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex64, Float
+from scipy import fft, ndimage
+
+from farfield.calibration.moments import Moment
+
+CELL_M = 0.4
+_SHAPE = (192, 160)  # 76.8 m ahead, 32 m to each side
+_SMOOTH = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """One explanation of the maps.
+
+    Args:
+        frames: Radar frames to add to those that the data set pairs.
+        yaw_rad: Yaw of ``radar_T_lidar``.
+        x_m: Its x.
+        y_m: Its y.
+        score: Correlation, normalised to 1 for equal maps.
+    """
+
+    frames: int
+    yaw_rad: float
+    x_m: float
+    y_m: float
+    score: float
+
+
+def correlate(
+    moments: Sequence[Moment],
+    guess: Start,
+    *,
+    reach_m: float = 3.0,
+    frames: int = 4,
+    yaw_rad: float = np.radians(4.0),
+    step_rad: float = np.radians(0.5),
+) -> list[Start]:
+    """Best explanation of each frame offset, best first.
+
+    Args:
+        moments: Frames of one sequence.
+        guess: Where to look around.
+        reach_m: How far x and y may be off.
+        frames: How many frames the offset may be off.
+        yaw_rad: How far the yaw may be off.
+        step_rad: Step of the yaw.
+    """
+    radar = {each.number: _spectrum(each.echoes_m, each.power_db) for each in moments}
+    best: dict[int, Start] = {}
+    count = round(yaw_rad / step_rad)
+    for yaw in guess.yaw_rad + step_rad * np.arange(-count, count + 1):
+        lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments}
+        for offset in range(guess.frames - frames, guess.frames + frames + 1):
+            found = _peak(lidar, radar, offset, reach_m)
+            if found and (offset not in best or found[0] > best[offset].score):
+                x, y = guess.x_m + found[1], guess.y_m + found[2]
+                best[offset] = Start(frames=offset, yaw_rad=float(yaw), x_m=x, y_m=y, score=found[0])
+    return sorted(best.values(), key=_by_score, reverse=True)
+
+
+def _by_score(start: Start) -> float:
+    return start.score
+
+
+def _moved(points_m: Float[np.ndarray, "n 3"], yaw_rad: float, guess: Start) -> Float[np.ndarray, "n 2"]:
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    x, y = points_m[:, 0], points_m[:, 1]
+    return np.column_stack([cos * x - sin * y + guess.x_m, sin * x + cos * y + guess.y_m])
+
+
+def bird_map(
+    points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
+) -> Float[np.ndarray, "192 160"]:
+    """Largest value in each cell, or 1 where there is a point; x along the first axis."""
+    index = np.floor(points_m[:, :2] / CELL_M).astype(int) + np.array([0, _SHAPE[1] // 2])
+    kept = ((index >= 0) & (index < _SHAPE)).all(axis=1)
+    grid = np.zeros(_SHAPE, dtype=np.float32)
+    weight = np.ones(len(points_m)) if values is None else values
+    np.maximum.at(grid, (index[kept, 0], index[kept, 1]), weight[kept].astype(np.float32))
+    return grid
+
+
+def _spectrum(
+    points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
+) -> Complex64[np.ndarray, "h w"]:
+    grid = ndimage.gaussian_filter(bird_map(points_m, values), _SMOOTH)
+    grid -= ndimage.uniform_filter(grid, 25)  # what is slow across the map says little
+    norm = float(np.linalg.norm(grid)) or 1.0
+    return fft.rfft2(grid / norm)
+
+
+def _peak(
+    lidar: Mapping[int, Complex64[np.ndarray, "h w"]],
+    radar: Mapping[int, Complex64[np.ndarray, "h w"]],
+    offset: int,
+    reach_m: float,
+) -> tuple[float, float, float] | None:
+    pairs = [(each, radar[number + offset]) for number, each in lidar.items() if number + offset in radar]
+    if not pairs:
+        return None
+    cross = sum(np.conj(one) * other for one, other in pairs)
+    values = fft.irfft2(cross, s=_SHAPE) / len(pairs)
+    reach = int(np.ceil(reach_m / CELL_M))
+    window = np.roll(values, (reach + 1, reach + 1), axis=(0, 1))[: 2 * reach + 3, : 2 * reach + 3]
+    row, column = np.unravel_index(np.argmax(window[1:-1, 1:-1]), (2 * reach + 1, 2 * reach + 1))
+    top = float(window[row + 1, column + 1])
+    dx = _parabola(window[row : row + 3, column + 1])
+    dy = _parabola(window[row + 1, column : column + 3])
+    return top, CELL_M * (float(row) - reach + dx), CELL_M * (float(column) - reach + dy)
+
+
+def _parabola(three: Float[np.ndarray, " 3"]) -> float:
+    low, mid, high = (float(value) for value in three)
+    bend = low - 2 * mid + high
+    return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0

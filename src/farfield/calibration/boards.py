@@ -1,0 +1,251 @@
+"""Intrinsics and distortion from pictures of a chessboard or a ChArUco board (Zhang, PAMI 2000, by OpenCV).
+
+A chessboard has to be seen whole; of a ChArUco board (a chessboard with markers in its white squares) a part is enough,
+so that corners of the picture, where distortion shows, are reached. Needs OpenCV.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped, UInt8
+from scipy.spatial import cKDTree
+
+from farfield.errors import ConfigError, MissingExtraError
+from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES, Camera
+
+LEAST_PICTURES = 5
+_LEAST_CORNERS = 8
+_WORST = 3.0  # times the median error: a picture with a wrong corner
+_DICTIONARY = "DICT_5X5_1000"
+_MARKER = 0.72  # of a square's side
+_WINDOW = 0.075  # of a square's side: markers begin at 0.14
+_COEFFICIENTS = 5
+_ASKED = 2.0  # times the criterion's own: corners of one picture err together
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """A flat board of squares.
+
+    Args:
+        columns: Inner corners in a row: one less than squares.
+        rows: Inner corners in a column.
+        square_m: Side of a square; sets the scale of the boards' poses alone, not of the intrinsics.
+        markers: Whether it is a ChArUco board (5 x 5 markers of OpenCV's dictionary of 1,000, 0.72 of a square).
+    """
+
+    columns: int = 9
+    rows: int = 6
+    square_m: float = 0.03
+    markers: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.columns, self.rows) < 2 or not 0 < self.square_m < 10:
+            raise ConfigError(f"board: expected two or more inner corners each way and a side, got {self}")
+
+    @property
+    def places_m(self) -> Float[np.ndarray, "n 3"]:
+        """Inner corners on the board, row by row, shape (n, 3); z is 0."""
+        y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1]
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * self.square_m
+
+    def detector(self) -> Any:
+        """OpenCV's description of the ChArUco board."""
+        cv2 = opencv()
+        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY))
+        size = (self.columns + 1, self.rows + 1)
+        return cv2.aruco.CharucoBoard(size, self.square_m, _MARKER * self.square_m, words)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sighting:
+    """The board in one picture.
+
+    Args:
+        name: The picture.
+        corner: Numbers of the corners that were found, shape (n,).
+        pixels: Their pixels, shape (n, 2).
+        size_px: Width and height of the picture.
+    """
+
+    name: str
+    corner: Int[np.ndarray, " n"]
+    pixels: Float[np.ndarray, "n 2"]
+    size_px: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoardCalibration:
+    """What was found.
+
+    Args:
+        camera: Intrinsics and distortion; the pose is that of a camera that looks ahead.
+        sigma: Standard deviations of fx, fy, cx, cy in pixels and of the five coefficients, shape (9,).
+        error_px: Root mean square distance of each picture's corners from where the solution puts them.
+        used: Names of the pictures used.
+        left_out: Names of the others and why.
+        covered: Share of the picture's 6 x 4 fields in which a corner was seen.
+    """
+
+    camera: Camera
+    sigma: Float[np.ndarray, " 9"]
+    error_px: Float[np.ndarray, " n"]
+    used: tuple[str, ...]
+    left_out: dict[str, str]
+    covered: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the pictures do not tell well."""
+        notes = []
+        if self.covered < 0.75:
+            notes.append(f"corners were seen in {self.covered:.0%} of the picture: distortion is a guess in the rest")
+        if self.sigma[0] > 0.005 * self.camera.matrix[0, 0]:
+            notes.append("the focal length is not known to 0.5 %: take pictures with the board tilted by 30 degrees")
+        return tuple(notes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything that was found."""
+        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        return {
+            "kind": "board",
+            "matrix": self.camera.matrix.tolist(),
+            "distortion": self.camera.distortion.tolist(),
+            "size_px": [self.camera.width_px, self.camera.height_px],
+            "sigma": dict(zip(names, self.sigma.tolist(), strict=True)),
+            "error_px": dict(zip(self.used, self.error_px.round(4).tolist(), strict=True)),
+            "left_out": self.left_out,
+            "covered": self.covered,
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    matrix: Any
+    distortion: Any
+    sigma: Any
+    error_px: Float[np.ndarray, " n"]
+    sightings: list[Sighting] = field(default_factory=list)
+
+
+def opencv() -> Any:
+    """OpenCV.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    if find_spec("cv2") is None:
+        raise MissingExtraError("opencv-python-headless", "privacy", "calibrating from pictures of a board")
+    import cv2
+
+    return cv2
+
+
+def find_board(picture: UInt8[np.ndarray, "height width 3"], board: Board, name: str = "") -> Sighting | None:
+    """Find the board's inner corners in a picture; None where it is not seen.
+
+    Args:
+        picture: RGB.
+        board: The board.
+        name: What to call the picture.
+    """
+    cv2 = opencv()
+    grey = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY)
+    size = (picture.shape[1], picture.shape[0])
+    if board.markers:
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.detector()).detectBoard(grey)
+        if numbers is None or len(numbers) < _LEAST_CORNERS:
+            return None
+        found, pixels = numbers.ravel().astype(np.int64), _refined(grey, corners.reshape(-1, 2), _WINDOW)
+        return Sighting(name=name, corner=found, pixels=pixels, size_px=size)
+    flags = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+    done, corners = cv2.findChessboardCornersSB(grey, (board.columns, board.rows), flags=flags)
+    if not done:
+        return None
+    pixels = _refined(grey, corners.reshape(-1, 2), 2 * _WINDOW)
+    return Sighting(name=name, corner=np.arange(len(pixels)), pixels=pixels, size_px=size)
+
+
+def _refined(
+    grey: UInt8[np.ndarray, "height width"], pixels: Shaped[np.ndarray, "n 2"], window: float
+) -> Float[np.ndarray, "n 2"]:
+    """Corners to a tenth of a pixel, in a window (in squares) that holds one corner and no marker's edge."""
+    cv2 = opencv()
+    apart = np.asarray(cKDTree(pixels).query(pixels, k=2)[0])
+    square_px = float(np.median(apart[:, 1]))
+    half = int(np.clip(round(window * square_px), 2, 6))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+    begun = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    return np.asarray(cv2.cornerSubPix(grey, begun, (half, half), (-1, -1), stop).reshape(-1, 2), dtype=np.float64)
+
+
+def calibrate_board(sightings: Iterable[Sighting], board: Board) -> BoardCalibration:
+    """Solve for intrinsics and distortion.
+
+    Pictures whose corners fit three times worse than the median picture's are left out, once.
+
+    Args:
+        sightings: The board in several pictures of one camera, tilted and in all parts of the picture.
+        board: The board.
+
+    Raises:
+        ConfigError: If there are fewer than five, or of different sizes.
+        MissingExtraError: If OpenCV is not there.
+    """
+    seen = list(sightings)
+    sizes = sorted({each.size_px for each in seen})
+    if len(seen) < LEAST_PICTURES or len(sizes) != 1:
+        got = f"{len(seen)} of the sizes {sizes}" if len(sizes) > 1 else f"{len(seen)}"
+        raise ConfigError(f"board: expected {LEAST_PICTURES} or more pictures of one size with the board, got {got}")
+    solved = _solve(seen, board)
+    bad = solved.error_px > _WORST * np.median(solved.error_px)
+    left_out = {
+        each.name: f"fits {error:.2f} px, the median picture {np.median(solved.error_px):.2f} px"
+        for each, error, out in zip(seen, solved.error_px, bad, strict=True)
+        if out
+    }
+    if left_out and len(seen) - len(left_out) >= LEAST_PICTURES:
+        solved = _solve([each for each in seen if each.name not in left_out], board)
+    else:
+        left_out = {}
+    width, height = sizes[0]
+    camera = Camera(
+        matrix=np.asarray(solved.matrix, dtype=np.float64),
+        distortion=np.asarray(solved.distortion, dtype=np.float64).ravel()[:_COEFFICIENTS],
+        camera_T_lidar=CAMERA_T_LIDAR_AXES.copy(),
+        width_px=width,
+        height_px=height,
+    )
+    return BoardCalibration(
+        camera=camera,
+        sigma=np.asarray(solved.sigma, dtype=np.float64).ravel()[: 4 + _COEFFICIENTS],
+        error_px=solved.error_px,
+        used=tuple(each.name for each in solved.sightings),
+        left_out=left_out,
+        covered=_covered(solved.sightings),
+    )
+
+
+def _solve(seen: list[Sighting], board: Board) -> _Solved:
+    """Without k3, and with it where the corners ask for it (Bayesian information criterion)."""
+    cv2 = opencv()
+    places = board.places_m.astype(np.float32)
+    objects = [places[each.corner] for each in seen]
+    pixels = [each.pixels.astype(np.float32).reshape(-1, 1, 2) for each in seen]
+    tried = []
+    for flags in (cv2.CALIB_FIX_K3, 0):
+        done = cv2.calibrateCameraExtended(objects, pixels, seen[0].size_px, None, None, flags=flags)
+        rms, matrix, distortion, _, _, sigma, _, error = done
+        tried.append((rms, _Solved(matrix, distortion, sigma, np.asarray(error, dtype=np.float64).ravel(), seen)))
+    numbers = 2 * sum(len(each.corner) for each in seen)
+    gain = 2 * numbers * np.log(tried[0][0] / max(tried[1][0], 1e-12))
+    return tried[int(gain > _ASKED * np.log(numbers))][1]
+
+
+def _covered(seen: list[Sighting]) -> float:
+    fields = [np.floor(each.pixels / np.array(each.size_px) * [6, 4]).clip(0, [5, 3]) for each in seen]
+    return len(np.unique(np.concatenate(fields), axis=0)) / 24

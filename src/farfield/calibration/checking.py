@@ -1,0 +1,200 @@
+"""Does a given calibration fit the data? How far off is it, and did a sensor move during the drive?
+
+A camera is aligned from its given calibration on each half of the frames, the first and the second in time. It is
+called off where the edges' score over frames gains clearly and the camera moved by more than it moves on correct data,
+in pixels or on both halves alike; edges that fit nowhere much better than by chance tell nothing. It drifted where each
+half's own camera fits that half clearly better than the other half's camera does. A K-Radar radar is refined from
+matched objects likewise; it takes some forty frames of a busy road to tell anything.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved
+from farfield.calibration.problems import Solution
+from farfield.calibration.radar_lidar import Evidence, RadarPose, refine_radar
+from farfield.errors import DatasetError
+from farfield.geometry.cameras import Camera
+
+Verdict = Literal["fits", "off", "moved", "not told"]
+LEAST_FRAMES = 6
+_CLEAR = 3.0  # standard errors over frames
+_OTHER = 2.0  # the same, over half of them
+_OBSERVED = 3.0  # the same, against chance
+_FAR_RAD = np.radians(3.0)  # a camera turned so far meets edges by chance
+_FLOOR_RAD = np.radians(0.4)  # a median pixel may be off so far on correct data (0.32 on KITTI)
+_FLOORS = np.array([np.radians(0.5)] * 3 + [0.12] * 3)  # and a turn or a shift on which both halves agree
+_LEVEL = 2
+_FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
+_RADAR_FLOOR = np.array([0.12, 0.12, np.radians(0.3)])
+_SIGMAS = 3.0
+_TOLD = np.array([0.12, np.radians(0.35)])  # sigma of y and yaw: with more, a radar is not judged
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Check:
+    """What a check says.
+
+    Args:
+        verdict: ``"fits"``, ``"off"``, ``"moved"`` during the drive, or ``"not told"`` by these data.
+        degrees: Largest turn between the given and the found calibration.
+        cm: Largest shift.
+        px: Median distance between the pixels of the two; 0 for a radar.
+        drift_degrees: Largest turn between the calibrations of the first and the second half.
+        drift_cm: Their largest shift.
+        frames: Frames used.
+        evidence: Standard errors by which the found one is better, or sigmas by which it is away.
+    """
+
+    verdict: Verdict
+    degrees: float
+    cm: float
+    px: float
+    drift_degrees: float
+    drift_cm: float
+    frames: int
+    evidence: float
+
+    @property
+    def claimed(self) -> bool:
+        """Whether something is said to be wrong."""
+        return self.verdict in ("off", "moved")
+
+
+def check_camera(camera: Camera, views: Views) -> Check:
+    """Check a camera's calibration.
+
+    Args:
+        camera: The calibration as given, with the picture's size.
+        views: Edges of six or more frames in the order of time.
+    """
+    halves = [np.arange(views.count) < views.count // 2, np.arange(views.count) >= views.count // 2]
+    if views.count < LEAST_FRAMES:
+        return _unsaid(views.count)
+    own = [align_edges(camera, _only(views, half), sigma=_FIRST) for half in halves]
+    scores = np.stack([edge_score(each, views, _LEVEL) for each in (camera, *own)])
+    chance = np.mean([edge_score(moved(camera, each), views, _LEVEL) for each in _far()], axis=0)
+    best = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
+    mine = np.where(halves[0], scores[1], scores[2])
+    if _errors(best - chance) < _OBSERVED and _errors(mine - chance) < 2 * _OBSERVED:
+        return _unsaid(views.count)
+    change = np.stack([difference(each, camera) for each in own])
+    pixels = [_pixels(each, views) for each in (camera, *own)]
+    apart = float(np.nanmedian(np.linalg.norm(pixels[1] - pixels[2], axis=1)))
+    gains = [_errors(each - scores[0]) for each in scores[1:]]
+    better = int(np.argmax(gains))  # one half may have gone astray
+    other = _errors((scores[1 + better] - scores[0])[halves[1 - better]])  # on frames to which it was not fitted
+    away = float(np.nanmedian(np.linalg.norm(pixels[1 + better] - pixels[0], axis=1)))
+    drift = min(_errors((mine - best)[half]) for half in halves)
+    agreed = np.where(np.sign(change[0]) == np.sign(change[1]), np.abs(change).min(axis=0), 0.0)
+    floor_px = max(1.5, _FLOOR_RAD * float(camera.matrix[0, 0]))
+    verdict: Verdict = "fits"
+    if gains[better] > _CLEAR and other > _OTHER and (away > floor_px or (agreed > _FLOORS).any()):
+        verdict = "off"
+    if verdict == "fits" and drift > _CLEAR and apart > floor_px:
+        verdict = "moved"
+    turn, shift = _sizes(change[better])
+    drift_turn, drift_shift = _sizes(difference(own[1], own[0]))
+    return Check(
+        verdict=verdict,
+        degrees=turn,
+        cm=shift,
+        px=away if verdict != "moved" else apart,
+        drift_degrees=drift_turn,
+        drift_cm=drift_shift,
+        frames=views.count,
+        evidence=drift if verdict == "moved" else gains[better],
+    )
+
+
+def _unsaid(frames: int) -> Check:
+    return Check(
+        verdict="not told", degrees=0.0, cm=0.0, px=0.0, drift_degrees=0.0, drift_cm=0.0, frames=frames, evidence=0.0
+    )
+
+
+def _far() -> list[Float[np.ndarray, " 6"]]:
+    """Turns after which edges meet by chance, in yaw and pitch."""
+    signs = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
+    return [np.array([a * _FAR_RAD, b * _FAR_RAD, 0, 0, 0, 0]) for a, b in signs]
+
+
+def _only(views: Views, frames: Bool[np.ndarray, " frames"]) -> Views:
+    """The edges of some frames."""
+    kept = frames[views.frame]
+    number = np.cumsum(frames) - 1
+    return replace(
+        views,
+        points_m=views.points_m[kept],
+        frame=number[views.frame[kept]],
+        axis=views.axis[kept],
+        weight=views.weight[kept],
+        levels=tuple(level[frames] for level in views.levels),
+    )
+
+
+def _errors(gain: Float[np.ndarray, " n"]) -> float:
+    """Mean in standard errors."""
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-9)) if len(gain) > 1 else 0.0
+
+
+def _pixels(camera: Camera, views: Views) -> Float[np.ndarray, "n 2"]:
+    return replace(camera, width_px=0, height_px=0).project(views.points_m)[0]
+
+
+def _sizes(change: Float[np.ndarray, " 6"]) -> tuple[float, float]:
+    """Largest turn in degrees and largest shift in centimetres."""
+    return float(np.degrees(np.abs(change[:3]).max())), 100 * float(np.abs(change[3:]).max())
+
+
+def check_radar(given: RadarPose, evidence: Evidence) -> Check:
+    """Check a K-Radar radar's x, y and yaw by the objects that both sensors see.
+
+    Args:
+        given: The calibration as the files have it.
+        evidence: Frames in runs of consecutive ones.
+    """
+    count = len(evidence.moments)
+    try:
+        whole = refine_radar(evidence, given)
+    except DatasetError:
+        return _unsaid(count)
+    if (whole.sigma[1:3] > _TOLD).any():
+        return _unsaid(count)
+    change = whole.value[:3] - given.vector[:3]
+    limit = np.maximum(_SIGMAS * whole.sigma[:3], _RADAR_FLOOR)
+    sigmas = float((np.abs(change) / whole.sigma[:3]).max())
+    verdict: Verdict = "off" if (np.abs(change) > limit).any() else "fits"
+    apart = np.zeros(3)
+    halves = [] if verdict == "off" else [_half(evidence, given, late=late) for late in (False, True)]
+    found = [each for each in halves if each is not None]
+    if len(found) == 2:
+        apart = found[1].value[:3] - found[0].value[:3]
+        spread = np.hypot(found[0].sigma[:3], found[1].sigma[:3])
+        told = (spread[1:] < 2 * _TOLD).all()
+        if told and (np.abs(apart) > np.maximum(_SIGMAS * spread, 1.5 * _RADAR_FLOOR)).any():
+            verdict, sigmas = "moved", float((np.abs(apart) / spread).max())
+    return Check(
+        verdict=verdict,
+        degrees=float(np.degrees(abs(change[2]))),
+        cm=100 * float(np.abs(change[:2]).max()),
+        px=0.0,
+        drift_degrees=float(np.degrees(abs(apart[2]))),
+        drift_cm=100 * float(np.abs(apart[:2]).max()),
+        frames=count,
+        evidence=sigmas,
+    )
+
+
+def _half(evidence: Evidence, given: RadarPose, *, late: bool) -> Solution | None:
+    middle: Sequence[int] = sorted(evidence.targets)
+    limit = middle[len(middle) // 2]
+    kept = {number: each for number, each in evidence.targets.items() if (number >= limit) == late}
+    try:
+        return refine_radar(replace(evidence, targets=kept), given)
+    except DatasetError:
+        return None

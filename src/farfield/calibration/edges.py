@@ -1,0 +1,369 @@
+"""LiDAR to camera without targets: depth edges of the LiDAR on grey-value edges of pictures, coarse to fine.
+
+Levinson and Thrun, "Automatic online calibration of cameras and lasers" (RSS 2013), with gradients blurred by 8, 4, 2
+and 1 pixels in turn in place of an inverse distance transform. Rings see upright edges and columns level ones; each is
+compared with the picture's gradient across it.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Float16, Int, Shaped
+from scipy import ndimage
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from farfield.calibration.problems import Parameter, unobserved
+from farfield.geometry.cameras import Camera
+
+SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
+_JUMP_M = 0.5
+_LARGEST_JUMP_M = 5.0
+_BIN_DEG = 0.42
+_TURN = np.radians(0.1)
+_SHIFT_M = 0.01
+_REACH_M = 60.0
+_SHARES = np.array([0.6, 0.4])  # of upright and of level edges in a frame's score
+_CLEAR = 3.0  # times the usual gradient
+_LEAST_FRAMES = 7
+_PULL = 0.002  # what one sigma of the prior costs, in mean strength
+
+PARAMETERS = (
+    *(Parameter(name=n, unit="rad", scale=_TURN, prior_sigma=np.radians(1.0)) for n in ("pitch", "yaw", "roll")),
+    *(Parameter(name=n, unit="m", scale=_SHIFT_M, prior_sigma=0.1) for n in ("x", "y", "z")),
+)
+"""Turns about, and shifts along, the camera's axes: x right (pitch), y down (yaw), z forward (roll)."""
+_SYSTEMATIC = np.array([*np.radians([0.05, 0.05, 0.05]), 0.015, 0.015, 0.015])
+"""What more frames do not average away, one sigma: rays are 0.2 to 0.4 degrees apart; from simulated drives."""
+_VALLEYS = np.array([[2.5, 0.0, 0.0, 0.0, 8.7, 0.0], [0.0, 2.5, 0.0, -8.7, 0.0, 0.0]])
+"""Steps of :data:`PARAMETERS` that cancel at 20 m: pitch against y, yaw against x. Wrong maxima lie along them."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LidarEdges:
+    """Points at which the depth jumps, upright and level ones.
+
+    Args:
+        upright_m: Jumps along a ring, shape (n, 3).
+        upright_weight: Their weights, shape (n,).
+        level_m: Jumps from ring to ring, shape (m, 3).
+        level_weight: Their weights, shape (m,).
+    """
+
+    upright_m: Float[np.ndarray, "n 3"]
+    upright_weight: Float[np.ndarray, " n"]
+    level_m: Float[np.ndarray, "m 3"]
+    level_weight: Float[np.ndarray, " m"]
+
+
+def moved(camera: Camera, delta: Float[np.ndarray, " 6"]) -> Camera:
+    """A camera turned and shifted: ``camera_T_lidar = exp(delta) camera_T_lidar``, shifts in metres, turns in rad."""
+    step = np.eye(4)
+    step[:3, :3] = Rotation.from_rotvec(delta[:3]).as_matrix()
+    step[:3, 3] = delta[3:]
+    return replace(camera, camera_T_lidar=step @ camera.camera_T_lidar)
+
+
+def difference(found: Camera, reference: Camera) -> Float[np.ndarray, " 6"]:
+    """The delta with which ``moved(reference, delta)`` is ``found``: turns in rad, shifts in metres, shape (6,)."""
+    step = found.camera_T_lidar @ np.linalg.inv(reference.camera_T_lidar)
+    return np.concatenate([Rotation.from_matrix(step[:3, :3]).as_rotvec(), step[:3, 3]])
+
+
+def lidar_edges(
+    points_m: Float[np.ndarray, "n 3"],
+    ring: Shaped[np.ndarray, " n"] | None = None,
+    *,
+    at_picture_m: Float[np.ndarray, "n 3"] | None = None,
+) -> LidarEdges:
+    """Find depth jumps in a sweep; rings are rebuilt from the elevation where the cloud has none.
+
+    Args:
+        points_m: Points in the LiDAR's own frame, each of the moment at which it was measured, shape (n, 3).
+        ring: Ring of each point.
+        at_picture_m: The same points deskewed to the moment of the picture, shape (n, 3): jumps are found between
+            rays as they were sent, and then moved.
+    """
+    points = points_m.astype(np.float64)
+    reach = np.linalg.norm(points, axis=1)
+    kept = (reach > 2.0) & (reach < _REACH_M)
+    points, reach = points[kept], reach[kept]
+    shift = np.zeros_like(points) if at_picture_m is None else at_picture_m[kept] - points
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    elevation = np.arcsin(points[:, 2] / reach)
+    row = np.floor(np.degrees(elevation) / _BIN_DEG).astype(int) if ring is None else ring[kept].astype(int)
+    upright = _jumps(points, shift, reach, azimuth, row, np.radians(0.6), both=True)
+    level = np.zeros((0, 3)), np.zeros(0)
+    if ring is not None:  # rebuilt rings are too rough to go from one to the next
+        column = np.floor(azimuth / np.radians(0.18)).astype(int)
+        level = _jumps(points, shift, reach, elevation, column, np.radians(1.2), both=False)
+    return LidarEdges(upright_m=upright[0], upright_weight=upright[1], level_m=level[0], level_weight=level[1])
+
+
+def _jumps(
+    points_m: Float[np.ndarray, "n 3"],
+    shift_m: Float[np.ndarray, "n 3"],
+    reach_m: Float[np.ndarray, " n"],
+    along: Float[np.ndarray, " n"],
+    line: Shaped[np.ndarray, " n"],
+    gap_rad: float,
+    *,
+    both: bool,
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Edges between neighbours on a line, at the nearer range half way between the two rays, and their weights.
+
+    The near side must be no slope: the step before the jump is at most a third of it (the ground recedes from ring to
+    ring). Without ``both``, only what ends upwards counts: below, objects stand on the ground.
+    """
+    order = np.lexsort((along, line))
+    reach, step = reach_m[order], np.diff(reach_m[order])
+    beside = (np.diff(line[order]) == 0) & (np.diff(along[order]) < gap_rad)
+    far = np.abs(step) > np.maximum(_JUMP_M, 0.03 * np.minimum(reach[:-1], reach[1:]))
+    size = np.where(beside, np.abs(step), np.inf)
+    before, after = np.append(np.inf, size[:-1]), np.append(size[1:], np.inf)
+    flat = np.where(step > 0, before, after) < np.abs(step) / 3
+    at = np.flatnonzero(beside & far & flat & ((step > 0) | both))
+    rays = points_m[order] / reach[:, None]
+    middle = rays[at] + rays[at + 1]
+    middle *= (np.minimum(reach[at], reach[at + 1]) / np.linalg.norm(middle, axis=1))[:, None]
+    near = np.where(step[at] > 0, order[at], order[at + 1])
+    return middle + shift_m[near], np.sqrt(np.minimum(np.abs(step[at]), _LARGEST_JUMP_M))
+
+
+def image_edges(
+    image: Shaped[np.ndarray, "height width ..."], sigma_px: float
+) -> Float16[np.ndarray, "2 rows columns"]:
+    """Gradient across and down, blurred, each in units of its mean; shape (2, height, width).
+
+    At coarse scales every second pixel only.
+    """
+    grey = image.astype(np.float32).reshape(*image.shape[:2], -1).mean(axis=2)
+    smooth = ndimage.gaussian_filter(grey, 1.0)
+    found = [np.sqrt(np.abs(ndimage.sobel(smooth, axis=axis))) for axis in (1, 0)]
+    blurred = [ndimage.gaussian_filter(each, sigma_px) for each in found]
+    step = _step_px(sigma_px)
+    thin = [each[::step, ::step] / max(float(each.mean()), 1e-6) for each in blurred]
+    return np.stack(thin).astype(np.float16)
+
+
+def _step_px(sigma_px: float) -> int:
+    return 2 if sigma_px >= 2 else 1
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Views:
+    """Edges of all frames in one table, and the pictures' at each scale.
+
+    Args:
+        points_m: Depth edges, shape (n, 3).
+        frame: Frame of each, shape (n,).
+        axis: 0 for upright edges, 1 for level ones, shape (n,).
+        weight: Weights that sum to 1 in each frame, shape (n,).
+        levels: Gradients of all frames at each scale, shape (frames, 2, height, width).
+    """
+
+    points_m: Float[np.ndarray, "n 3"]
+    frame: Int[np.ndarray, " n"]
+    axis: Int[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+    levels: tuple[Shaped[np.ndarray, "frames 2 height width"], ...]
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.levels[0])
+
+
+def views_of(
+    pictures: Sequence[Shaped[np.ndarray, "height width ..."]],
+    edges: Sequence[LidarEdges],
+    camera: Camera,
+    *,
+    margin_px: float = 60.0,
+    most: int = 1500,
+) -> Views:
+    """Put frames together.
+
+    Args:
+        pictures: One a frame, all of one size.
+        edges: Edges of the sweeps.
+        camera: A guess: edges that it sees nowhere near are left out.
+        margin_px: How near.
+        most: Edges kept of each frame, evenly.
+    """
+    rows = [_rows(each, replace(camera, width_px=0, height_px=0), pictures[0].shape, margin_px, most) for each in edges]
+    points, axis, weight = (np.concatenate(column) for column in zip(*rows, strict=True))
+    frame = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
+    levels = tuple(np.stack([image_edges(each, sigma) for each in pictures]) for sigma in SIGMAS_PX)
+    return Views(points_m=points, frame=frame, axis=axis, weight=weight, levels=levels)
+
+
+def _rows(
+    edges: LidarEdges, camera: Camera, shape: tuple[int, ...], margin_px: float, most: int
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    points = np.concatenate([edges.upright_m, edges.level_m])
+    axis = np.repeat([0, 1], [len(edges.upright_m), len(edges.level_m)])
+    weight = np.concatenate([edges.upright_weight, edges.level_weight])
+    pixels, _, _ = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        near = np.flatnonzero(((pixels > -margin_px) & (pixels < np.array(shape[1::-1]) + margin_px)).all(axis=1))
+    near = near[np.linspace(0, len(near) - 1, min(most, len(near))).astype(int)] if len(near) else near
+    kept, kind = weight[near], axis[near]
+    total = np.bincount(kind, weights=kept, minlength=2)
+    share = _SHARES * (total > 0) / max(float((_SHARES * (total > 0)).sum()), 1e-9)
+    return points[near], kind, kept * (share / np.maximum(total, 1e-9))[kind]
+
+
+def edge_score(camera: Camera, views: Views, level: int = -1) -> Float[np.ndarray, " frames"]:
+    """Weighted mean strength of the picture's edges under the LiDAR's, 1 for edges that fall anywhere, each frame."""
+    pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
+    found = _sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
+    return np.bincount(views.frame, weights=found * views.weight, minlength=views.count).astype(np.float64)
+
+
+def _sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
+    """Values between pixels; 0 outside."""
+    return _sloped(views, pixels, level)[0]
+
+
+def _sloped(
+    views: Views, pixels: Float[np.ndarray, "n 2"], level: int
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Values between pixels and their slopes a pixel across and down; 0 outside."""
+    grid, step = views.levels[level], _step_px(SIGMAS_PX[level])
+    at = pixels / step
+    low = np.floor(at).astype(np.int64)
+    inside = np.all((low >= 0) & (low < np.array(grid.shape[:1:-1]) - 1), axis=1)
+    column, row = np.where(inside[:, None], low, 0).T
+    right, down = np.where(inside[:, None], at - low, 0.0).T
+    flat, width = grid.reshape(-1), grid.shape[3]
+    first = ((views.frame * 2 + views.axis) * grid.shape[2] + row) * width + column
+    corners = [flat[first + each].astype(np.float64) for each in (0, 1, width, width + 1)]
+    upper, lower = (one + (other - one) * right for one, other in (corners[:2], corners[2:]))
+    across = (corners[1] - corners[0]) * (1 - down) + (corners[3] - corners[2]) * down
+    slope = np.column_stack([across, lower - upper]) / step
+    return inside * (upper + (lower - upper) * down), inside[:, None] * slope
+
+
+def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None = None) -> Camera:
+    """Move the camera so that edges meet, from coarse to fine; a soft prior keeps what the edges do not tell.
+
+    Args:
+        camera: The start: +-1 degree, +-10 cm.
+        views: Frames.
+        sigma: How far the start may be off: turns in rad and shifts in m, of :data:`PARAMETERS` unless given.
+    """
+    scale = np.array([each.scale for each in PARAMETERS])
+    prior = np.array([each.prior_sigma for each in PARAMETERS] if sigma is None else sigma) / scale
+    shape = partial(_Level, camera=camera, views=views, scale=scale, prior=prior, turns=np.zeros(0))
+    x, _ = _descended(shape, np.zeros(6), range(len(SIGMAS_PX)))
+    around = [x, *(x + sign * valley for valley in _VALLEYS for sign in (-1, 1))]
+    found = [_descended(shape, each, (-2, -1)) for each in around]
+    return moved(camera, found[int(np.argmin([lacking for _, lacking in found]))][0] * scale)
+
+
+def _descended(
+    shape: "Callable[..., _Level]", x: Float[np.ndarray, " 6"], levels: Iterable[int]
+) -> tuple[Float[np.ndarray, " 6"], float]:
+    """Where scale after scale leads to, and what is lacking there."""
+    lacking = np.inf
+    for level in levels:
+        problem = shape(level=level)
+        problem = replace(problem, turns=problem.jacobian(x))
+        done = minimize(problem.lacking, x, jac=True, method="L-BFGS-B", options={"maxiter": 40, "ftol": 1e-9})
+        x, lacking = done.x, float(done.fun)
+    return x, lacking
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Level:
+    """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
+
+    ``turns`` are the derivatives of the pixels, shape (n, 2, 6), taken once: they hardly change within a degree.
+    """
+
+    camera: Camera
+    views: Views
+    level: int
+    scale: Float[np.ndarray, " 6"]
+    prior: Float[np.ndarray, " 6"]
+    turns: Float[np.ndarray, "..."]
+
+    def pixels(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2"]:
+        there = replace(moved(self.camera, x * self.scale), width_px=0, height_px=0)
+        return np.nan_to_num(there.project(self.views.points_m)[0], nan=-1e6)
+
+    def jacobian(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2 6"]:
+        steps = np.eye(6)
+        return np.stack([(self.pixels(x + step) - self.pixels(x - step)) / 2 for step in steps], axis=-1)
+
+    def lacking(self, x: Float[np.ndarray, " 6"]) -> tuple[float, Float[np.ndarray, " 6"]]:
+        """The value and its derivatives."""
+        found, slope = _sloped(self.views, self.pixels(x), self.level)
+        weight = self.views.weight / self.views.count
+        pull = _PULL * x / self.prior**2
+        uphill = np.einsum("nd,ndk->k", weight[:, None] * slope, self.turns)
+        return float(-(weight @ found) + pull @ x), 2 * pull - uphill
+
+
+def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
+    """Sigma of an aligned camera from how far single frames disagree, and what the edges cannot tell.
+
+    The score's curvature H and the frames' gradients g give H^-1 cov(g) H^-1 / frames (an M-estimator's sandwich:
+    Huber, 1967), and a systematic part is added. A direction along which the score does not bend, or less well known
+    than the prior, is not observed.
+
+    Args:
+        camera: The aligned camera.
+        views: Frames; seven or more, or nothing is told.
+        level: Scale at which the score is taken to bend.
+
+    Returns:
+        Sigma of the six values of :data:`PARAMETERS`, shape (6,), infinite where H is not definite; sentences.
+    """
+    scale = np.array([each.scale for each in PARAMETERS])
+    score = partial(_moved_score, camera=camera, views=views, level=level, scale=scale)
+    eye = np.eye(6)
+    gradient = np.stack([(score(step) - score(-step)) / 2 for step in eye], axis=1)
+    if len(gradient) < _LEAST_FRAMES:  # their gradients' covariance has no full rank
+        words = f"{len(gradient)} frames do not tell how well the six are known: take {_LEAST_FRAMES} or more"
+        return np.full(6, np.inf), (words,)
+    bend = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i, 6):
+            corners = [score(a * eye[i] + b * eye[j]).mean() * a * b for a in (-1, 1) for b in (-1, 1)]
+            bend[i, j] = bend[j, i] = -sum(corners) / 4
+    noise = np.atleast_2d(np.cov(gradient.T)) / max(len(gradient), 1) + 1e-12 * eye
+    information = bend @ np.linalg.inv(noise) @ bend
+    eigenvalues, vectors = np.linalg.eigh(bend)
+    flat = vectors[:, eigenvalues <= 0]
+    if flat.shape[1]:  # no maximum along these: nothing is known of them
+        kept = eye - flat @ flat.T
+        information = kept @ information @ kept
+    sentences, _ = unobserved(information, PARAMETERS)
+    if flat.shape[1]:
+        return np.full(6, np.inf), sentences
+    return np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * scale, _SYSTEMATIC), sentences
+
+
+def _moved_score(
+    x: Float[np.ndarray, " 6"], camera: Camera, views: Views, level: int, scale: Float[np.ndarray, " 6"]
+) -> Float[np.ndarray, " frames"]:
+    return edge_score(moved(camera, x * scale), views, level)
+
+
+def edge_residual_px(camera: Camera, views: Views, *, reach_px: int = 6) -> Float[np.ndarray, " n"]:
+    """How far across each LiDAR edge the nearest clear edge of the picture lies, signed, shape (n,), in pixels.
+
+    Clear are the gradient's local maxima that are three times the usual one; within ``reach_px`` to each side.
+    """
+    pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
+    pixels = np.nan_to_num(pixels, nan=-1e6)
+    steps = np.arange(-reach_px - 0.5, reach_px + 1.0, 0.5)
+    across = np.eye(2)[views.axis]
+    found = np.stack([_sampled(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
+    top = (found[1:-1] > _CLEAR) & (found[1:-1] >= found[:-2]) & (found[1:-1] >= found[2:])
+    nearest = np.where(top, np.abs(steps[1:-1])[:, None], np.inf).argmin(axis=0)
+    return steps[1:-1][nearest][top.any(axis=0)]

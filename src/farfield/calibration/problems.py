@@ -1,0 +1,217 @@
+"""A calibration as whitened residuals: robust least squares, sigma from blocks of frames, and what is not observed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import least_squares
+
+from farfield.errors import ConfigError
+
+_HUBER = 1.345
+_NAMED = 0.35  # share of a direction from which a parameter is named
+_UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One unknown.
+
+    Args:
+        name: Its name, for messages.
+        unit: ``"rad"``, ``"m"``, ``"s"``, ``"px"`` or nothing.
+        scale: A step that matters as much as the others' steps: 0.1 degree, 1 cm, 5 ms.
+        prior_sigma: How far it may lie from the start before any measurement.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    prior_sigma: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solution:
+    """What was found.
+
+    Args:
+        parameters: The k unknowns.
+        value: Their values, shape (k,).
+        covariance: Their covariance, shape (k, k), the prior included.
+        unobserved: Sentences, one a direction that the data cannot tell; the prior stands there.
+        before: Whitened lengths of the residuals at the start, shape (n,).
+        after: The same at the solution, shape (n,).
+        converged: Whether the solver stopped by itself.
+        information: Singular values of the scaled problem, weakest first, shape (k,): 1 / sigma in steps of ``scale``.
+    """
+
+    parameters: tuple[Parameter, ...]
+    value: Float[np.ndarray, " k"]
+    covariance: Float[np.ndarray, "k k"]
+    unobserved: tuple[str, ...]
+    before: Float[np.ndarray, " n"]
+    after: Float[np.ndarray, " n"]
+    converged: bool
+    information: Float[np.ndarray, " k"]
+
+    @property
+    def sigma(self) -> Float[np.ndarray, " k"]:
+        """Standard deviations, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def to_json(self) -> dict[str, Any]:
+        """Values, sigmas and findings by name, in degrees, centimetres and milliseconds."""
+        rows = {}
+        for parameter, value, sigma in zip(self.parameters, self.value, self.sigma, strict=True):
+            unit, factor = _UNITS[parameter.unit]
+            key = f"{parameter.name}_{unit}" if unit else parameter.name
+            rows[key] = {"value": float(value * factor), "sigma": float(sigma * factor)}
+        return {"parameters": rows, "unobserved": list(self.unobserved), "converged": self.converged}
+
+
+def solve(
+    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    start: Float[np.ndarray, " k"],
+    parameters: Sequence[Parameter],
+    *,
+    group: Int[np.ndarray, " n"] | None = None,
+    share: Float[np.ndarray, " n"] | None = None,
+    huber: float = _HUBER,
+    steps: int = 50,
+) -> Solution:
+    """Minimise robustly; iteratively reweighted so that a residual of several components is one observation.
+
+    The sigma is the cluster-robust one (Liang and Zeger, Biometrika 1986, eq. 7: the analytic form of a bootstrap over
+    blocks of frames), because residuals within a frame are not independent; the plain one where that is larger. A
+    direction is not observed where one over the root of its information, the prior left out, exceeds the prior's sigma.
+
+    Args:
+        residuals: From values, shape (k,), to n residuals of d components, divided by their sigma.
+        start: Values to begin with; the priors' means too.
+        parameters: What each value is.
+        group: Block of frames of each residual, shape (n,); each its own unless given.
+        share: For how many observations each residual counts, shape (n,): less than one where several err alike.
+        huber: From how many sigma a residual counts linearly.
+        steps: Most evaluations of the Jacobian in each of the rounds.
+
+    Raises:
+        ConfigError: If there are no residuals, or they are not finite at the start.
+    """
+    start = np.asarray(start, dtype=np.float64)
+    scale = np.array([each.scale for each in parameters])
+    prior = np.array([each.prior_sigma for each in parameters]) / scale
+    first = residuals(start)
+    if not first.size or not np.isfinite(first).all():
+        raise ConfigError("calibration: expected finite residuals at the start, got none; give a nearer start")
+    own = np.ones(len(first)) if share is None else share
+    total = _Whole(residuals, start, scale, prior)
+    x, weight, converged = np.zeros(len(start)), own * _weights(first, huber), False
+    for _ in range(10):
+        done = least_squares(total.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
+        moved, x = float(np.abs(done.x - x).max()), done.x
+        weight = own * _weights(residuals(start + x * scale), huber)
+        converged = bool(done.success) and moved < 1e-3
+        if converged:
+            break
+    value = start + x * scale
+    last = residuals(value)
+    jacobian = _jacobian(residuals, value, scale)
+    numbers = np.arange(len(last)) if group is None else group
+    spare = max(float(own.sum()) * last.shape[1] - len(prior), 1.0)
+    factor = max(float((weight[:, None] * last**2).sum()) / spare, 1e-12)
+    covariance, unobserved, information = _spread(jacobian, last, weight, prior, numbers, parameters, factor)
+    return Solution(
+        parameters=tuple(parameters),
+        value=value,
+        covariance=covariance * np.outer(scale, scale),
+        unobserved=unobserved,
+        before=np.linalg.norm(first, axis=1),
+        after=np.linalg.norm(last, axis=1),
+        converged=converged,
+        information=information,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """Residuals and prior in scaled steps from the start."""
+
+    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]]
+    start: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    prior: Float[np.ndarray, " k"]
+
+    def weighted(self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+        found = self.residuals(self.start + x * self.scale) * np.sqrt(weight)[:, None]
+        return np.concatenate([found.ravel(), x / self.prior])
+
+
+def _weights(residuals: Float[np.ndarray, "n d"], huber: float) -> Float[np.ndarray, " n"]:
+    length = np.linalg.norm(residuals, axis=1)
+    return np.minimum(1.0, huber / np.maximum(length, 1e-12))
+
+
+def _jacobian(
+    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    value: Float[np.ndarray, " k"],
+    scale: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, "n d k"]:
+    steps = np.diag(scale) * 0.1
+    return np.stack([(residuals(value + step) - residuals(value - step)) / 0.2 for step in steps], axis=-1)
+
+
+def _spread(
+    jacobian: Float[np.ndarray, "n d k"],
+    last: Float[np.ndarray, "n d"],
+    weight: Float[np.ndarray, " n"],
+    prior: Float[np.ndarray, " k"],
+    group: Int[np.ndarray, " n"],
+    parameters: Sequence[Parameter],
+    factor: float,
+) -> tuple[Float[np.ndarray, "k k"], tuple[str, ...], Float[np.ndarray, " k"]]:
+    """Covariance in scaled steps, what is not observed, and the information's roots; ``factor``: chi^2 a freedom."""
+    fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian)
+    inverse = np.linalg.inv(fisher + np.diag(factor / prior**2))
+    plain = factor * inverse
+    _, members = np.unique(group, return_inverse=True)
+    count = int(members.max()) + 1
+    pulls = np.zeros((count, len(prior)))
+    np.add.at(pulls, members, np.einsum("n,ndi,nd->ni", weight, jacobian, last))
+    pulls -= pulls.mean(axis=0)
+    blocks = inverse @ (pulls.T @ pulls * (count / max(count - 1, 1))) @ inverse
+    blocks += inverse @ np.diag(factor**2 / prior**2) @ inverse  # what the prior itself may be off
+    diagonal = np.sqrt(np.maximum(np.diag(blocks), np.diag(plain)) / np.diag(plain))
+    covariance = plain * np.outer(diagonal, diagonal)
+    return covariance, *unobserved(fisher / factor, parameters)
+
+
+def unobserved(
+    information: Float[np.ndarray, "k k"], parameters: Sequence[Parameter]
+) -> tuple[tuple[str, ...], Float[np.ndarray, " k"]]:
+    """Name the directions that the data tell less well than the prior does.
+
+    Args:
+        information: Inverse covariance of the data alone, in steps of the parameters' scales; need not be definite.
+        parameters: What its rows are.
+
+    Returns:
+        A sentence a direction, and the roots of the eigenvalues, weakest first.
+    """
+    prior = np.array([each.prior_sigma / each.scale for each in parameters])
+    eigenvalues, vectors = np.linalg.eigh(information)
+    roots = np.sqrt(np.maximum(eigenvalues, 0.0))
+    named = [
+        _sentence(vector, parameters)
+        for root, vector in zip(roots, vectors.T, strict=True)
+        if root**2 < float(vector @ (vector / prior**2))
+    ]
+    return tuple(named), roots
+
+
+def _sentence(vector: Float[np.ndarray, " k"], parameters: Sequence[Parameter]) -> str:
+    names = [each.name for each, share in zip(parameters, vector, strict=True) if abs(share) > _NAMED]
+    if len(names) == 1:
+        return f"{names[0]} is not observed"
+    return f"{', '.join(names[:-1])} and {names[-1]} cannot be told apart here"

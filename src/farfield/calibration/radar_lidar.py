@@ -1,0 +1,368 @@
+"""Radar to LiDAR: x, y, yaw, frame offset and the time offset within a frame, from many frames of one sequence.
+
+``p_radar = R(yaw) (p_lidar + v (dt - lag)) + t`` (the LiDAR's near faces, moved to the time of the radar), with
+residuals in range and azimuth. x and dt separate only where relative speeds differ; otherwise the solution says so and
+the prior on dt stands. A mean range bias of the radar moves with x and is part of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from farfield.calibration.bird import Start, correlate
+from farfield.calibration.moments import Moment
+from farfield.calibration.problems import Parameter, Solution, solve
+from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
+from farfield.errors import DatasetError
+
+RANGE_CELL_M = 0.462890625  # of K-Radar
+AZIMUTH_CELL_RAD = np.radians(1.0)
+_SIGMA_RANGE_M = 0.2
+_SIGMA_AZIMUTH_RAD = np.radians(0.45)
+_SIGMA_FACE_M = 0.12
+_GATES_M = (1.6, 1.0, 0.8, 0.8)
+_LEAST_MATCHES = 12
+_GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
+_ALIKE = 0.5  # correlation of what an object's matches err by
+_UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
+_BLOCK = 4  # neighbouring frames see the same objects
+_CLEAR = 2.0
+_LOOSE_S = 0.3
+_SAME_M = 0.25  # a frame
+_SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
+"""What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
+from simulated drives with known truth."""
+
+PARAMETERS = (
+    Parameter(name="x", unit="m", scale=0.01, prior_sigma=1.2),
+    Parameter(name="y", unit="m", scale=0.01, prior_sigma=1.2),
+    Parameter(name="yaw", unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(2.0)),
+    Parameter(name="time offset", unit="s", scale=0.005, prior_sigma=0.03),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadarPose:
+    """A calibration: ``radar_T_lidar`` has yaw and translation only; the radar runs ``frames`` frames and dt ahead.
+
+    Args:
+        x_m: Translation of ``radar_T_lidar``.
+        y_m: Its y.
+        z_m: Its z.
+        yaw_rad: Its yaw.
+        frames: Radar frames to add to those that the data set pairs.
+        time_offset_s: How much later the radar measured than the sweep's own time, after that.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float = 0.0
+    frames: int = 0
+    time_offset_s: float = 0.0
+
+    @property
+    def vector(self) -> Float[np.ndarray, " 4"]:
+        """The four values that are solved for."""
+        return np.array([self.x_m, self.y_m, self.yaw_rad, self.time_offset_s])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RadarCalibration:
+    """What was found.
+
+    Args:
+        pose: The calibration.
+        solution: x, y, yaw and time offset with covariance.
+        echoes_above_m: How much higher than the LiDAR's faces the radar's echoes lie with the given z, the median.
+        notes: What the data cannot tell, as sentences.
+        range_m: Residuals in range of the matches, shape (n,).
+        azimuth_rad: Their residuals in azimuth, shape (n,).
+        rivals: Cost of each frame offset that was tried, against the best in standard errors.
+    """
+
+    pose: RadarPose
+    solution: Solution
+    echoes_above_m: float
+    notes: tuple[str, ...]
+    range_m: Float[np.ndarray, " n"]
+    azimuth_rad: Float[np.ndarray, " n"]
+    rivals: dict[int, float]
+
+    @property
+    def residual(self) -> dict[str, float]:
+        """Median absolute residuals in centimetres, degrees and radar cells."""
+        ranges, angles = (float(np.median(np.abs(each))) for each in (self.range_m, self.azimuth_rad))
+        return {
+            "matches": float(len(self.range_m)),
+            "range_cm": 100 * ranges,
+            "range_cells": ranges / RANGE_CELL_M,
+            "azimuth_deg": float(np.degrees(angles)),
+            "azimuth_cells": angles / AZIMUTH_CELL_RAD,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """Maps and objects of all frames, made once.
+
+    Args:
+        moments: Frames of one sequence.
+        targets: LiDAR targets by number of the frame.
+        peaks: Radar peaks by number of the LiDAR frame that they are paired with.
+        period_s: Time between frames.
+    """
+
+    moments: Sequence[Moment]
+    targets: Mapping[int, Targets]
+    peaks: Mapping[int, Peaks]
+    period_s: float = 0.1
+
+    @classmethod
+    def of(cls, moments: Sequence[Moment], *, period_s: float = 0.1) -> "Evidence":
+        """Find the objects of all frames."""
+        peaks = {each.number: find_peaks(each) for each in moments}
+        targets = dict(zip(peaks, find_targets(moments), strict=True))
+        return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Pairs:
+    """Matched objects: LiDAR place, width, velocity in m/s and whether it is known, lag, radar place, object."""
+
+    lidar_m: Float[np.ndarray, "n 3"]
+    width_m: Float[np.ndarray, " n"]
+    velocity_m_s: Float[np.ndarray, "n 2"]
+    lag_s: Float[np.ndarray, " n"]
+    radar_m: Float[np.ndarray, "n 3"]
+    track: Int[np.ndarray, " n"]
+    tracked: Bool[np.ndarray, " n"]
+
+
+def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4) -> RadarCalibration:
+    """Find the radar's pose and time from a rough start.
+
+    Args:
+        evidence: Frames of one sequence; 20 or more.
+        guess: About right: +-2 m, +-3 degrees, +-3 frames.
+        reach_m: How far x and y are searched.
+        frames: How many frame offsets to each side are tried.
+
+    Raises:
+        DatasetError: If too few objects match.
+    """
+    around = Start(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
+    starts = correlate(evidence.moments, around, reach_m=reach_m, frames=frames)
+    tried = [found for start in starts if (found := _refined(evidence, start, guess)) is not None]
+    if not tried:
+        raise DatasetError(
+            f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer in "
+            f"{len(evidence.moments)} frames. Take more frames, a busier road, or a nearer start."
+        )
+    most = max(len(pairs.track) for _, pairs, _ in tried)
+    tried = [each for each in tried if 2 * len(each[1].track) >= most]  # few matches fit anything
+    costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
+    order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
+    best = int(order[0])
+    pose, pairs, solution = tried[best]
+    rivals: dict[int, float] = {}
+    for i in order[1:]:  # the best of each frame offset
+        if tried[i][0].frames != pose.frames:
+            rivals.setdefault(tried[i][0].frames, _standing(costs[i], costs[best]))
+    above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
+    solution = replace(solution, covariance=solution.covariance + np.diag(_SYSTEMATIC**2))
+    residual = _polar(solution.value, pairs)
+    return RadarCalibration(
+        pose=pose,
+        solution=solution,
+        echoes_above_m=above,
+        notes=_notes(pose, solution, rivals, pairs, above),
+        range_m=residual[:, 0],
+        azimuth_rad=residual[:, 1],
+        rivals=rivals,
+    )
+
+
+_Tried = tuple[RadarPose, _Pairs, Solution]
+
+
+def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | None:
+    """Solve from a start of the maps; a time offset of whole frames goes into the frame offset.
+
+    Where speeds differ, the objects tell the whole time, however many frames the start is off.
+    """
+    value, frames = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s]), start.frames
+    loose = (*PARAMETERS[:3], replace(PARAMETERS[3], prior_sigma=_LOOSE_S))
+    first = _solved(evidence, value, frames, guess, loose, _GATES_M)
+    if first is None:
+        return None
+    late = round(float(first[1].value[3] / evidence.period_s))
+    value = first[1].value - [0.0, 0.0, 0.0, late * evidence.period_s]
+    found = _solved(evidence, value, frames - late, guess, PARAMETERS, _GATES_M[-2:])
+    if found is None:
+        return None
+    x, y, yaw, time_s = (float(each) for each in found[1].value)
+    pose = RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames - late, time_offset_s=time_s)
+    return pose, *found
+
+
+def _solved(
+    evidence: Evidence,
+    value: Float[np.ndarray, " 4"],
+    frames: int,
+    guess: RadarPose,
+    parameters: tuple[Parameter, ...],
+    gates_m: tuple[float, ...],
+) -> tuple[_Pairs, Solution] | None:
+    """Match and solve in turn, with a narrower gate each time."""
+    found = None
+    for gate_m in gates_m:
+        pairs = _match(evidence, value, frames, gate_m)
+        if len(pairs.track) < _LEAST_MATCHES:
+            return None
+        rows = partial(_whitened, pairs=pairs)
+        solution = solve(rows, guess.vector, parameters, group=pairs.track, share=_shares(pairs, value))
+        value, found = solution.value, (pairs, solution)
+    return found
+
+
+def _shares(pairs: _Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+    """For how many observations each match counts: an object's echo errs alike in all of its frames.
+
+    One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed.
+    """
+    _, which, count = np.unique(pairs.track, return_inverse=True, return_counts=True)
+    moved_m = np.where(pairs.tracked, 0.0, _UNKNOWN_M_S) * (value[3] - pairs.lag_s)
+    return np.asarray(1.0 / ((1.0 + _ALIKE * (count[which] - 1.0)) * (1.0 + (moved_m / _SIGMA_RANGE_M) ** 2)))
+
+
+def _place(
+    value: Float[np.ndarray, " 4"],
+    lidar_m: Float[np.ndarray, "n 3"],
+    velocity_m_s: Float[np.ndarray, "n 2"],
+    lag_s: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 2"]:
+    """LiDAR targets in the radar's frame at the radar's time."""
+    at = lidar_m[:, :2] + velocity_m_s * (value[3] - lag_s)[:, None]
+    cos, sin = np.cos(value[2]), np.sin(value[2])
+    return at @ np.array([[cos, sin], [-sin, cos]]) + value[:2]
+
+
+def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
+    """Velocities; where they are not known, or differ by noise only, the usual one of the frame.
+
+    Noise in velocities would pose as a spread of speeds and claim to tell x from the time offset.
+    """
+    known = np.isfinite(targets.velocity[:, 0])
+    usual = np.median(targets.velocity[known], axis=0) if known.any() else np.zeros(2)
+    with np.errstate(invalid="ignore"):
+        own = np.linalg.norm(targets.velocity - usual, axis=1) > _SAME_M
+    return np.where((known & own)[:, None], targets.velocity, usual) / period_s
+
+
+def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:
+    """Pairs that are each other's nearest."""
+    rows = [_matched(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
+    lidar, width, speed, lag, tracked, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return _Pairs(
+        lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track, tracked=tracked
+    )
+
+
+def _matched(
+    evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
+) -> tuple[np.ndarray, ...]:
+    """Columns of the pairs of one LiDAR frame and one radar frame."""
+    targets = evidence.targets[number]
+    peaks = evidence.peaks[other].place_m if other in evidence.peaks else np.zeros((0, 3))
+    kept, partner = np.zeros(len(targets.place_m), dtype=bool), np.zeros(len(targets.place_m), dtype=int)
+    speed = _speeds(targets, evidence.period_s)
+    if len(kept) and len(peaks):
+        at = _place(value, targets.place_m, speed, targets.lag_s)
+        distance, partner = (np.asarray(each) for each in cKDTree(peaks[:, :2]).query(at))
+        back = np.asarray(cKDTree(at).query(peaks[:, :2])[1])
+        kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
+    width = targets.size_m.max(axis=1, initial=0.0)
+    columns = (targets.place_m, width, speed, targets.lag_s, np.isfinite(targets.velocity[:, 0]))
+    return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
+
+
+def _polar(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+    """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
+    at = _place(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
+    seen = pairs.radar_m[:, :2]
+    turn = np.arctan2(at[:, 1], at[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+    return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
+
+
+def _whitened(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+    reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
+    across = np.hypot(_SIGMA_AZIMUTH_RAD, np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m) / np.maximum(reach, 1.0))
+    return _polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
+
+
+def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
+    """Mean truncated squared distance of each radar frame's peaks to LiDAR targets, NaN where there is none.
+
+    A radar frame counts for every frame offset alike, whatever it matched; the priors' cost is spread over the frames.
+    """
+    costs = np.full(len(evidence.peaks), np.nan)
+    away = (pose.vector - guess.vector) / [each.prior_sigma for each in PARAMETERS]
+    for row, (other, peaks) in enumerate(evidence.peaks.items()):
+        targets = evidence.targets.get(other - pose.frames)
+        if targets is None or not len(targets.place_m) or not len(peaks.place_m):
+            continue
+        at = _place(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
+        distance, _ = cKDTree(at).query(peaks.place_m[:, :2])
+        near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
+        sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
+        costs[row] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())
+    return costs + 0.5 * float(away @ away) / max(int(np.isfinite(costs).sum()), 1)
+
+
+def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
+    """By how many standard errors a rival is worse, over the frames that both have, in blocks."""
+    gap = costs - best
+    blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]
+    spread = float(np.std(blocks, ddof=1) * np.sqrt(len(blocks)))
+    return float(np.sum(blocks)) / max(spread, 1e-9)
+
+
+def _notes(
+    pose: RadarPose, solution: Solution, rivals: dict[int, float], pairs: _Pairs, above_m: float
+) -> tuple[str, ...]:
+    notes = [*solution.unobserved, "x includes the mean range bias of the radar's echoes"]
+    notes.append(
+        f"z is not observed: kept as given (one cell of elevation is 0.7 m at 40 m; echoes lie {above_m:+.1f} m off)"
+    )
+    spread = float(np.percentile(pairs.velocity_m_s[:, 0], 90) - np.percentile(pairs.velocity_m_s[:, 0], 10))
+    if solution.sigma[3] > 0.6 * PARAMETERS[3].prior_sigma:
+        notes.append(f"x and time offset cannot be told apart here (speed spread {spread:.1f} m/s)")
+    close = sorted(offset for offset, worse in rivals.items() if worse < _CLEAR)
+    if close:
+        named = ", ".join(f"{offset - pose.frames:+d}" for offset in close)
+        notes.append(f"frame offset is not certain: {named} frames explain the objects nearly as well")
+    return tuple(dict.fromkeys(notes))
+
+
+def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:
+    """Solve from a near start by matched objects alone, with the frame offset as given.
+
+    Args:
+        evidence: Frames of one sequence.
+        guess: Within half a metre and two degrees.
+
+    Returns:
+        x, y, yaw and time offset; sigma holds the systematic part.
+
+    Raises:
+        DatasetError: If fewer than twelve objects match.
+    """
+    found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, _GATES_M)
+    if found is None:
+        raise DatasetError(f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer")
+    return replace(found[1], covariance=found[1].covariance + np.diag(_SYSTEMATIC**2))

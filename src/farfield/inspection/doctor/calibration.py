@@ -1,0 +1,116 @@
+"""Whether the calibrations that a data set gives fit its data, and whether a sensor moved during a drive."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from farfield.calibration.checking import Check, check_camera, check_radar
+from farfield.calibration.edges import Views, views_of
+from farfield.calibration.jobs import KRADAR_NODE_M, chosen
+from farfield.calibration.moments import read_moments
+from farfield.calibration.radar_lidar import Evidence, RadarPose
+from farfield.calibration.sweeps import sweep_edges
+from farfield.datasets.base import Dataset
+from farfield.datasets.kradar import KRadar
+from farfield.errors import DatasetError, FarfieldError
+from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert
+from farfield.inspection.doctor.findings import Finding, Severity
+
+_EDGES = 600  # a frame
+_MARGIN_PX = 120.0
+
+
+def calibration(data: Dataset, frames: int, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Check the cameras, and K-Radar's radar, of the first sequence.
+
+    Args:
+        data: The data set.
+        frames: How many frames to read.
+        facts: What was measured is noted here.
+    """
+    known = facts.setdefault("calibration", {})
+    indices = chosen(data, None, frames, runs=True)
+    names = dict.fromkeys(name for index in indices for name in _pictured(data, index))
+    for name in names:
+        try:
+            found = check_camera(*camera_views(data, chosen(data, None, frames, runs=False), name))
+        except (FarfieldError, OSError, ValueError) as error:
+            yield Finding(severity="warn", topic=f"calibration of {name}", what=f"could not be checked: {error}")
+            continue
+        known[name] = vars(found)
+        yield _finding(name, found, f"farfield calibrate lidar-camera {data.root} --camera {name}")
+    if isinstance(data.unwrapped, KRadar) and "radar" in data[indices[0]].clouds:
+        try:
+            found = check_radar(*radar_evidence(data, indices))
+        except (FarfieldError, OSError, ValueError) as error:
+            yield Finding(severity="warn", topic="calibration of radar", what=f"could not be checked: {error}")
+            return
+        known["radar"] = vars(found)
+        yield _finding("radar", found, f"farfield calibrate radar-lidar {data.root}")
+
+
+def _pictured(data: Dataset, index: int) -> list[str]:
+    try:
+        frame = data[index]
+    except (FarfieldError, OSError, ValueError):
+        return []
+    return [name for name in frame.cameras if name in frame.images]
+
+
+def _finding(name: str, found: Check, mend: str) -> Finding:
+    size = f"{found.degrees:.2f} degrees, {found.cm:.0f} cm" + (f", {found.px:.1f} px" if found.px else "")
+    drift = f"{found.drift_degrees:.2f} degrees, {found.drift_cm:.0f} cm"
+    what = {
+        "fits": f"fits {found.frames} frames (aligning moves it by {size})",
+        "off": f"does not fit: {size} away from where {found.frames} frames put it",
+        "moved": f"the sensor moved during the drive: {drift} between its first and second half",
+        "not told": f"{found.frames} frames do not tell: too few, or nothing that both sensors see",
+    }[found.verdict]
+    severity: Severity = "warn" if found.claimed else "ok"
+    return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if found.claimed else "")
+
+
+def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, Views]:
+    """A camera as the data set gives it, and the edges of its frames in time.
+
+    Raises:
+        DatasetError: If no frame has the picture with a calibration.
+    """
+    pictures, edges, camera = [], [], None
+    for index in indices:
+        frame = data[index]
+        if name not in frame.images or name not in frame.cameras:
+            continue
+        picture = frame.images[name]
+        own = replace(frame.cameras[name], width_px=picture.shape[1], height_px=picture.shape[0])
+        camera = own if camera is None else camera
+        same = np.allclose(own.camera_T_lidar, camera.camera_T_lidar) and np.allclose(own.matrix, camera.matrix)
+        if same and (own.width_px, own.height_px) == (camera.width_px, camera.height_px):
+            pictures.append(picture)
+            edges.append(sweep_edges(data, index, camera=name, lidar=_lidar(frame.clouds))[0])
+    if camera is None:
+        raise DatasetError(f"{name}: expected frames with this picture and its calibration, found none")
+    return camera, views_of(pictures, edges, camera, margin_px=_MARGIN_PX, most=_EDGES)
+
+
+def _lidar(clouds: Iterable[str]) -> str | None:
+    return next((name for name in clouds if not name.startswith("radar")), None)
+
+
+def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Evidence]:
+    """A K-Radar radar as the data set gives it, and the objects of its frames.
+
+    Raises:
+        DatasetError: If a frame lacks the radar or the LiDAR.
+    """
+    found = list(indices)
+    sensor = data[found[0]].sensors.get("radar")
+    if sensor is None or sensor.frame_T_sensor is None:
+        raise DatasetError("radar: expected its pose, found none")
+    pose = invert(sensor.frame_T_sensor)
+    x, y, z = (float(value) for value in pose[:3, 3])
+    given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
+    return given, Evidence.of(read_moments((data[index] for index in found), node_m=KRADAR_NODE_M))

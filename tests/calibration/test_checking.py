@@ -1,0 +1,123 @@
+"""Planted errors of a camera and of a radar are found, none is claimed on correct data, and noise tells nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from farfield.calibration.checking import check_camera, check_radar
+from farfield.calibration.edges import SIGMAS_PX, Views, moved
+from farfield.calibration.moments import Moment
+from farfield.calibration.radar_lidar import Evidence, RadarPose
+from farfield.geometry.cameras import Camera
+
+CAMERA = Camera(matrix=np.array([[300.0, 0, 320], [0, 300.0, 180], [0, 0, 1]]), width_px=640, height_px=360)
+POSE = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7)
+FRAMES = 8
+
+
+def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> Views:
+    """Points of each frame, and pictures with edges where a camera sees them; anywhere without cameras."""
+    points = np.column_stack([rng.uniform(6, 30, 4800), rng.uniform(-20, 20, 4800), rng.uniform(-4, 5, 4800)])
+    points = points[CAMERA.project(points)[2]][: 250 * FRAMES]
+    frame, axis = np.arange(len(points)) % FRAMES, rng.integers(0, 2, len(points))
+    marks = np.zeros((FRAMES, 2, 360, 640))
+    for number in range(FRAMES):
+        own = frame == number
+        where = rng.uniform([0, 0], [639, 359], (int(own.sum()), 2))
+        if cameras is not None:
+            pixels, _, inside = cameras[number].project(points[own])
+            where[inside] = pixels[inside]
+        column, row = where.round().astype(int).clip(0, [639, 359]).T
+        np.add.at(marks[number], (axis[own], row, column), 1.0)
+    marks += rng.random(marks.shape) < 0.002
+    levels = []
+    for sigma in SIGMAS_PX:
+        blurred = ndimage.gaussian_filter(marks, (0, 0, sigma, sigma))
+        step = 2 if sigma >= 2 else 1
+        levels.append((blurred / blurred.mean(axis=(2, 3), keepdims=True))[:, :, ::step, ::step].astype(np.float16))
+    weight = 1.0 / np.bincount(frame)[frame]
+    return Views(points_m=points, frame=frame, axis=axis, weight=weight, levels=tuple(levels))
+
+
+@pytest.fixture(scope="module")
+def steady() -> Views:
+    return seen(np.random.default_rng(0), [CAMERA] * FRAMES)
+
+
+def test_a_correct_camera_is_not_accused(steady: Views) -> None:
+    found = check_camera(CAMERA, steady)
+    assert found.verdict == "fits"
+    assert not found.claimed
+    assert found.degrees < 0.2
+
+
+@pytest.mark.parametrize("delta", [[0, 0.0175, 0, 0, 0, 0], [0.012, 0, -0.012, 0, 0, 0], [0, 0, 0, 0.2, 0, 0]])
+def test_a_planted_error_is_found_and_measured(steady: Views, delta: list[float]) -> None:
+    found = check_camera(moved(CAMERA, np.array(delta)), steady)
+    assert found.verdict == "off"
+    assert found.evidence > 3
+    assert found.degrees == pytest.approx(np.degrees(np.abs(delta[:3]).max()), abs=0.25)
+    assert found.cm == pytest.approx(100 * np.abs(delta[3:]).max(), abs=8)
+
+
+def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
+    away = moved(CAMERA, np.array([0.0, 0.0175, 0, 0, 0, 0]))
+    views = seen(np.random.default_rng(1), [CAMERA] * (FRAMES // 2) + [away] * (FRAMES // 2))
+    found = check_camera(CAMERA, views)
+    assert found.verdict == "moved"
+    assert found.drift_degrees == pytest.approx(1.0, abs=0.2)
+
+
+def test_edges_anywhere_tell_nothing() -> None:
+    views = seen(np.random.default_rng(2), None)
+    assert check_camera(CAMERA, views).verdict == "not told"
+    assert check_camera(moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
+
+
+def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:
+    """Posts, some of them coming towards, as LiDAR and radar see them; the radar turns half way if asked."""
+    posts = np.column_stack([rng.uniform(0, 120, 70), rng.uniform(-25, 25, 70)])
+    speed, moments = np.where(rng.random(70) < 0.4, -28.0, -14.0), []
+    for number in range(16):
+        there = posts + np.outer(speed * number * 0.1, [1, 0])
+        there = there[(there[:, 0] > 6) & (there[:, 0] < 65)]
+        yaw = turn_late if number >= 8 else 0.0
+        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        echoes = there @ turn + [POSE.x_m, POSE.y_m] + rng.normal(0, 0.1, there.shape)
+        points = np.repeat(there, 12, axis=0) + rng.normal(0, 0.02, (12 * len(there), 2))
+        heights = np.tile(np.linspace(-1.5, 0.5, 12), len(there))
+        moments.append(
+            Moment(
+                number=number,
+                points_m=np.column_stack([points, heights]),
+                lag_s=np.zeros(len(points)),
+                echoes_m=np.column_stack([echoes, np.zeros(len(echoes))]),
+                power_db=rng.uniform(15, 25, len(echoes)),
+            )
+        )
+    return Evidence.of(moments)
+
+
+def test_a_radars_errors_are_found() -> None:
+    evidence = road(np.random.default_rng(3))
+    assert check_radar(POSE, evidence).verdict == "fits"
+    turned = check_radar(replace(POSE, yaw_rad=np.radians(1.0)), evidence)
+    assert turned.verdict == "off"
+    assert turned.degrees == pytest.approx(1.0, abs=0.2)
+    aside = check_radar(replace(POSE, y_m=POSE.y_m - 0.3), evidence)
+    assert aside.verdict == "off"
+    assert aside.cm == pytest.approx(30, abs=8)
+
+
+def test_a_radar_that_turned_during_the_drive_is_found() -> None:
+    found = check_radar(replace(POSE, yaw_rad=0.0), road(np.random.default_rng(4), turn_late=np.radians(2.0)))
+    assert found.claimed
+
+
+def test_too_little_tells_nothing(steady: Views) -> None:
+    few = replace(steady, levels=tuple(level[:4] for level in steady.levels))
+    assert check_camera(CAMERA, few).verdict == "not told"
+    evidence = road(np.random.default_rng(5))
+    assert check_radar(POSE, replace(evidence, peaks={})).verdict == "not told"

@@ -1,0 +1,147 @@
+"""Radar to LiDAR on a made-up road: poles, parked and oncoming cars seen by both; a platoon that hides the time."""
+
+import numpy as np
+import pytest
+
+from farfield.calibration.bird import Start, correlate
+from farfield.calibration.moments import Moment, above_ground_m
+from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
+from farfield.calibration.targets import find_peaks, find_targets
+from farfield.errors import DatasetError
+
+TRUTH = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, yaw_rad=0.012, frames=1, time_offset_s=0.02)
+EGO_M_S = 14.0
+
+
+def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list[Moment]:
+    """Thin posts beside the road, standing or coming towards; radar peaks at the true place of the true time."""
+    posts = np.column_stack([rng.uniform(0, 160, 90), rng.uniform(-25, 25, 90)])
+    speed = np.where((rng.random(90) < 0.4) & oncoming, -28.0, -EGO_M_S)
+    moments = []
+    for number in range(count):
+        lidar = _visible(posts + np.outer(speed * number * 0.1, [1, 0]))
+        late = (number - TRUTH.frames) * 0.1 + TRUTH.time_offset_s
+        echoes = _visible(posts + np.outer(speed * late, [1, 0]))
+        cos, sin = np.cos(TRUTH.yaw_rad), np.sin(TRUTH.yaw_rad)
+        echoes = echoes @ np.array([[cos, sin], [-sin, cos]]) + [TRUTH.x_m, TRUTH.y_m]
+        echoes += rng.normal(0, 0.1, echoes.shape)
+        points = np.repeat(lidar, 12, axis=0) + rng.normal(0, 0.02, (12 * len(lidar), 2))
+        height = np.tile(np.linspace(-1.5, 0.5, 12), len(lidar))
+        moments.append(
+            Moment(
+                number=number + 7,
+                points_m=np.column_stack([points, height]),
+                lag_s=np.zeros(len(points)),
+                echoes_m=np.column_stack([echoes, np.zeros(len(echoes))]),
+                power_db=rng.uniform(15, 25, len(echoes)),
+            )
+        )
+    return moments
+
+
+def _visible(places: np.ndarray) -> np.ndarray:
+    return places[(places[:, 0] > 6) & (places[:, 0] < 65)]
+
+
+def test_a_rough_start_is_brought_back() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(0), 20))
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        x, y = np.array([TRUTH.x_m, TRUTH.y_m]) + rng.uniform(-2, 2, 2)
+        yaw, frames = TRUTH.yaw_rad + np.radians(rng.uniform(-3, 3)), TRUTH.frames + int(rng.integers(-3, 4))
+        found = calibrate_radar(evidence, RadarPose(x_m=x, y_m=y, z_m=0.7, yaw_rad=yaw, frames=frames))
+        assert found.pose.frames == TRUTH.frames
+        error = found.pose.vector - TRUTH.vector
+        assert (np.abs(error) < [0.15, 0.06, np.radians(0.1), 0.01]).all()
+        assert (np.abs(error) < 3 * found.solution.sigma).all()
+        assert found.residual["range_cells"] < 0.4
+        assert any("z is not observed" in note for note in found.notes)
+
+
+def test_a_platoon_hides_the_time_and_it_is_said() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(2), 20, oncoming=False))
+    found = calibrate_radar(evidence, RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, frames=1))
+    assert any("cannot be told apart" in note for note in found.notes)
+    assert found.solution.sigma[0] > 0.2
+
+
+def test_maps_find_the_shift() -> None:
+    moments = road(np.random.default_rng(3), 12)
+    best = correlate(moments, Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
+    assert abs(best.x_m - TRUTH.x_m) < 2.0
+    assert abs(best.y_m - TRUTH.y_m) < 0.5
+
+
+def test_targets_have_velocities_and_keep_their_numbers() -> None:
+    targets = find_targets(road(np.random.default_rng(4), 8))
+    known = np.isfinite(targets[1].velocity[:, 0])
+    assert known.mean() > 0.5
+    speeds = targets[1].velocity[known, 0] * 10
+    assert {-28, -14} <= set(np.round(speeds / 14).astype(int) * 14)
+    assert len(set(targets[0].track) & set(targets[1].track)) > 5
+
+
+def test_peaks_are_placed_within_the_cell() -> None:
+    echoes = np.array([[10.0, 0, 0], [10.4, 0, 0], [30.0, 2, 0]])
+    moment = Moment(
+        number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=echoes, power_db=np.array([20.0, 20.0, 15.0])
+    )
+    np.testing.assert_allclose(np.sort(find_peaks(moment).place_m[:, 0]), [10.2, 30.0])
+
+
+def test_an_echo_between_two_cells_is_not_drawn_to_one() -> None:
+    azimuth = np.radians(np.arange(-4.0, 5.0))
+    power = 30 - 12 * ((np.degrees(azimuth) - 0.4) / 1.07) ** 2  # a beam of 1.07 degrees, half way to the next cell
+    echoes = 70.0 * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+    moment = Moment(number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=echoes, power_db=power)
+    found = find_peaks(moment)
+    strongest = found.place_m[np.argmax(found.power_db)]
+    assert abs(np.degrees(np.arctan2(strongest[1], strongest[0])) - 0.4) < 0.1
+
+
+def post(x: float, y: float, width: float = 0.6, top: float = 1.0) -> np.ndarray:
+    across, up = np.meshgrid(np.linspace(-width / 2, width / 2, 8), np.linspace(-1.0, top, 8))
+    return np.column_stack([np.full(64, x), y + across.ravel(), up.ravel()])
+
+
+def still(number: int, *bodies: np.ndarray) -> Moment:
+    points = np.concatenate(bodies)
+    return Moment(
+        number=number,
+        points_m=points,
+        lag_s=np.zeros(len(points)),
+        echoes_m=np.zeros((0, 3)),
+        power_db=np.zeros(0),
+    )
+
+
+def test_what_is_half_hidden_is_no_target() -> None:
+    before = post(20.0, 0.0, width=1.8)
+    hidden = post(40.0, 2.2, width=0.6)  # its right ends where the nearer body's left does, seen from here
+    assert len(find_targets([still(0, before, hidden)])[0].place_m) == 1
+    low = post(20.0, 0.0, width=1.8, top=-0.5)
+    assert len(find_targets([still(0, low, hidden)])[0].place_m) == 2
+
+
+def test_leading_traffic_is_one_object_in_later_runs() -> None:
+    numbers = [*range(6), *range(50, 56)]
+    found = find_targets([still(number, post(25.0, 0.5), post(31.0, -2.0)) for number in numbers])
+    assert len({int(track) for each in found for track in each.track}) == 2
+
+
+def test_height_is_above_the_slope() -> None:
+    rng = np.random.default_rng(5)
+    ground = rng.uniform([0, -20, 0], [60, 20, 0.02], (8000, 3))
+    ground[:, 2] += 0.03 * ground[:, 0]
+    pole = np.column_stack([np.full(20, 30.5), np.zeros(20), 0.9 + np.linspace(0.5, 2, 20)])
+    height = above_ground_m(np.concatenate([ground, pole]))
+    assert np.abs(height[:8000]).max() < 0.35
+    assert (height[8000:] > 0.4).all()
+
+
+def test_nothing_in_common_is_an_error() -> None:
+    empty = Moment(
+        number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=np.zeros((0, 3)), power_db=np.zeros(0)
+    )
+    with pytest.raises(DatasetError, match="both sensors see"):
+        calibrate_radar(Evidence.of([empty]), TRUTH)
