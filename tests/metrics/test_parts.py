@@ -143,3 +143,17 @@ def test_kradar_has_seven_rows() -> None:
     assert rows["Bicycle"].why == "not learnt"
     assert rows["Bicycle Group"].why == "counted as bicycle"
     assert rows["Bus or Truck"].why == "not annotated"
+
+
+def test_a_row_of_kradar_counts_the_boxes_in_the_region() -> None:
+    """The region ends at 72 m: of two annotated boxes one counts."""
+    seen = Detections(
+        boxes={("1", "0"): at(AHEAD, score=0.9)},
+        annotations={("1", "0"): Annotation(boxes=at(AHEAD, (150.0, 0.0)))},
+        classes=("vehicle",),
+        reference="radar",
+    )
+    rows = {row.label: row for row in by_class(seen, PROTOCOLS["kradar"], region="wide", **STILL)}
+    result = seen.score("kradar", region="wide", **STILL)
+    assert result.subject is not None
+    assert rows["Sedan"].annotated == result.subject.annotated == 1

@@ -107,3 +107,16 @@ def test_a_score_of_nothing_says_why(name: str, word: str) -> None:
     assert word in note
     assert not [note for note in every.score(name).notes if "are found" in note]
     assert not [note for note in replace(every, boxes={}).score(name).notes if "are found" in note]
+
+
+def test_classes_that_count_as_another_are_named() -> None:
+    """Cirrus' vehicle includes large vehicles: a row of vehicles alone has another number."""
+    every = example()
+    key = next(iter(every.annotations))
+    boxes = every.annotations[key].boxes
+    some = every.annotations[key].replaced(boxes.replace(label=["large_vehicle", *boxes.label.tolist()[1:]]))
+    mixed = replace(every, annotations={**every.annotations, key: some})
+    subject = mixed.score(label="vehicle").subject
+    assert subject is not None
+    assert subject.label == "vehicle with large_vehicle"
+    assert "; vehicle with large vehicle; 41 objects" in str(subject)

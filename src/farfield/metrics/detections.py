@@ -111,7 +111,7 @@ class Detections:
         counted = result.counts.get("annotated")
         subject = Subject(
             protocol=result.protocol,
-            label=result.label,
+            label=self._counted_label(result),
             detector=self.detector,
             detector_digest=self.detector_digest,
             data=self.data,
@@ -124,6 +124,13 @@ class Detections:
             seen_in_training=self.seen_in_training,
         )
         return replace(result, subject=subject)
+
+    def _counted_label(self, result: Result) -> str:
+        """The class that was scored, and which annotated classes counted as it: "vehicle with large_vehicle"."""
+        there = {name for boxes in self.annotated.values() for name in np.unique(boxes.label).tolist()}
+        merged = result.settings.get("relabel") or {}
+        others = sorted(name for name, other in merged.items() if other == result.label and name in there)
+        return f"{result.label} with {' and '.join(others)}" if others else result.label
 
     def _number_of(self, label: str) -> int:
         return sum(int(np.count_nonzero(boxes.label == label)) for boxes in self.annotated.values())

@@ -243,7 +243,8 @@ def _figures_of(
         counted = result["counts"].get("annotated")
         return dict(figures), counted if isinstance(counted, int) else None
     own = {name.removeprefix(prefix): value for name, value in figures.items() if name.startswith(prefix)}
-    return own or None, None
+    counted = (result["counts"].get("classes") or {}).get(label, {}).get("annotated")
+    return own or None, counted if isinstance(counted, int) else None
 
 
 def _labels(boxes: BoxesByFrame) -> dict[str, int]:
