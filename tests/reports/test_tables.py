@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 
 from farfield.geometry.boxes import Boxes
@@ -72,3 +74,11 @@ def test_annotated_objects_keep_known_counts_only(evaluation: Evaluation) -> Non
     assert found["point_count"] == [7, 0]
     assert found["found"] == [True, False]
     assert annotated_objects({}, {key: annotated.replace(point_count=None)})["found"] == []
+
+
+def test_a_headline_of_several_classes_is_named_by_its_figure() -> None:
+    protocol = PROTOCOLS["kradar"]
+    result = {"label": "vehicle, pedestrian", "figures": {}, "ap": {"vehicle": {"3d": {"0.3": 0.5}}}}
+    presentation = replace(protocol.presentation(result), figures=("ap/vehicle/3d/0.3",))
+    text = words.headline({"os2-64": result}, protocol, presentation)
+    assert text.startswith("Overall score (vehicle AP3D 0.3, 100 is perfect): 50.0 on os2-64.")

@@ -5,7 +5,7 @@ from typing import Any
 
 from farfield.metrics.presenting import BASICS, Presentation, Words
 from farfield.metrics.protocol import Protocol
-from farfield.metrics.subject import Subject
+from farfield.metrics.subject import Subject, subject_of
 from farfield.reports.results import counts, figure, part_names
 from farfield.reports.tables import Results, range_name
 from farfield.vocabulary.patterns import PATTERN_NOTES
@@ -44,7 +44,7 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
     known = {name: value for name, value in scored.items() if value is not None}
     if not known:
         return "Nothing is annotated in the region that counts, so there is no score."
-    label = next((str(r["label"]).replace("_", " ") for r in results.values() if r.get("label")), "object")
+    label = next((label for result in results.values() if (label := _label(result))), "object")
     unit = protocol.unit(score)
     reached = _joined(
         [
@@ -53,12 +53,19 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
         ]
     )
     perfect = {"": ", 1 is perfect", "%": ", 100 is perfect"}.get(unit, "")
-    first = f"Overall {label} detection score ({protocol.title(score)}{perfect}): {reached}."
+    of = "" if "," in label else f"{label} detection "  # of several classes, the score's name says which
+    first = f"Overall {of}score ({protocol.title(score)}{perfect}): {reached}."
     best = max(known, key=lambda name: known[name])
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
     falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
     only = "" if len(known) == 1 else f"On {_short(best)} it"
     return first + (f" {only or 'It'} is {_joined(falls)}." if len(falls) > 1 else "")
+
+
+def _label(result: Mapping[str, Any]) -> str:
+    """The class that was scored, with those that counted as it."""
+    subject = subject_of(result)
+    return (str(result.get("label") or "") if subject is None else subject.label).replace("_", " ")
 
 
 def _value(value: float, unit: str) -> str:
