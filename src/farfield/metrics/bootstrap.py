@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 Statistics = dict[str, float | None]
+Many = Mapping[str, Float[np.ndarray, " replicates"]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,11 @@ def replicate_weights(groups: int, replicates: int, rng: np.random.Generator) ->
 
 
 def intervals(
-    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics], groups: int, settings: Bootstrap
+    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics],
+    groups: int,
+    settings: Bootstrap,
+    *,
+    many: Callable[[Float[np.ndarray, "replicates groups"]], Many] | None = None,
 ) -> dict[str, list[float] | None]:
     """Percentile interval of every statistic.
 
@@ -58,6 +63,7 @@ def intervals(
         statistics: Named figures under given group weights; None where nothing was annotated among them.
         groups: Number of groups.
         settings: How to draw.
+        many: The same figures under each row of weights, NaN for None, where that is faster than one by one.
 
     Returns:
         [low, high] by name; None where fewer than two groups or replicates allow no interval.
@@ -65,6 +71,18 @@ def intervals(
     if groups < 2 or settings.replicates < 2:
         return dict.fromkeys(statistics(np.ones(groups)))
     weights = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
+    drawn = _one_by_one(statistics, weights) if many is None else _all_at_once(many, weights)
+    tail = (1.0 - settings.level) / 2
+    return {
+        name: [float(v) for v in np.quantile(values, [tail, 1 - tail])] if len(values) > 1 else None
+        for name, values in drawn.items()
+    }
+
+
+def _one_by_one(
+    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics], weights: Float[np.ndarray, "replicates groups"]
+) -> dict[str, list[float]]:
+    """The values of each figure that are known, in the order of the replicates."""
     drawn: dict[str, list[float]] = {}
     known: dict[bytes, Statistics] = {}  # few groups are drawn alike again and again: of two in three ways only
     for weight in weights:
@@ -73,8 +91,13 @@ def intervals(
             known[key] = statistics(weight)
         for name, value in known[key].items():
             drawn.setdefault(name, []).extend([] if value is None else [value])
-    tail = (1.0 - settings.level) / 2
-    return {
-        name: [float(v) for v in np.quantile(values, [tail, 1 - tail])] if len(values) > 1 else None
-        for name, values in drawn.items()
-    }
+    return drawn
+
+
+def _all_at_once(
+    many: Callable[[Float[np.ndarray, "replicates groups"]], Many], weights: Float[np.ndarray, "replicates groups"]
+) -> dict[str, list[float]]:
+    """The same from figures of all replicates that differ."""
+    different, place = np.unique(weights, axis=0, return_inverse=True)
+    found = {name: values[place.reshape(-1)] for name, values in many(different).items()}
+    return {name: values[~np.isnan(values)].tolist() for name, values in found.items()}

@@ -1,5 +1,6 @@
 """The evaluation that DDS, wDDS and nuScenes share: match by centre distance, then read the figures off the curves."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,6 +15,7 @@ from farfield.metrics.centre.scene import Scene
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import Curve, Ranking, average_precision, mean_error, weighted_curve
 from farfield.metrics.frames import in_range
+from farfield.metrics.replicates import average_precisions, mean_errors, shares, weighted_curves
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
 ERRORS = ("trans_err", "scale_err", "orient_err")
@@ -175,6 +177,73 @@ def statistics(part: Part, settings: CentreSettings, weight: Float[np.ndarray, "
         figures |= {f"dds/{epsilon:g}/dds": _mean([mean_ap, aiou])}
         figures |= {f"dds/{epsilon:g}/map": mean_ap, f"dds/{epsilon:g}/aiou": aiou}
     return figures
+
+
+def statistics_of_many(
+    part: Part, settings: CentreSettings, weights: Float[np.ndarray, "r g"]
+) -> dict[str, Float[np.ndarray, " r"]]:
+    """The figures of :func:`statistics` under each row of group weights; NaN where nothing is annotated."""
+    figures: dict[str, np.ndarray] = {}
+    for epsilon in settings.epsilons:
+        first = epsilon == settings.epsilons[0]
+        names = [*(ERRORS if first else ()), *(["aiou_err"] if settings.with_aiou else [])]
+        precisions = {threshold: np.zeros(0) for threshold in settings.thresholds_m}
+        errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
+        for threshold in dict.fromkeys((*settings.thresholds_m, *settings.error_thresholds_m)):
+            area, found = _figures_of_many(part, settings, (epsilon, threshold), names, weights)
+            if threshold in precisions:
+                precisions[threshold] = area
+            for name, values in found.items():
+                errors[name].append(values)
+        mean_ap = _mean_of_many([precisions[threshold] for threshold in settings.thresholds_m])
+        if first:
+            figures |= {f"ap/{float(threshold)}": precisions[threshold] for threshold in settings.thresholds_m}
+            figures |= {f"errors/{name}": _mean_of_many(errors[name]) for name in ERRORS}
+        if not settings.with_aiou:
+            figures.setdefault("map", mean_ap)
+            continue
+        aiou = 1.0 - _mean_of_many(errors["aiou_err"])
+        figures |= {f"dds/{epsilon:g}/dds": _mean_of_many([mean_ap, aiou])}
+        figures |= {f"dds/{epsilon:g}/map": mean_ap, f"dds/{epsilon:g}/aiou": aiou}
+    return figures
+
+
+def _figures_of_many(
+    part: Part, settings: CentreSettings, variant: Variant, names: Sequence[str], weights: Float[np.ndarray, "r g"]
+) -> tuple[Float[np.ndarray, " r"], dict[str, Float[np.ndarray, " r"]]]:
+    """Average precisions of one variant, and its errors where those are taken at its threshold."""
+    areas: list[np.ndarray] = []
+    found: dict[str, list[np.ndarray]] = {name: [] for name in names if variant[1] in settings.error_thresholds_m}
+    for some in shares(part.ranking[variant], weights):
+        curves = weighted_curves(part.ranking[variant], some)
+        areas.append(average_precisions(curves, method=settings.ap))
+        for name, values in found.items():
+            method = settings.aiou_mean if name == "aiou_err" else "nuscenes"
+            values.append(mean_errors(curves, part.error[variant][name], method=method))
+    return np.concatenate(areas), {name: np.concatenate(values) for name, values in found.items()}
+
+
+def _mean_of_many(values: Sequence[Float[np.ndarray, " r"]]) -> Float[np.ndarray, " r"]:
+    """Means of rows, added up in order as :func:`_mean` does; NaN where one is."""
+    total = values[0].copy()
+    for each in values[1:]:
+        total += each
+    return total / len(values)
+
+
+def mean_of_parts_of_many(
+    parts: Sequence[Mapping[str, Float[np.ndarray, " r"]]],
+) -> dict[str, Float[np.ndarray, " r"]]:
+    """Mean of each figure over the parts that have annotated boxes under a row's weights; NaN where none has."""
+    means = {}
+    for name in parts[0] if parts else ():
+        total, count = np.zeros(len(parts[0][name])), np.zeros(len(parts[0][name]))
+        for part in parts:
+            known = ~np.isnan(part[name])
+            total[known] += part[name][known]
+            count += known
+        means[name] = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+    return means
 
 
 def _precision(curve: Curve | None, settings: CentreSettings) -> float | None:

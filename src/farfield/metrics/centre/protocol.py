@@ -14,7 +14,9 @@ from farfield.metrics.centre.evaluation import (
     binned,
     match_scene,
     mean_of_parts,
+    mean_of_parts_of_many,
     statistics,
+    statistics_of_many,
     whole,
     with_confidences,
 )
@@ -115,7 +117,8 @@ def evaluate_centre(
     figures = partial(_figures, parts, _reached(settings, reach_m), settings)
     point = figures(np.ones(scene.n_groups))
     drawn: dict[str, dict[str, list[float] | None]] = {}
-    for key, interval in intervals(partial(_flat, figures), scene.n_groups, settings.bootstrap).items():
+    many = partial(_flat_of_many, parts, _reached(settings, reach_m), settings)
+    for key, interval in intervals(partial(_flat, figures), scene.n_groups, settings.bootstrap, many=many).items():
         part, _, name = key.partition("|")
         drawn.setdefault(part, {})[name] = interval
     frames = np.union1d(scene.predicted_frame, scene.annotated_frame[~scene.ignored])
@@ -183,6 +186,21 @@ def _mean_of_bins(
 
 def _flat(figures: "partial[dict[str, Statistics]]", weight: Float[np.ndarray, " groups"]) -> Statistics:
     return {f"{part}|{name}": v for part, named in figures(weight).items() for name, v in named.items()}
+
+
+def _flat_of_many(
+    parts: Mapping[str, Part],
+    reached: Sequence[str],
+    settings: CentreSettings,
+    weights: Float[np.ndarray, "replicates groups"],
+) -> dict[str, Float[np.ndarray, " replicates"]]:
+    """What :func:`_flat` gives, under each row of weights."""
+    once = {
+        id(part): statistics_of_many(part, settings, weights) for part in {id(p): p for p in parts.values()}.values()
+    }
+    found = {name: once[id(part)] for name, part in parts.items()}
+    found["mean_of_bins"] = mean_of_parts_of_many([found[name] for name in reached])
+    return {f"{part}|{name}": values for part, named in found.items() for name, values in named.items()}
 
 
 def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
