@@ -30,8 +30,14 @@ def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
     drawn = [(name, panel) for name, result in results.items() for panel in protocol_of(result).curves(result)]
     columns = 2 if len(drawn) > 1 else 1
     with house_style():
-        figure = new_figure(10.2, 0.5 + 2.6 * -(-len(drawn) // columns))
-        grid = figure.subplots(max(1, -(-len(drawn) // columns)), columns, squeeze=False, sharex=True, sharey=True)
+        rows = max(1, -(-len(drawn) // columns))
+        width_in, height_in = 10.2, 0.9 + 2.5 * rows
+        figure = new_figure(width_in, height_in, fixed=True)
+        figure.subplots_adjust(
+            left=0.55 / width_in, right=1 - 0.15 / width_in, bottom=0.85 / height_in, top=1 - 0.3 / height_in
+        )
+        figure.subplots_adjust(wspace=0.06, hspace=0.2)
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for place, axes in enumerate(grid.ravel()):
             if place >= len(drawn):
                 axes.set_axis_off()
@@ -46,7 +52,7 @@ def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 shown.setdefault(str(label), handle)
         if shown:
-            figure.legend([*shown.values()], [*shown], loc="outside lower center", ncols=len(shown), handlelength=1.6)
+            figure.legend([*shown.values()], [*shown], loc="lower center", ncols=len(shown), handlelength=1.6)
     return figure
 
 
