@@ -150,7 +150,7 @@ def test_letters_typed_into_a_field_move_nothing(page: Screen):
 def test_press_and_drag_along_the_heading_draws_a_box(page: Screen):
     truth = near(page)
     chosen(page, truth)
-    page.press("Delete")
+    page.press("Delete", "Escape")  # or the box that is gone stays the selection until the new one is fitted
     page.settled()
     assert truth["id"] not in [row["id"] for row in page.boxes]
     page.press("n")
