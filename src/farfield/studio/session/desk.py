@@ -41,7 +41,7 @@ class Desk:
         self.data: Dataset | None = None
         self.annotating: Annotating | None = None
         self.jobs: Jobs | None = None
-        self.checking: set[int] = set()
+        self.checking: dict[int, float] = {}  # frames to be checked, and when each was edited last
         self._ready = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 

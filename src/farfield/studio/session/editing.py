@@ -144,15 +144,18 @@ def _spread(desk: Desk, window: Window, changed: Changed, *, steps: bool, alone:
 
 def check_soon(desk: Desk, frame: int) -> None:
     """Check a frame once edits pause for a moment, and tell the windows that show it."""
-    if frame in desk.checking:
+    waiting = frame in desk.checking
+    desk.checking[frame] = time.monotonic()
+    if waiting:
         return
-    desk.checking.add(frame)
     desk.aside(Window(id="", annotator=""), None, _check(desk, frame))
 
 
 async def _check(desk: Desk, frame: int) -> None:
-    await asyncio.sleep(0.05)
-    desk.checking.discard(frame)
+    began = time.monotonic()
+    while (paused := time.monotonic() - desk.checking[frame]) < _PAUSE_S and time.monotonic() - began < _LONGEST_S:
+        await asyncio.sleep(_PAUSE_S - paused)
+    del desk.checking[frame]
     reply = await desk.in_thread(lambda: checks_of(desk, frame))
     for window in desk.windows.values():
         if window.frame == frame:
@@ -280,4 +283,5 @@ async def save_now(desk: Desk) -> None:
 
 
 AUTOSAVE_S = 30.0
+_PAUSE_S, _LONGEST_S = 0.05, 1.0  # without edits before a frame is checked, and how long it may wait
 _KEPT = "your edits are safe in the journal; mend the cause and save again"
