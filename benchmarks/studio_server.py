@@ -10,7 +10,6 @@ render of 131,072 points.
 import argparse
 import http.client
 import json
-import os
 import shutil
 import socket
 import statistics
@@ -28,6 +27,7 @@ from _studio_process import Started, started
 from _studio_scenes import write_folder
 from _studio_screen import Screen, chromium_path, screen
 from _studio_table import Table, reported
+from studio_journal import fsyncs
 from studio_page import SIZES, reference_ms
 
 SAMPLE = ROOT / "src" / "farfield" / "studio" / "samples" / "kradar"
@@ -144,22 +144,9 @@ def start(table: Table, launch: Any, work: Path) -> None:
     browser.close()
 
 
-def fsync_ms(folder: Path) -> float:
-    """Median of a line appended and fsynced."""
-    took = []
-    with (folder / "plain").open("ab") as handle:
-        for _ in range(100):
-            begin = time.perf_counter()
-            handle.write(b"x" * 300 + b"\n")
-            handle.flush()
-            os.fsync(handle.fileno())
-            took.append((time.perf_counter() - begin) * 1e3)
-    return statistics.median(took)
-
-
 def edits(table: Table, live: Started, work: Path) -> None:
     """Edits one after the other through the WebSocket."""
-    plain = fsync_ms(work)
+    plain = statistics.median(fsyncs(work))
     with window(live) as client:
         took = client.edits_ms(0, 200)
         size = client.html_bytes(0) / 1e6

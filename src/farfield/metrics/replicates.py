@@ -1,6 +1,6 @@
 """Figures of one ranking under many weights at once: what :mod:`farfield.metrics.curves` says for one, a row each.
 
-A bootstrap asks for the same curve under hundreds of weights. Where no weight falls on an annotated box a row is NaN.
+A bootstrap takes the same curve under hundreds of weights. Where no weight falls on an annotated box a row is NaN.
 """
 
 from dataclasses import dataclass

@@ -36,8 +36,8 @@ _EARTH_M = 6_378_137.0
 
 def drives_in(root: Path) -> list[Path]:
     """The drives in a folder: itself, or those one or two folders down."""
-    places = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
-    return [place for place in places if (place / CLOUDS / _STAMPS["middle"]).is_file()]
+    stamps = f"{CLOUDS}/{_STAMPS['middle']}"
+    return [path.parents[1] for above in ("", "*/", "*/*/") for path in sorted(root.glob(above + stamps))]
 
 
 class KittiRaw(Dataset):
@@ -62,6 +62,7 @@ class KittiRaw(Dataset):
         self.clouds = [path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob("*.bin"))]
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected drives with {CLOUDS}/data/*.bin and timestamps, found none")
+        self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}
         self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
         self.frame_ids = tuple(path.stem for path in self.clouds)
 
@@ -110,7 +111,7 @@ class KittiRaw(Dataset):
                 "lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=self._time_ns(index, "middle")),
                 **{name: camera_sensor(cameras.get(name), time) for name, time in times.items()},
             },
-            world_T_frame=placed(drive, frame_id),
+            world_T_frame=placed(drive, frame_id, self._first_record[drive]),
             load_annotation=partial(_annotation, labels, frame_id) if labels.is_file() else None,
             metadata={"files": [str(path) for path in self.files(index)], "turn_ns": turn},
         )
@@ -152,16 +153,21 @@ def cameras_of(day: Path) -> dict[str, Camera]:
     return found
 
 
-def placed(drive: Path, frame_id: str) -> Float[np.ndarray, "4 4"] | None:
+def placed(drive: Path, frame_id: str, beginning: Path | None) -> Float[np.ndarray, "4 4"] | None:
     """Where the LiDAR stands, from the GPS/IMU's record in a Mercator map about the drive's first record.
+
+    Args:
+        drive: The drive's folder.
+        frame_id: The frame.
+        beginning: The drive's first record; None where it has none.
 
     Raises:
         FileFormatError: If a record or the calibration is damaged.
     """
     record, calibration = drive / "oxts" / "data" / f"{frame_id}.txt", drive.parent / "calib_imu_to_velo.txt"
-    if not record.is_file() or not calibration.is_file():
+    if beginning is None or not record.is_file() or not calibration.is_file():
         return None
-    first = read_record(next(iter(sorted(record.parent.glob("*.txt")))))
+    first = read_record(beginning)
     scale = float(np.cos(np.radians(first[0])))
     here = _pose(read_record(record), scale)
     here[:3, 3] -= _pose(first, scale)[:3, 3]

@@ -127,7 +127,7 @@ class KRadar(Protocol):
             parts=tuple(name for name in names if name not in first),
             parts_title="At stricter overlaps",
             about_parts="The number is the overlap that a prediction must exceed.",
-            about_curves="Each line asks for another overlap.",
+            about_curves="Each line is for another least overlap.",
             glossary=_GLOSSARY,
             kinds=("weather", "road", "time", "visibility", "azimuth"),
             conditions_first=True,
