@@ -10,6 +10,12 @@ const AHEAD = 3;
 let wanted = -1;
 const asked = new Set<number>();
 let whenShown: ((frame: number) => void) | null = null;
+let arriving = 0;
+
+/** Whether the frame that is asked for, or a layer of it, is still on its way. */
+export function awaited(): boolean {
+  return arriving > 0 || asked.has(wanted);
+}
 
 /** Called with every frame whose data are here: the stage draws it. */
 export function onShown(draw: (frame: number) => void): void {
@@ -66,7 +72,9 @@ async function arrive(found: FrameState): Promise<void> {
   const layers = neededLayers(found);
   const waiting = layers.filter((layer) => ready(layer) === null);
   if (waiting.length > 0) {
+    arriving += 1;
     const results = await Promise.allSettled(waiting.map((layer) => load(frame, layer)));
+    arriving -= 1;
     if (wanted !== frame || states.get(frame) !== found) return;
     for (const result of results)
       if (result.status === "rejected" && (result.reason as Error).name !== "AbortError") report("error", (result.reason as Error).message);

@@ -4,6 +4,7 @@ import { fitTimes, sketch } from "./annotate";
 import type { Vec3 } from "./boxes";
 import type { CloseUps } from "./closeups";
 import { hold } from "./edits";
+import { awaited } from "./frames";
 import { cached } from "./loader";
 import { Projector } from "./project";
 import type { Stage } from "./stage";
@@ -13,7 +14,7 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
   if (new URL(location.href).searchParams.get("test") !== "1") return;
   const waitIdle = async (): Promise<number> => {
     const started = performance.now();
-    const settled = (): boolean => stage.idle && state.shown !== null && state.shown.frame.index === state.frame && stage.drawn.frame === state.frame && stage.drawn.whole && state.pending === 0;
+    const settled = (): boolean => stage.idle && state.shown !== null && state.shown.frame.index === state.frame && stage.drawn.frame === state.frame && stage.drawn.whole && state.pending === 0 && !awaited();
     while (!settled()) {
       if (performance.now() - started > 30_000) throw new Error(`not idle: ${JSON.stringify({ idle: stage.idle, frame: state.frame, drawn: stage.drawn, pending: state.pending })}`);
       await new Promise((resolve) => setTimeout(resolve, 15));
