@@ -91,7 +91,7 @@ def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Win
     picture[..., :3] = np.round(255 * np.array(to_rgb(POINT)))
     picture[..., 3] = np.round(255 * (1.0 - 0.25 ** np.minimum(spread.T, 4.0)))
     axes.imshow(
-        picture, origin="lower", extent=(x_from, x_to, y_from, y_to), interpolation="nearest", aspect="auto", zorder=2
+        picture, origin="lower", extent=(x_from, x_to, y_from, y_to), interpolation="none", aspect="auto", zorder=2
     )
 
 

@@ -15,10 +15,13 @@ from farfield.reports.words import pattern_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import PathCollection
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
 _RANGE_BINS_M = np.arange(0.0, 260.0, 10.0)
+_VIEW_DEG = ((-62, 62), (-22, 14))
+_VIEW_PIXELS_DEG = (8, 12)
+_VIEW_END_M = 250.0
 
 
 def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
@@ -127,45 +130,68 @@ def scan_patterns(clouds: Mapping[str, Cloud], *, edges_m: Sequence[float] = RAN
         edges_m: Ranges to mark.
     """
     with house_style():
-        figure = new_figure(11.0, 8.3)
-        grid = figure.add_gridspec(3, len(clouds), height_ratios=[3, 2.6, 2])
+        figure = new_figure(11.0, 8.3, fixed=True)
+        grid = figure.add_gridspec(
+            3,
+            len(clouds),
+            height_ratios=[3, 2.6, 2],
+            left=0.06,
+            right=0.92,
+            bottom=0.065,
+            top=0.96,
+            hspace=0.32,
+            wspace=0.1,
+        )
         for column, (name, cloud) in enumerate(clouds.items()):
             view, above = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-            dots = _draw_view(view, cloud)
+            _draw_view(view, cloud)
             view.set_title(f"{pattern_title(name)}: {len(cloud):,} points")
             view.set_ylabel("elevation (degrees)" if column == 0 else "")
             draw_birdseye(above, cloud, point_size=0.6, rings_m=edges_m)
             above.set_ylabel("y left (m)" if column == 0 else "")
-            if column == len(clouds) - 1:
-                figure.colorbar(dots, ax=view, label="range (m)", shrink=0.9, pad=0.02)
+        _draw_range_scale(figure, view)
         _draw_range_counts(figure.add_subplot(grid[2, :]), clouds, edges_m)
     return figure
 
 
-def _draw_view(axes: "Axes", cloud: Cloud) -> "PathCollection":
+def _draw_view(axes: "Axes", cloud: Cloud) -> None:
+    """One picture of the nearest return's range a pixel; a point is four pixels, about as large as a marker."""
+    x, y, z = cloud.points_m.astype(np.float64).T
+    flat_m = np.hypot(x, y)
+    angles_deg = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.maximum(flat_m, 1e-6)))
+    (right, left), (low, high) = _VIEW_DEG
+    shape = (high - low) * _VIEW_PIXELS_DEG[1], (left - right) * _VIEW_PIXELS_DEG[0]
+    column = np.floor((left - angles_deg[0]) * _VIEW_PIXELS_DEG[0]).astype(np.int64)
+    row = np.floor((angles_deg[1] - low) * _VIEW_PIXELS_DEG[1]).astype(np.int64)
+    seen = (column >= 0) & (column < shape[1] - 1) & (row >= 0) & (row < shape[0] - 1)
+    near_last = np.flatnonzero(seen)[np.argsort(-flat_m[seen])]
+    picture = np.zeros((*shape, 4), dtype=np.uint8)
+    colours = _range_colours()(flat_m[near_last] / _VIEW_END_M, bytes=True)
+    for across, up in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        picture[row[near_last] + up, column[near_last] + across] = colours
+    extent = (float(left), float(right), float(low), float(high))  # left is positive, as one would see it
+    axes.imshow(picture, origin="lower", extent=extent, interpolation="none", aspect="auto", zorder=2)
+    axes.grid(visible=True)
+    axes.set_xlabel("azimuth (degrees; left is positive)")
+
+
+def _range_colours() -> "Colormap":
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
-    x, y, z = cloud.points_m.astype(np.float64).T
-    flat = np.hypot(x, y)
-    azimuth_deg, elevation_deg = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.maximum(flat, 1e-6)))
-    far_last = np.argsort(flat)
-    dots = axes.scatter(
-        azimuth_deg[far_last],
-        elevation_deg[far_last],
-        s=0.9,
-        c=flat[far_last],
-        cmap=ListedColormap(colormaps["viridis_r"](np.linspace(0.18, 1.0, 256))),  # palest yellows vanish on white
-        vmin=0,
-        vmax=250,
-        linewidths=0,
-        rasterized=True,
-    )
-    axes.set_xlim(62, -62)  # left is positive, as one would see it
-    axes.set_ylim(-22, 14)
-    axes.grid(visible=True)
-    axes.set_xlabel("azimuth (degrees; left is positive)")
-    return dots
+    return ListedColormap(colormaps["viridis_r"](np.linspace(0.18, 1.0, 256)))  # palest yellows vanish on white
+
+
+def _draw_range_scale(figure: "Figure", beside: "Axes") -> None:
+    """What the colours of a view mean, as a bar at its right."""
+    place = beside.get_position()
+    axes = figure.add_axes((place.x1 + 0.012, place.y0 + 0.05 * place.height, 0.012, 0.9 * place.height))
+    scale = _range_colours()(np.linspace(0, 1, 256), bytes=True)[:, None]
+    axes.imshow(scale, origin="lower", extent=(0, 1, 0, _VIEW_END_M), interpolation="none", aspect="auto")
+    axes.set_xticks([])
+    axes.yaxis.tick_right()
+    axes.yaxis.set_label_position("right")
+    axes.set_ylabel("range (m)")
 
 
 def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud], edges_m: Sequence[float]) -> None:
