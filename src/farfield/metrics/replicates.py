@@ -124,16 +124,27 @@ def mean_errors(curves: Curves, error: Float[np.ndarray, " h"], *, method: str =
     if method == "tp_mean":
         means[good] = weighted[good].sum(axis=1) / curves.matched[good, -1]
         return means
-    running, confidence = np.cumsum(weighted, axis=1), curves.confidence
-    for row in np.flatnonzero(good):
-        reached = np.flatnonzero(confidence[row])
-        if len(reached) == 0 or reached[-1] < FIRST:
-            continue
-        matched = curves.matched[row]
-        first = int(np.argmax(matched > 0))
-        mean = running[row]
-        mean[first:] /= matched[first:]
-        mean[:first] = mean[first]
-        wanted = confidence[row, FIRST : reached[-1] + 1]
-        means[row] = np.interp(wanted, curves.match_confidence[::-1], mean[::-1]).mean()
+    confidence = curves.confidence[good]
+    reached = np.where(confidence.any(axis=1), len(RECALL) - np.argmax(confidence[:, ::-1] != 0, axis=1), 0)
+    matched = curves.matched[good]
+    running = np.divide(np.cumsum(weighted[good], axis=1), matched, out=np.zeros_like(matched), where=matched > 0)
+    first = np.argmax(matched > 0, axis=1)[:, None]
+    before = np.arange(matched.shape[1]) < first
+    running = np.where(before, np.take_along_axis(running, first, axis=1), running)
+    resampled = _interpolated(confidence[:, FIRST:], curves.match_confidence[::-1], running[:, ::-1])
+    counted = np.arange(FIRST, len(RECALL)) < reached[:, None]
+    total = np.where(counted, resampled, 0.0).sum(axis=1)
+    means[good] = np.divide(total, counted.sum(axis=1), out=np.ones_like(total), where=reached > FIRST)
     return means
+
+
+def _interpolated(
+    x: Float[np.ndarray, "r k"], knots: Float[np.ndarray, " h"], values: Float[np.ndarray, "r h"]
+) -> Float[np.ndarray, "r k"]:
+    """``numpy.interp`` of each row: the knots are common to all of them, and may stand twice."""
+    left = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 1)
+    right = np.minimum(left + 1, len(knots) - 1)
+    low, high = np.take_along_axis(values, left, axis=1), np.take_along_axis(values, right, axis=1)
+    gap, over = knots[right] - knots[left], x - knots[left]
+    slope = np.divide(high - low, gap, out=np.zeros_like(low), where=(gap > 0) & (over > 0))
+    return slope * over + low

@@ -71,6 +71,16 @@ def draw_birdseye(
     if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
         axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
     axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
+    place_names(axes)
+
+
+def place_names(axes: "Axes") -> None:
+    """Put the axes' names at fixed places: to find them, matplotlib measures every number beside the axes."""
+    from matplotlib.transforms import ScaledTranslation
+
+    move = axes.get_figure(root=True).dpi_scale_trans  # type: ignore[union-attr]
+    axes.xaxis.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0, -0.24, move))
+    axes.yaxis.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-0.36, 0, move))
 
 
 def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Window, point_size: float) -> None:
