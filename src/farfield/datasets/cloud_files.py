@@ -34,13 +34,14 @@ class CloudFiles(Sequence[Frame]):
 
     Args:
         paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
+        bin_columns: Numbers a point in ``.bin`` files; None decides by the numbers themselves.
 
     Raises:
         DatasetError: If a file is named twice, or two cannot be told apart.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self.paths = tuple(paths)
+    def __init__(self, paths: Sequence[Path], *, bin_columns: int | None = None) -> None:
+        self.paths, self.bin_columns = tuple(paths), bin_columns
         alone = len({path.stem for path in self.paths}) == len(self.paths)
         self.keys: tuple[Key, ...] = tuple(
             ("files" if alone else path.resolve().parent.name, path.stem) for path in self.paths
@@ -56,7 +57,7 @@ class CloudFiles(Sequence[Frame]):
     def __getitem__(self, index: int) -> Frame:  # type: ignore[override]
         path = self.paths[index]
         sequence, frame_id = self.keys[index]
-        return Frame.of(read_cloud(path), sequence=sequence, frame_id=frame_id)
+        return Frame.of(read_cloud(path, bin_columns=self.bin_columns), sequence=sequence, frame_id=frame_id)
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""
