@@ -97,7 +97,7 @@ class TestClasses:
     def test_training_without_one_box_stops(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         pytest.importorskip("torch")
         folder = own(tmp_path / "own", "Auto")
-    X
+        words = [f"data.path={folder}", "data.split=null", "training.steps=1"]
         options = [word for each in words for word in ("-o", each)]
         assert main(["train", "pointpillars-kitti", *options, "--out", str(tmp_path / "run")]) == 1
         said = capsys.readouterr().err
