@@ -25,7 +25,7 @@ PLAIN: dict[str, Any] = {"region": "none", "bootstrap": NO_BOOTSTRAP}
 
 @pytest.fixture(scope="module", params=["iso", "long"])
 def kit(shared_real: Path, request: pytest.FixtureRequest) -> tuple[ByFrame, ByFrame, dict[str, Any]]:
-    """500 real test frames, predictions of noise (of the boxes, or along them), and what the development kit prints for them."""
+    """500 real test frames, predictions of noise (of two kinds), and what the development kit prints for them."""
     folder = shared_real / "kradar" / "evaluation"
     rows: dict[tuple[str, str], dict[str, list[dict[str, str]]]] = {}
     with (folder / f"boxes_{request.param}.csv").open(newline="") as handle:
