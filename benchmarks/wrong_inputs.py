@@ -259,7 +259,7 @@ def inverted_camera(folder: Path) -> list[str]:
         Image.new("RGB", (1280, 720), (90, 90, 90)).save(own / f"{frame:06d}.png")
     rows = "[[0, 0, 1, 0.3], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]]"  # lidar_T_camera
     matrix = "[[1000, 0, 640], [0, 1000, 360], [0, 0, 1]]"
-    text = f"camera:\n  matrix: {matrix}\n  camera_T_lidar: {rows}\n  width: 1280\n  height: 720\n"
+    text = f"matrix: {matrix}\ncamera_T_lidar: {rows}\nwidth: 1280\nheight: 720\n"
     (own / "calibration.yaml").write_text(text)
     return ["doctor", "own"]
 
