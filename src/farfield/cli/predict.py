@@ -104,6 +104,8 @@ def run(
         journal.unlink(missing_ok=True)
         print("".join(f"note: {note}\n" for note in results.notes), end="")
         print(f"{found.count} boxes in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
+        if not found.count:
+            print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
     else:
         for text in format_boxes_csv_parts(rows_of(found, shown[0].reference)):
             sys.stdout.write(text)

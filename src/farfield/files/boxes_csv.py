@@ -218,11 +218,19 @@ def _check_header(path: Path | str, header: list[str]) -> None:
             where="line 1",
             expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {perhaps})",
             found=found,
-            mend=f"Missing: {', '.join(missing)}." if missing else "",
+            mend=_mend(header, missing),
         )
     axes = [name for name in _VELOCITY if name in header]
     if axes and axes[:2] != list(_VELOCITY[:2]):
         raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=found)
+
+
+def _mend(header: list[str], missing: list[str]) -> str:
+    if len(header) == 1:
+        for letter, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "blanks")):
+            if letter in header[0]:
+                return f"Its columns are separated by {word}: separate them by commas, with points in numbers."
+    return f"Missing: {', '.join(missing)}." if missing else ""
 
 
 def _number(path: Path | str, line: int, name: str, text: str) -> float:

@@ -66,6 +66,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         notes.append("the labels have scores and the predictions have none: are the two files exchanged?")
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
+    notes += _without_image_boxes(predicted) if format == "kitti" else []
     notes += oddities(predicted.boxes, annotated.boxes)
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
@@ -210,6 +211,21 @@ def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[st
         notes.append(
             f"{word} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
         )
+
+
+def _without_image_boxes(predicted: _Collected) -> list[str]:
+    """A note on KITTI's predictions that have no place in the image."""
+    heights = [
+        known["box_px"][:, 3] - known["box_px"][:, 1] for known in predicted.details.values() if "box_px" in known
+    ]
+    flat = np.concatenate(heights) if heights else np.zeros(0)
+    lacking = int((flat <= 0).sum())
+    if lacking <= 0.5 * len(flat) or not len(flat):
+        return []
+    return [
+        f"{lacking} of {len(flat)} predictions have no 2D box in the image: KITTI's rules leave out predictions lower "
+        "than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
+    ]
 
 
 def _name_coordinates(side: _Collected, place: Path, given: str) -> None:

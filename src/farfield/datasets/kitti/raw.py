@@ -66,8 +66,8 @@ class KittiRaw(Dataset):
         self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}
         self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
         self.frame_ids = tuple(path.stem for path in self.clouds)
-        columns = columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
-        self._reading = {"bin_columns": columns, "intensity_scale": 1.0 if columns == _COLUMNS else None}
+        self.columns = columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
 
     def _drive(self, index: int) -> Path:
         return self.clouds[index].parents[2]
@@ -103,11 +103,12 @@ class KittiRaw(Dataset):
         labels = drive / _LABELS
         turn = tuple(self._time_ns(index, which) for which in ("start", "end"))
         times = {name: stamp_of(drive / name / _STAMPS["middle"], frame_id) for name in (*images, *cameras)}
+        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=self.sequences[index],
             frame_id=frame_id,
             time_ns=self._time_ns(index, "middle"),
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], **self._reading)}),
+            clouds=Lazy({"lidar": partial(read, self.clouds[index])}),
             images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
             cameras=cameras,
             sensors={

@@ -67,8 +67,8 @@ class KittiTracking(Dataset):
         self.sequences = tuple(name for name, _ in keys)
         self.frame_ids = tuple(stem for _, stem in keys)
         first = sorted(self.folder.glob(f"velodyne/{keys[0][0]}/*.bin"))[:_LOOKED_AT]
-        columns = bin_columns or columns_shown(first) or _COLUMNS
-        self._reading = {"bin_columns": columns, "intensity_scale": 1.0 if columns == _COLUMNS else None}
+        self.columns = bin_columns or columns_shown(first) or _COLUMNS
+        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
 
     def _stems(self, sequence: str) -> list[str]:
         clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/*.bin"))]
@@ -113,10 +113,11 @@ class KittiTracking(Dataset):
             camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
             field = CameraField(camera=cameras["camera"], name="the left colour camera") if cameras else None
             annotation = partial(self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.classes, field)
+        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=sequence,
             frame_id=stem,
-            clouds=Lazy({} if cloud is None else {"lidar": partial(read_cloud, cloud, **self._reading)}),
+            clouds=Lazy({} if cloud is None else {"lidar": partial(read, cloud)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),

@@ -27,11 +27,13 @@ class CsvLabels:
 
     Args:
         file: The file.
+        reference: Sensor in whose coordinates the boxes of a new file stand; empty where not known.
     """
 
     name: ClassVar[str] = "boxes-csv"
     attributes: ClassVar[Mapping[str, tuple[Value, ...]]] = {}
     file: Path
+    reference: str = ""
 
     def path(self, key: Key) -> Path:
         """The one file."""
@@ -48,9 +50,10 @@ class CsvLabels:
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other boxes in some frames; new ones stand behind those of their frame."""
-        header, parts = _parts(_NEW_FILE if data is None else data, path, list(labels))
+        new = _NEW_FILE.replace(b"\n", b",reference\n") if self.reference else _NEW_FILE
+        header, parts = _parts(new if data is None else data, path, list(labels))
         end = "\r\n" if parts[0].raw.endswith(b"\r\n") else "\n"
-        stands_in = "" if data is None else parse_boxes_csv(data, path).stands_in
+        stands_in = self.reference if data is None else parse_boxes_csv(data, path).stands_in or self.reference
         write = partial(_written, header=header, path=path, end=end, stands_in=stands_in)
         return replaced(parts, labels, write=write, same=_same, end=end.encode())
 
