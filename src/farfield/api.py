@@ -134,6 +134,7 @@ def evaluate(
         found = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
     if not found.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
+    found.check_label(protocol, **settings)
     return found.score(protocol, **settings)
 
 

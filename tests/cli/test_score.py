@@ -148,7 +148,7 @@ def test_the_promised_command_on_real_detections(tmp_path: Path, shared_real: Pa
     [
         (["p.csv", "missing.csv"], "found nothing there"),
         (["p.csv", "."], "one of each kind"),
-        (["p.csv", "l.csv", "--label", "tram"], "expected a class that occurs"),
+        (["p.csv", "l.csv", "--label", "tram"], "expected an annotated class"),
         (["p.csv", "l.csv", "--range-bins-m", "0,far"], "comma-separated numbers"),
         (["p.csv", "l.csv", "--options", "ap"], "each name=value once"),
         (["p.csv", "l.csv", "--options", "colour=red"], "expected options among"),

@@ -23,12 +23,12 @@ SHORT = {"sed": "vehicle", "bus": "large_vehicle"}
 PLAIN: dict[str, Any] = {"region": "none", "bootstrap": NO_BOOTSTRAP}
 
 
-@pytest.fixture(scope="module")
-def kit(shared_real: Path) -> tuple[ByFrame, ByFrame, dict[str, Any]]:
-    """500 real test frames, predictions of noise, and what the development kit prints for them."""
+@pytest.fixture(scope="module", params=["iso", "long"])
+def kit(shared_real: Path, request: pytest.FixtureRequest) -> tuple[ByFrame, ByFrame, dict[str, Any]]:
+    """500 real test frames, predictions of noise (of two kinds), and what the development kit prints for them."""
     folder = shared_real / "kradar" / "evaluation"
     rows: dict[tuple[str, str], dict[str, list[dict[str, str]]]] = {}
-    with (folder / "boxes_iso.csv").open(newline="") as handle:
+    with (folder / f"boxes_{request.param}.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             rows.setdefault((row["seq"], row["stem"]), {"gt": [], "pred": []})[row["kind"]].append(row)
     sides: dict[str, ByFrame] = {"gt": {}, "pred": {}}
@@ -43,7 +43,7 @@ def kit(shared_real: Path) -> tuple[ByFrame, ByFrame, dict[str, Any]]:
                 label=[row["cls"] for row in found],
                 score=table[:, 7] if kind == "pred" else None,
             )
-    return sides["pred"], sides["gt"], json.loads((folder / "expected_iso.json").read_text())["variants"]
+    return sides["pred"], sides["gt"], json.loads((folder / f"expected_{request.param}.json").read_text())["variants"]
 
 
 def crowd(rng: np.random.Generator, *, frames: int = 60) -> tuple[ByFrame, ByFrame]:

@@ -17,8 +17,10 @@ def run(
     mapping: Path | None = None,
     format: str | None = None,
     roots: tuple[Path, ...] = (),
+    columns: int | None = None,
     boxes: Literal["boxes", "full_boxes"] = "boxes",
     cloud: str | None = None,
+    reference: str | None = None,
     products: str = "cells",
     region: Literal["narrow", "wide", "cube"] = "wide",
     rate: float = 1.0,
@@ -35,6 +37,7 @@ def run(
       farfield convert Cirrus_dataset1 --to cache
       farfield convert Cirrus_dataset1 data/as_kitti --to kitti
       farfield convert data/sim labels.csv --to boxes-csv
+      farfield convert data/kradar labels.csv --to boxes-csv --reference radar
       farfield convert data/kitti data/as_cirrus --to cirrus
       farfield convert data/sim data/scenes --to sustechpoints
       farfield convert data/sim data/task --to cvat
@@ -51,8 +54,10 @@ def run(
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         format: Format of the source, if it is not to be recognised.
         roots: Further folders over which a K-Radar is spread.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
         cloud: Which cloud to write (gaussian, uniform...); the first unless given.
+        reference: Sensor in whose coordinates boxes and clouds are written, such as radar; the data's own unless given.
         products: What a radar store keeps: cells, polar3d, or both with a comma between.
         region: Where a radar store keeps cells.
         rate: Share of cells that a radar store keeps; 1 keeps every cell of the region.
@@ -72,6 +77,8 @@ def run(
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
     options |= {"roots": roots} if roots else {}
+    options |= {"reference": reference} if reference else {}
+    options |= {"bin_columns": columns} if columns else {}
     if verify and (target is None or to == "cache"):
         raise ConfigError("convert: expected the folder that was written with --verify, got none")
     dataset = open_dataset(source, **options)

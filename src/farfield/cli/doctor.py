@@ -23,6 +23,7 @@ def run(
     format: str | None = None,
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
+    columns: int | None = None,
     clouds: int = 20,
     calibration: int = 0,
     workers: int = 0,
@@ -47,6 +48,7 @@ def run(
             radiate or folder.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.
         calibration: Number of frames, such as 24, with which to check cameras and K-Radar's radar: whether the given
             calibration fits, and whether a sensor moved during the first drive; 0 does not.
@@ -57,7 +59,7 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.inspection.doctor import examine
 
-    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
+    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots, "bin_columns": columns}
     dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
     report = examine(dataset, max_clouds=clouds, calibration=calibration, bulk=hands(workers, engine, "reading"))
     if json:

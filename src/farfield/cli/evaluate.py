@@ -81,7 +81,8 @@ def run(
         engine: Where the work is done.
         shown_frames: Frames in the report's pictures.
         report: Draw the page; without it `farfield report` draws it later from what is kept.
-        out: Folder of the evaluation and its report.html; runs/evaluation-DATA unless given.
+        out: Folder of the evaluation and its report.html; runs/evaluation-DETECTOR-DATA unless given, with a number
+            behind it where another detector or other data of these names were evaluated there.
         overwrite: Detect anew what an evaluation before found.
     """
     from farfield.api import load_detector, open_dataset
@@ -89,7 +90,9 @@ def run(
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
+    from farfield.metrics.result import figure_names, value_at
     from farfield.reports.evaluating import evaluate_clouds
+    from farfield.reports.evaluation import default_folder
     from farfield.reports.lines import classes_of, line_of
     from farfield.reports.page import write_report
 
@@ -107,7 +110,7 @@ def run(
         "bootstrap": None if replicates is None else Bootstrap(replicates=replicates),
     }
     given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
-    folder, clocks = out or Path("runs") / f"evaluation-{opened.root.name}", dict[str, dict[str, float]]()
+    folder, clocks = out or default_folder(loaded.name, loaded.digest(), opened), dict[str, dict[str, float]]()
     evaluation = evaluate_clouds(
         loaded,
         opened,
@@ -146,4 +149,8 @@ def run(
     print(f"evaluation: {folder / 'evaluation.json'}")
     if report:
         print(f"report: {page.resolve()}")
+    known = (value_at(result, name) for result in evaluation.results.values() for name in figure_names(result))
+    if all(value is None for value in known):
+        print("exit status 1: nothing could be scored, every figure is null")
+        return 1
     return 0

@@ -33,6 +33,7 @@ def run(
     kept: BoxFlags = OWN,
     rotate_deg: float = 0.0,
     reference: str = "",
+    columns: int | None = None,
     precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
     workers: int = 0,
@@ -62,6 +63,7 @@ def run(
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         precision: fp32, bf16, fp16, or what suits the device.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
@@ -73,10 +75,13 @@ def run(
     from farfield.detection import search
     from farfield.errors import ConfigError
     from farfield.files.boxes_csv import format_boxes_csv_parts
+    from farfield.recording.convert import check_apart
     from farfield.recording.results import Results, result_format, rows_of
 
     chosen_format = result_format(out, format)
-    frames = _frames(files, rotate_deg)
+    frames = _frames(files, rotate_deg, columns)
+    if out is not None:
+        check_apart(out, frames)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **kept.options)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
@@ -99,8 +104,10 @@ def run(
         journal.unlink(missing_ok=True)
         print("".join(f"note: {note}\n" for note in results.notes), end="")
         print(f"{found.count} boxes in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
+        if not found.count:
+            print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
     else:
-        for text in format_boxes_csv_parts(rows_of(found)):
+        for text in format_boxes_csv_parts(rows_of(found, shown[0].reference)):
             sys.stdout.write(text)
     if picture is not None:
         show(shown[0], found.first).savefig(picture, dpi=120)
@@ -127,13 +134,14 @@ class _Sure:
             yield key, boxes
 
 
-def _frames(files: tuple[Path, ...], rotate_deg: float) -> "Dataset | CloudFiles":
+def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> "Dataset | CloudFiles":
     from farfield.datasets import open_dataset
     from farfield.datasets.cloud_files import CloudFiles
     from farfield.errors import DatasetError
 
     if len(files) == 1 and files[0].is_dir():
-        return open_dataset(files[0], rotate_deg=rotate_deg)
+        given = {} if columns is None else {"bin_columns": columns}
+        return open_dataset(files[0], rotate_deg=rotate_deg, **given)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:
         raise DatasetError(
@@ -141,4 +149,4 @@ def _frames(files: tuple[Path, ...], rotate_deg: float) -> "Dataset | CloudFiles
         )
     if rotate_deg:
         raise DatasetError("--rotate-deg turns the frames of a data set; put the clouds into a folder and name that.")
-    return CloudFiles(files)
+    return CloudFiles(files, bin_columns=columns)

@@ -32,6 +32,7 @@ def run(
     least_track_score: float | None = None,
     conditions: str | None = None,
     label_version: str | None = None,
+    reference: str = "",
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     replicates: int = 200,
     seed: int = 0,
@@ -41,6 +42,7 @@ def run(
 
     examples:
       farfield score predictions.csv labels.csv --protocol dds --json scores.json
+      farfield score predictions.csv K-Radar --protocol kradar
       farfield score detections/ label/ --protocol nuscenes --format kitti-tracking --label Car
       farfield score results/data label_2 --protocol kitti --format kitti --label Car
       farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car --iou 0.25
@@ -48,12 +50,16 @@ def run(
       farfield score predictions.csv labels.csv --protocol kradar-compat:revised_as_shipped@0.3 --label-version v2.0
       farfield score predictions.csv labels.csv --range-bins-m 0,50,100 --options ap=area distance=bev
 
+    Exit status 1 where nothing was scored: no frame with predicted and annotated boxes, or no annotated box counts.
+
     boxes-csv has the columns sequence (may be absent), frame, label, x, y, z, l, w, h, yaw_rad, score (empty for
-    labels). Predictions of kitti-tracking are KITTI tracking text or 15 comma-separated columns.
+    labels), and perhaps reference, the sensor in whose coordinates the boxes stand. Predictions of kitti-tracking are
+    KITTI tracking text or 15 comma-separated columns.
 
     Args:
         predictions: File, or folder of files, of predicted boxes.
-        labels: File, or folder of files of equal stems, of annotated boxes.
+        labels: File, or folder of files of equal stems, of annotated boxes; or a data set's folder, whose annotation is
+            then seen in the coordinates of the predictions.
         protocol: dds (DDS and wDDS of Cirrus), nuscenes (AP, translation, scale, orientation), kitti (AP R11, R40),
             kradar (AP3D and AP_BEV, R40), or kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped,
             old_yaw_fixed, revised_as_shipped, revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut;
@@ -74,6 +80,7 @@ def run(
         conditions: For kradar: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
             description.txt files; or the word published for the table of K-Radar's 58 sequences.
         label_version: For kradar: the annotation's version, which stands beside the result.
+        reference: Coordinates of boxes whose files do not name them (column reference), such as radar.
         options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle, for
             kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
         replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
@@ -83,7 +90,6 @@ def run(
     from farfield.files.atomic import write_text
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
-    from farfield.metrics.reading import read
 
     chosen = PROTOCOLS[protocol]
     given: dict[str, Any] = parse_options(chosen, options, _FLAGS)
@@ -101,7 +107,7 @@ def run(
     given |= {n: v for n, v in {"iou": iou, "least_track_score": least_track_score}.items() if v is not None}
     if label_version is not None:
         given["label_version"] = label_version
-    found = replace(read(predictions, labels, format=format), detector=predictions.name, data=labels.name)
+    found = replace(_read(predictions, labels, format, reference), detector=predictions.name, data=labels.name)
     if conditions is not None:
         found = _with_conditions(found, chosen, conditions)
     results = found.score_each(chosen, label=label, **given)
@@ -114,7 +120,22 @@ def run(
         write_text(json, json_module.dumps(tree, indent=1, allow_nan=False) + "\n")
     print("".join(f"note: {note}\n" for note in notes), end="")
     print("\n\n".join(map(str, results)) + (f"\n\nwritten: {json}" if json is not None else ""))
-    return 0
+    if not found.paired:
+        print("exit status 1: no frame has both predicted and annotated boxes")
+    return int(not found.paired or not any(result.known for result in results))
+
+
+def _read(predictions: Path, labels: Path, format: str, reference: str) -> "Detections":
+    """Predictions beside the labels of files, or of a data set."""
+    from farfield.datasets.formats import recognise
+    from farfield.metrics.reading import read, read_predictions
+
+    if format != "boxes-csv" or not labels.is_dir() or recognise(labels) is None:
+        return read(predictions, labels, format=format, reference=reference)
+    from farfield.datasets import open_dataset
+    from farfield.detection import against
+
+    return against(read_predictions(predictions, reference=reference), open_dataset(labels))
 
 
 def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> "Detections":

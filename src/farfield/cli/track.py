@@ -75,6 +75,8 @@ def run(
     kind = format if to == "same" else to
     if kind == "kitti-tracking" and out.is_file():
         raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
+    if out.resolve() == detections.resolve():
+        raise ConfigError(f"{out}: expected another name than that of the detections: they would be written over")
     if poses is not None and data is None:
         raise ConfigError("--poses: expected --data too, whose frames they place")
     if picture is not None:

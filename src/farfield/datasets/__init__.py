@@ -5,6 +5,8 @@ from collections.abc import Mapping as Options
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from farfield.datasets.base import Dataset
 from farfield.datasets.formats import DATASETS, Format, dataset, find_format, looked_for, recognise
 from farfield.errors import ConfigError, DatasetError
@@ -48,12 +50,20 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         looked = "".join(f"\n  {name}: {what}" for name, what in looked_for().items())
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
-        raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. Looked for:{looked}")
+        raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {_inside(root)}Looked for:{looked}")
     reader = find_format(format).load()
     known = _checked_options(format, reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in known})
     opened.options = {name: plain(value) for name, value in options.items() if name in known}
     return _viewed(opened, {name: value for name, value in options.items() if name not in known})
+
+
+def _inside(root: Path) -> str:
+    """A sentence on data sets one folder deeper."""
+    folders = sorted(entry for entry in root.iterdir() if entry.is_dir())[:50]
+    known = {entry.name: name for entry in folders if (name := recognise(entry)) is not None}
+    shown = ", ".join(f"{entry} ({name})" for entry, name in list(known.items())[:3])
+    return f"One folder deeper there is {shown}: open that. " if known else ""
 
 
 def _checked_options(format: str, reader: Any, options: Options[str, Any]) -> set[str]:
@@ -76,6 +86,11 @@ def _viewed(dataset: Dataset, options: Options[str, Any]) -> Dataset:
     from farfield.datasets.maps import described, make
     from farfield.datasets.recipes import maps_of_options
 
+    turn = options.get("rotate_deg") or 0.0
+    if any(abs(abs(turn) - part * np.pi) < 1e-3 for part in (0.25, 0.5, 0.75, 1, 1.5, 2)):
+        raise ConfigError(
+            f"open_dataset: expected rotate_deg in degrees, got {turn:g}: radians? That is {np.rad2deg(turn):g} degrees"
+        )
     reference = options.get("reference")
     if reference is not None and reference not in dataset.references:
         known = " or ".join(dataset.references)

@@ -25,6 +25,7 @@ CACHE_FOLDER = ".farfield_cache"
 CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", CACHE_SUFFIX)
 
 _MOST_COLUMNS, _LINE_BYTES = 16, 4096
+_NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 
 Columns = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
@@ -34,13 +35,14 @@ class CloudFiles(Sequence[Frame]):
 
     Args:
         paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
+        bin_columns: Numbers a point in ``.bin`` files; None decides by the numbers themselves.
 
     Raises:
         DatasetError: If a file is named twice, or two cannot be told apart.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self.paths = tuple(paths)
+    def __init__(self, paths: Sequence[Path], *, bin_columns: int | None = None) -> None:
+        self.paths, self.bin_columns = tuple(paths), bin_columns
         alone = len({path.stem for path in self.paths}) == len(self.paths)
         self.keys: tuple[Key, ...] = tuple(
             ("files" if alone else path.resolve().parent.name, path.stem) for path in self.paths
@@ -56,7 +58,7 @@ class CloudFiles(Sequence[Frame]):
     def __getitem__(self, index: int) -> Frame:  # type: ignore[override]
         path = self.paths[index]
         sequence, frame_id = self.keys[index]
-        return Frame.of(read_cloud(path), sequence=sequence, frame_id=frame_id)
+        return Frame.of(read_cloud(path, bin_columns=self.bin_columns), sequence=sequence, frame_id=frame_id)
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""
@@ -137,7 +139,7 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
 
     Raises:
         FileFormatError: If the file is damaged, or an intensity is negative or beyond the scale.
-        DatasetError: If the suffix is unknown or x, y and z are missing.
+        DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
     """
     if path.suffix == ".pcd":
         return _from_named(path, read_pcd(path), intensity_scale)
@@ -202,6 +204,12 @@ def _from_named(path: Path, columns: Mapping[str, np.ndarray], scale: float | No
     if not placed.all():
         row = int(np.argwhere(~np.isfinite(points))[0][0])
         raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
+    if len(points) and np.hypot(points[:, 0], points[:, 1]).min() > _NEAREST_M:
+        raise DatasetError(
+            f"{path}: expected metres from the sensor, got points of which the nearest lies "
+            f"{np.hypot(points[:, 0], points[:, 1]).min():.4g} away: coordinates of a map (UTM, ECEF)? Subtract where "
+            "the sensor stood, in float64."
+        )
     strength = np.asarray(columns.get("intensity", np.zeros(len(points))), dtype=np.float32)
     if not np.isfinite(strength).all():
         raise DatasetError(f"{path}: expected finite intensities, got some that are not")

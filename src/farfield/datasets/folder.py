@@ -145,6 +145,7 @@ def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
         sequence: The sequence's name; a table without that column has one sequence.
 
     Raises:
+        DatasetError: If it names sequences, and not this one.
         FileFormatError: If it is no such table.
     """
     rows = read_boxes_csv(path)
@@ -159,6 +160,12 @@ def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
         velocity_m_s=rows.velocity_m_s,
     )
     here = np.full(len(rows), True) if rows.sequence is None else rows.sequence == sequence
+    if rows.sequence is not None and len(rows) and not here.any():
+        there = ", ".join(map(repr, dict.fromkeys(rows.sequence.tolist())))[:120]
+        raise DatasetError(
+            f"{path}: expected boxes of the sequence {sequence!r}, which the clouds' folder is called, found those of "
+            f"{there}. Rename the sequence or the folder, or leave the column out."
+        )
     return {str(frame): boxes[here & (rows.frame == frame)] for frame in dict.fromkeys(rows.frame[here].tolist())}
 
 
@@ -205,6 +212,15 @@ class Folder(Dataset):
                 f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
                 f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files."
             )
+        known, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
+        for place, folder in enumerate(_BOX_FOLDERS):
+            twice = min((known & stems[place]).intersection(*[set().union(*stems[place + 1 :])]), default=None)
+            if twice is not None:
+                raise DatasetError(
+                    f"{self.root}: expected one annotation a frame, found two of {twice!r}: one in "
+                    f"{folder or 'the folder itself'} and one in another of {', '.join(filter(None, _BOX_FOLDERS))}. "
+                    "Remove one of them."
+                )
         for index, stem in enumerate(self.frame_ids):
             beside = self._beside(index, _BOX_FOLDERS, [".json"]) if stem in self._table else None
             if beside is not None:
@@ -212,6 +228,18 @@ class Folder(Dataset):
                     f"{self.root}: expected one annotation a frame, found boxes of {stem!r} in {beside.name} and in "
                     f"{TABLE_NAME}. Remove one of them."
                 )
+
+    def _stems(self, folder: str) -> set[str]:
+        """Stems of the annotations in a folder."""
+        place = self.root / folder
+        return {path.stem for path in place.glob("*.json")} if place.is_dir() else set()
+
+    @property
+    def strays(self) -> tuple[str, ...]:
+        """Annotations of frames that have no cloud: files of boxes, and frames of the table."""
+        known = set(self.frame_ids)
+        files = (f"{folder}/{stem}.json" for folder in _BOX_FOLDERS if folder for stem in self._stems(folder) - known)
+        return (*sorted(files), *(f"{TABLE_NAME}: {name}" for name in self._table if name not in known))
 
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]

@@ -1,7 +1,19 @@
 """Detectors meet data sets: one way from a detector to what it found, ready to be scored."""
 
+from farfield.detection.against import against
 from farfield.detection.detecting import Search, detect, given, median_ms, search
 from farfield.detection.seeing import Frames, as_trained, suitable_clouds
 from farfield.detection.work import Found
 
-__all__ = ["Found", "Frames", "Search", "as_trained", "detect", "given", "median_ms", "search", "suitable_clouds"]
+__all__ = [
+    "Found",
+    "Frames",
+    "Search",
+    "against",
+    "as_trained",
+    "detect",
+    "given",
+    "median_ms",
+    "search",
+    "suitable_clouds",
+]

@@ -12,7 +12,7 @@ from farfield.datasets.base import Dataset
 from farfield.detection.learnt import remembered, seen_in_training
 from farfield.detection.seeing import Frames, as_trained, suitable_clouds
 from farfield.detection.work import AnyDetector, Detecting, Found, points_in
-from farfield.errors import DatasetError
+from farfield.errors import ConfigError, DatasetError
 from farfield.files.spool import Spool, alike
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
@@ -151,12 +151,14 @@ def detect(
         overwrite=overwrite,
     )
     seen, clocks = prepared.work.seen, dict[int, float]()
+    left_out = 0
     boxes: MutableMapping[Key, Boxes] = {} if journal is None else Spool(journal.parent)
     annotations: MutableMapping[Key, Annotation] = alike(boxes)
     conditions: dict[Key, Mapping[str, str]] = {}
     numbers = range(len(seen))
     for index, found in zip(progress(numbers) if bulk is None else numbers, prepared.found(clocks), strict=True):
         if found is None:
+            left_out += 1
             continue
         frame = _once(seen[index], conditions)
         boxes[frame.key], conditions[frame.key] = found.boxes, frame.conditions
@@ -168,7 +170,7 @@ def detect(
     return Detections(
         **_named(detector, data, annotations),
         seen_in_training=words,
-        notes=remembered(words, common),
+        notes=(*remembered(words, common), *_unannotated(left_out, len(seen), annotations)),
         reference=seen[0].reference,
         cloud=prepared.work.cloud,
         classes=tuple(getattr(detector, "class_names", ())),
@@ -180,6 +182,14 @@ def detect(
         reach_m=getattr(getattr(detector, "config", None), "reach_m", None),
         ms=tuple(clocks[place] for place in sorted(clocks)),
     )
+
+
+def _unannotated(left_out: int, frames: int, annotations: Mapping[Key, Annotation]) -> list[str]:
+    """What was not looked at, and that there is nothing to find."""
+    notes = [f"{left_out} of {frames} frames are not annotated and do not count"] if left_out else []
+    if annotations and not any(len(annotation) for annotation in annotations.values()):
+        notes.append(f"no box is annotated in {len(annotations)} annotated frames: there is nothing to score")
+    return notes
 
 
 def _once(frame: Frame, before: Collection[Key]) -> Frame:
@@ -236,19 +246,23 @@ def given(
         progress: Wraps the frame numbers, to show progress.
 
     Raises:
-        DatasetError: If two annotated frames have one name.
+        ConfigError: If there are boxes and none is of an annotated frame.
+        DatasetError: If two annotated frames have one name, or nothing is annotated.
     """
     annotations: dict[Key, Annotation] = {}
     conditions: dict[Key, Mapping[str, str]] = {}
-    reference = ""
+    reference, keys = "", set[Key]()
     for index in progress(range(len(data))):
         frame = data[index]
+        keys.add(frame.key)
         if frame.annotation is not None:
             _once(frame, conditions)
             counts = None if cloud is None else points_in(frame.annotation, frame.cloud(cloud))
             annotations[frame.key] = _with_counts(frame.annotation, counts)
             conditions[frame.key], reference = frame.conditions, frame.reference
+    notes = _without_partner(boxes, annotations, keys)
     return Detections(
+        notes=notes,
         **_data_names(data),
         reference=reference,
         cloud=cloud,
@@ -258,6 +272,19 @@ def given(
         conditions=conditions,
         facts=_facts(annotations),
     )
+
+
+def _without_partner(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys: Collection[Key]) -> tuple[str, ...]:
+    """A note on the predictions of frames that the data do not have."""
+    unknown = [key for key in boxes if key not in keys]
+    if boxes and annotated and not any(key in annotated for key in boxes):
+        raise ConfigError(
+            f"expected predictions in annotated frames, got none: predictions hold {next(iter(boxes))}, annotated is "
+            f"{next(iter(annotated))}. Sequence and frame must be the same text in both."
+        )
+    if not unknown:
+        return ()
+    return (f"{len(unknown)} of {len(boxes)} frames of the predictions, such as {unknown[0]}, are not in the data",)
 
 
 def _facts(annotations: Mapping[Key, Annotation]) -> dict[str, str]:

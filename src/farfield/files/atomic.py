@@ -10,6 +10,7 @@ from typing import BinaryIO
 
 from farfield.errors import FileFormatError
 
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 MAX_BYTES = 1 << 30  # the largest file that a reader takes unless its caller says otherwise: 1 GiB
 
 
@@ -21,7 +22,7 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
         max_bytes: Largest size that is accepted.
 
     Raises:
-        FileFormatError: If the file is larger, or is no regular file.
+        FileFormatError: If the file is larger, is no regular file, or is a pointer of Git LFS.
         OSError: If the file cannot be opened.
     """
     with Path(path).open("rb") as handle:
@@ -36,7 +37,16 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
                 found=f"{status.st_size} bytes",
                 mend="Pass a larger max_bytes if the file is meant to be so large.",
             )
-        return handle.read(status.st_size)
+        data = handle.read(status.st_size)
+    if data.startswith(_LFS_POINTER):
+        raise FileFormatError(
+            path,
+            where="byte 0",
+            expected="the file itself",
+            found="a pointer of Git LFS, which stands for it",
+            mend="Fetch the files: git lfs pull.",
+        )
+    return data
 
 
 @contextmanager

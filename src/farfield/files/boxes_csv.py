@@ -4,7 +4,8 @@ Columns, in any order: ``sequence`` (may be absent), ``frame``, ``label``, ``x``
 forward, y left, z up), ``l``, ``w``, ``h`` (full sizes, metres), ``yaw_rad`` (counter-clockwise from +x), ``score``
 (empty or absent for annotated boxes); also ``track_id`` and ``point_count`` (both may be absent), and the velocity over
 ground ``vx_m_s``, ``vy_m_s`` and perhaps ``vz_m_s`` along the same axes (empty in a row where it is not known), and
-``doppler_m_s``, a radar's radial velocity relative to the sensor, away from it positive (likewise).
+``doppler_m_s``, a radar's radial velocity relative to the sensor, away from it positive (likewise); and ``reference``,
+the sensor in whose coordinates the boxes stand, the same in every row.
 """
 
 import csv
@@ -25,12 +26,12 @@ MAX_CSV_BYTES = 1 << 28
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
 _LEAST_M, _FARTHEST_M = 1e-4, 1e9  # beyond them volumes and distances lose their meaning in float64
 _NEEDED = ("frame", "label", *_NUMBERS)
-_WORDS = ("sequence", "frame", "label")
+_WORDS = ("sequence", "frame", "label", "reference")
 _COUNTS = ("track_id", "point_count")
 _VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 _DOPPLER = "doppler_m_s"
-_OPTIONAL = ("sequence", "score", *_COUNTS, _DOPPLER)
-COLUMNS = ("sequence", *_NEEDED, "score", *_COUNTS, *_VELOCITY, _DOPPLER)
+_OPTIONAL = ("sequence", "score", *_COUNTS, _DOPPLER, "reference")
+COLUMNS = ("sequence", *_NEEDED, "score", *_COUNTS, *_VELOCITY, _DOPPLER, "reference")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +51,7 @@ class BoxRows:
         velocity_m_s: Velocity over ground, x, y and perhaps z, shape (n, 2) or (n, 3), or None; NaN where a row has
             none.
         doppler_m_s: Radial velocity relative to the sensor, away from it positive, shape (n,), or None; NaN likewise.
+        reference: Sensor in whose coordinates the boxes stand, shape (n,), one name for all; None where not known.
     """
 
     frame: Shaped[np.ndarray, " n"]
@@ -63,9 +65,15 @@ class BoxRows:
     point_count: Int[np.ndarray, " n"] | None = None
     velocity_m_s: Float[np.ndarray, "n axes"] | None = None
     doppler_m_s: Float[np.ndarray, " n"] | None = None
+    reference: Shaped[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @property
+    def stands_in(self) -> str:
+        """The reference of all rows; empty where it is not known."""
+        return str(self.reference[0]) if self.reference is not None and len(self.reference) else ""
 
 
 def read_boxes_csv(path: Path | str) -> BoxRows:
@@ -73,7 +81,8 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
 
     Raises:
         FileFormatError: If the header lacks a column or has an unknown one, or a row holds anything but finite numbers
-            and positive sizes, or only some rows have a score, or a row has a part of a velocity.
+            and positive sizes, or only some rows have a score, or a row has a part of a velocity, or two have different
+            references.
     """
     return parse_boxes_csv(read_bytes(path, max_bytes=MAX_CSV_BYTES), path)
 
@@ -209,11 +218,19 @@ def _check_header(path: Path | str, header: list[str]) -> None:
             where="line 1",
             expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {perhaps})",
             found=found,
-            mend=f"Missing: {', '.join(missing)}." if missing else "",
+            mend=_mend(header, missing),
         )
     axes = [name for name in _VELOCITY if name in header]
     if axes and axes[:2] != list(_VELOCITY[:2]):
         raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=found)
+
+
+def _mend(header: list[str], missing: list[str]) -> str:
+    if len(header) == 1:
+        for letter, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "blanks")):
+            if letter in header[0]:
+                return f"Its columns are separated by {word}: separate them by commas, with points in numbers."
+    return f"Missing: {', '.join(missing)}." if missing else ""
 
 
 def _number(path: Path | str, line: int, name: str, text: str) -> float:
@@ -244,6 +261,13 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
         score = None
     names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in words.items()}
     counts = {name: numbers[name].astype(np.int64) for name in _COUNTS if name in numbers}
+    references = sorted(set(words.get("reference", ())))
+    if len(references) > 1:
+        expected, found = (
+            "one reference in all rows: the boxes of a file share their coordinates",
+            ", ".join(references),
+        )
+        raise FileFormatError(path, where="column reference", expected=expected, found=found[:80])
     return BoxRows(
         frame=names["frame"],
         label=names["label"],
@@ -256,6 +280,7 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
         point_count=counts.get("point_count"),
         velocity_m_s=_velocity(path, numbers),
         doppler_m_s=numbers.get(_DOPPLER),
+        reference=names.get("reference"),
     )
 
 

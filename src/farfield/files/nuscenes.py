@@ -16,6 +16,8 @@ from farfield.files.atomic import read_bytes
 _MAX_BYTES = 1 << 31
 _LARGEST = 1e9
 _KINDS = ("tracking", "detection")
+WORLD = "world"
+"""Name of the coordinates in which the format's own boxes stand."""
 _Row = tuple[list[float], str, str | None]
 
 
@@ -48,6 +50,14 @@ def read_results(path: Path | str) -> dict[str, NuScenesBoxes]:
     Raises:
         FileFormatError: If it is no such JSON, or a box lacks a field or has an impossible value.
     """
+    return read_results_in(path)[0]
+
+
+def read_results_in(path: Path | str) -> tuple[dict[str, NuScenesBoxes], str]:
+    """Read a result file, and the name of the coordinates in which its boxes stand: ``reference`` of its ``meta``.
+
+    The name is empty where the file does not say it; errors are those of :func:`read_results`.
+    """
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -56,7 +66,9 @@ def read_results(path: Path | str) -> dict[str, NuScenesBoxes]:
     if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
         found = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
         raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", found=found)
-    return {token: _sample(path, token, boxes) for token, boxes in results.items()}
+    meta = tree.get("meta")
+    named = meta.get("reference") if isinstance(meta, dict) else None
+    return {token: _sample(path, token, boxes) for token, boxes in results.items()}, str(named or "")
 
 
 def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:

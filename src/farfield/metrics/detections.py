@@ -14,8 +14,9 @@ from farfield.files.spool import Each, alike
 from farfield.frame.annotation import Annotation, CameraField
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.frames import BoxesByFrame
-from farfield.metrics.protocol import PROTOCOLS, Protocol
+from farfield.metrics.frames import BoxesByFrame, labels_of
+from farfield.metrics.oddities import meant_by, strange_classes
+from farfield.metrics.protocol import PROTOCOLS, Protocol, relabel_of
 from farfield.metrics.result import Result
 from farfield.metrics.subject import Subject, labels_fingerprint, region_words
 
@@ -94,7 +95,7 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         found = self.counted()
-        return self._about(found.evaluated(chosen, chosen.settings(found, **settings)))
+        return self._noted(self._about(found.evaluated(chosen, chosen.settings(found, **settings))))
 
     def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
         """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
@@ -104,7 +105,7 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         found = self.counted()
-        return [self._about(found.evaluated(chosen, each)) for each in chosen.each(found, **settings)]
+        return [self._noted(self._about(found.evaluated(chosen, each))) for each in chosen.each(found, **settings)]
 
     def _about(self, result: Result) -> Result:
         """The result with its subject: the one place where subjects are made."""
@@ -124,6 +125,59 @@ class Detections:
             seen_in_training=self.seen_in_training,
         )
         return replace(result, subject=subject)
+
+    @property
+    def paired(self) -> int:
+        """Number of frames that have both predicted and annotated boxes."""
+        return sum(key in self.boxes and len(boxes) > 0 < len(self.boxes[key]) for key, boxes in self.annotated.items())
+
+    def check_label(self, protocol: str | Protocol, label: str | None = None, **given: Any) -> None:
+        """Refuse a class that no annotated box bears or that the detector does not know: figures would be null or 0.
+
+        Args:
+            protocol: The protocol, which may count classes as others.
+            label: The class; None: the protocol chooses.
+            **given: Further settings of the protocol.
+
+        Raises:
+            ConfigError: If there are annotated boxes, and none is of the class, or of any that the detector knows.
+        """
+        chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+        if chosen.several_classes:
+            chosen.each(self, label=label, **given)
+            return
+        relabel = relabel_of(chosen, given)
+        counts = dict(labels_of(self.annotated, relabel))
+        known = dict.fromkeys(relabel.get(name, name) for name in self.classes)
+        if known and counts and not (set(counts) & set(known) if label is None else label in known):
+            asked = ", ".join(f"{name} ({count})" for name, count in counts.items()) if label is None else label
+            guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, known))), "")
+            guess = guess or f"{next(iter(counts))}:{next(iter(known))}"
+            raise ConfigError(
+                f"label: expected a class that the detector knows, one of {', '.join(known)}; got {asked}. Name what "
+                f"is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
+            )
+        if label is None:
+            return
+        if counts and label not in counts:
+            guess = meant_by(label, counts)
+            shown = ", ".join(f"{name} ({count})" for name, count in counts.items())
+            raise ConfigError(
+                f"label: expected an annotated class, one of {shown}; got {label!r}"
+                + (f". Did you mean {guess}?" if guess else "")
+            )
+
+    def _noted(self, result: Result) -> Result:
+        """The result with notes on classes and regions in which nothing can be found."""
+        relabel = result.settings.get("relabel") or {}
+        notes = [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
+        there = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
+        if result.counts.get("annotated") == 0 and there:
+            notes.append(
+                f"0 of {there} annotated boxes of {result.label} lie in the region ({region_words(result.settings)}): "
+                "--region none takes them all"
+            )
+        return replace(result, notes=(*result.notes, *notes))
 
     def _counted_label(self, result: Result) -> str:
         """The class that was scored, and which annotated classes counted as it: "vehicle with large_vehicle"."""

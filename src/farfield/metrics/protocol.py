@@ -135,11 +135,8 @@ class Protocol(ABC):
         """
         if "label" not in self.options():
             return [self.settings(found, **given)]
+        found.check_label(self, label, **given)
         present = self.labels(found.annotated, **given)
-        known = {*present, *self.labels(found.boxes, **given)}
-        if label is not None and known and label not in known:
-            expected = ", ".join(sorted(known))
-            raise ConfigError(f"label: expected a class that occurs, one of {expected}; got {label!r}")
         names = [label] if label is not None else present or (None,)
         return [self.settings(found, label=name, **given) for name in names]
 
@@ -212,6 +209,13 @@ class Protocol(ABC):
     def convention_text(self, settings: Mapping[str, Any], *, by_range: bool = False) -> str:
         """The settings on which figures depend, as one line of ``name=value`` pairs."""
         return option_text(self.depends_on(settings, by_range=by_range))
+
+
+def relabel_of(protocol: Protocol, given: Mapping[str, Any]) -> Mapping[str, str]:
+    """Which class names a protocol counts as others, under the settings that are given."""
+    chosen = {name: given[name] for name in ("relabel",) if name in given and name in protocol.options()}
+    found: Mapping[str, str] = getattr(protocol.Settings(**chosen), "relabel", None) or {}
+    return found
 
 
 class ForeignProtocol(Protocol):

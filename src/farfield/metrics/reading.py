@@ -13,19 +13,21 @@ from jaxtyping import Shaped
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import BoxRows, read_boxes_csv
+from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
-from farfield.files.nuscenes import read_results
+from farfield.files.nuscenes import read_results_in
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
+from farfield.metrics.oddities import beyond_a_turn, oddities, wild_headings
 
 _Details = dict[Key, dict[str, np.ndarray]]
 FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
 
 
-def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv") -> Detections:
+def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
     """Read two files, or two folders whose files are paired by their stems.
 
     Args:
@@ -34,6 +36,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         format: ``"boxes-csv"``, ``"kitti"`` (a file a frame), ``"kitti-tracking"`` (a file a sequence) or
             ``"nuscenes"`` (result JSON of detections or tracks; its samples are frames of one sequence without a name,
             tracks are numbered in the order in which they appear).
+        reference: Coordinates in which boxes stand whose files do not name them.
 
     Returns:
         Every frame of either side is annotated, the empty ones too. KITTI's formats give the annotations' details
@@ -41,7 +44,8 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         Notes say what was assumed.
 
     Raises:
-        ConfigError: If the paths do not pair, or predictions lie in sequences or frames that have no labels.
+        ConfigError: If the paths do not pair, predictions lie in sequences or frames that have no labels, or both
+            stand in different coordinates.
         FileFormatError: If a file does not have its format.
     """
     if format not in FORMATS:
@@ -58,7 +62,16 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     _add_empty_frames(predicted.boxes, annotated.boxes, notes)
     if predicted.without_score:
         notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
+    if annotated.scored_rows and predicted.without_score:
+        notes.append("the labels have scores and the predictions have none: are the two files exchanged?")
+    for word, side in (("predicted", predicted), ("annotated", annotated)):
+        notes += wild_headings(word, *side.headings)
+    notes += _without_image_boxes(predicted) if format == "kitti" else []
+    notes += oddities(predicted.boxes, annotated.boxes)
+    _name_coordinates(predicted, Path(predictions), reference)
+    _name_coordinates(annotated, Path(labels), reference)
     return Detections(
+        reference=_agreed(predicted, annotated, notes),
         boxes=predicted.boxes,
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
         prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
@@ -66,15 +79,16 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     )
 
 
-def read_predictions(predictions: Path | str, *, format: str = "boxes-csv") -> Detections:
+def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
     """Read a detector's boxes alone, of a file or of the files of a folder, without annotations.
 
     Args:
         predictions: File or folder.
         format: One of :func:`read`.
+        reference: As of :func:`read`.
 
     Raises:
-        ConfigError: If there is nothing to read, or the format is unknown.
+        ConfigError: If there is nothing to read, the format is unknown, or the files name other coordinates.
         FileFormatError: If a file does not have its format.
     """
     if format not in FORMATS:
@@ -85,7 +99,9 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv") -> D
     for stem, path in sorted(_files(root).items()) if root.is_dir() else [(root.stem, root)]:
         _READERS[format](predicted, path, stem if root.is_dir() or format != "boxes-csv" else "")
     note = f"{predicted.without_score} predictions have no score; each counts with score 1"
+    _name_coordinates(predicted, root, reference)
     return Detections(
+        reference=predicted.reference,
         boxes=predicted.boxes,
         annotations={},
         prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
@@ -112,6 +128,18 @@ class _Collected:
     boxes: dict[Key, Boxes] = field(default_factory=dict)
     details: _Details = field(default_factory=dict)
     without_score: int = 0
+    scored_rows: int = 0
+    headings: tuple[int, int] = (0, 0)  # beyond a turn, of how many
+    reference: str = ""
+
+    def stands_in(self, path: Path, reference: str) -> None:
+        """Note the coordinates that a file names."""
+        if self.reference and reference and self.reference != reference:
+            raise ConfigError(
+                f"{path}: expected boxes in the coordinates of {self.reference}, as in the files before; they stand in "
+                f"those of {reference}"
+            )
+        self.reference = self.reference or reference
 
     def add(self, path: Path, key: Key, boxes: Boxes, details: dict[str, np.ndarray] | None = None) -> None:
         if key in self.boxes:
@@ -120,9 +148,15 @@ class _Collected:
         if details is not None:
             self.details[key] = details
 
+    def turned(self, yaw_rad: np.ndarray) -> None:
+        """Note the headings of a file as they stand there: boxes keep them modulo a turn."""
+        beyond, total = self.headings
+        self.headings = (beyond + beyond_a_turn(yaw_rad), total + len(yaw_rad))
+
     def scores(self, score: np.ndarray | None, count: int) -> np.ndarray | None:
         """Scores for predictions (1 where the file has none), None for annotated boxes."""
         if not self.scored:
+            self.scored_rows += 0 if score is None else count
             return None
         if score is None:
             self.without_score += count
@@ -179,6 +213,48 @@ def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[st
         )
 
 
+def _without_image_boxes(predicted: _Collected) -> list[str]:
+    """A note on KITTI's predictions that have no place in the image."""
+    heights = [
+        known["box_px"][:, 3] - known["box_px"][:, 1] for known in predicted.details.values() if "box_px" in known
+    ]
+    flat = np.concatenate(heights) if heights else np.zeros(0)
+    lacking = int((flat <= 0).sum())
+    if lacking <= 0.5 * len(flat) or not len(flat):
+        return []
+    return [
+        f"{lacking} of {len(flat)} predictions have no 2D box in the image: KITTI's rules leave out predictions lower "
+        "than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
+    ]
+
+
+def _name_coordinates(side: _Collected, place: Path, given: str) -> None:
+    """Take the coordinates that stand beside the files, and those that were given for files which name none."""
+    side.stands_in(place, read_coordinates(place) if place.is_dir() else "")
+    if given and side.reference and given != side.reference:
+        raise ConfigError(f"{place}: names {side.reference} as its coordinates, but reference says {given}")
+    side.reference = side.reference or given
+
+
+def _agreed(predicted: _Collected, annotated: _Collected, notes: list[str]) -> str:
+    """The coordinates of both sides."""
+    theirs, ours = predicted.reference, annotated.reference
+    if theirs and ours and theirs != ours:
+        raise ConfigError(
+            f"predictions stand in the coordinates of {theirs}, labels in those of {ours}: their boxes do not lie in "
+            f"one space. Write one anew (farfield predict ... --reference {ours}, or farfield convert DATA --to "
+            f"boxes-csv --reference {theirs}), or name the data set in the place of the labels: it is seen in the "
+            "predictions' coordinates"
+        )
+    known, silent = theirs or ours, "labels" if theirs else "predictions"
+    if bool(theirs) != bool(ours) and not known.startswith("camera "):  # KITTI's boxes stand in the camera anyway
+        notes.append(
+            f"{silent} do not name their coordinates: they are taken for those of the other side, {known} (--reference "
+            "says it)"
+        )
+    return known
+
+
 def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], notes: list[str]) -> None:
     """Frames without any annotated box cannot appear in a table of boxes: take them from the predictions."""
     sequences = {sequence for sequence, _ in annotated}
@@ -210,6 +286,8 @@ def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], n
 
 def _read_csv(side: _Collected, path: Path, stem: str) -> None:
     rows: BoxRows = read_boxes_csv(path)
+    side.stands_in(path, rows.stands_in)
+    side.turned(rows.yaw_rad)
     boxes = Boxes(
         centre_m=rows.centre_m,
         size_m=rows.size_m,
@@ -252,7 +330,9 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
 def _read_nuscenes(side: _Collected, path: Path, stem: str) -> None:
     del stem
     numbers: dict[str, int] = {}
-    for token, found in read_results(path).items():
+    samples, stands_in = read_results_in(path)
+    side.stands_in(path, stands_in)
+    for token, found in samples.items():
         ids = [numbers.setdefault(name, len(numbers)) for name in found.track]
         boxes = Boxes(
             centre_m=found.centre_m,
@@ -276,6 +356,7 @@ def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, 
         expected = "positive h w l, and x y z within 1e9 metres"
         raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, found=found)
     real = objects[~dontcare]
+    side.turned(real.rotation_y_rad)
     details = {
         "truncation": real.truncation,
         "occlusion": real.occlusion,

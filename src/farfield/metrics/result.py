@@ -56,6 +56,11 @@ class Result:
         rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]
         return f"{self.protocol} of {self.label!r}\n\n{table(['', 'overall', *self.ranges], rows)}\n\n{self.footer()}"
 
+    @property
+    def known(self) -> bool:
+        """Whether anything could be scored: one figure at least is not None."""
+        return any(figure is not None for figure in self.figures.values())
+
     def without(self: R, ranges: Collection[str]) -> R:
         """The result with no figure for these range bins."""
         if not ranges:

@@ -1,6 +1,6 @@
 """Write a data set in another's layout, or its ASCII clouds as a binary cache beside them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from farfield.datasets.labels.tool_labels import file_name
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
+from farfield.files.coordinates import camera_words, write_coordinates
 from farfield.frame import Boxes, Frame, Key
 from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of
 
@@ -68,6 +69,7 @@ def convert(
     if target is None:
         raise ConfigError(f"convert: expected a target folder with to={to!r}, got none")
     target = Path(target)
+    check_apart(target, dataset)
     if to == "radar-store":
         return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
@@ -115,6 +117,27 @@ def verify(
     if not (target / JOURNAL_NAME).is_file():
         raise DatasetError(f"{target}: expected what `farfield convert --to {to}` wrote, found no {JOURNAL_NAME}")
     return faults(work.units(), Journal(target / JOURNAL_NAME, work.setting))
+
+
+def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
+    """Refuse to write over what is read: the data's folder, or one of its files.
+
+    Args:
+        target: What is going to be written.
+        data: What is read; of many frames the files of a hundred are looked at, spread evenly.
+
+    Raises:
+        ConfigError: If they meet.
+    """
+    place, files = target.resolve(), getattr(data, "files", None)
+    if isinstance(data, Dataset) and place == data.root.resolve():
+        raise ConfigError(f"{target}: expected a folder beside the data, got their own: they would be written over")
+    chosen = range(0, len(data), max(1, len(data) // 100)) if files is not None else ()
+    read = {Path(file).resolve() for index in chosen for file in (files(index) if files is not None else ())}
+    if place in read or (not target.suffix and place in {file.parent for file in read}):
+        raise ConfigError(
+            f"{target}: expected another name, got that of data which are read: they would be written over"
+        )
 
 
 def _kradar(dataset: Dataset) -> Dataset:
@@ -239,6 +262,9 @@ def _finish_kitti(dataset: Dataset, target: Path) -> None:
     """Write what belongs to all frames."""
     lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
     write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
+    first = dataset[0]
+    named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
+    write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
     _write_image_sets(dataset, target)
 
 
@@ -303,7 +329,7 @@ class _ToCsv:
     @property
     def setting(self) -> str:
         """What decides the files besides their sources."""
-        return f"boxes-csv {self.boxes} {self.dataset.name}"
+        return f"boxes-csv {self.boxes} {self.dataset.name} with reference"
 
     def units(self) -> list[Unit]:
         """One a sequence."""
@@ -323,12 +349,19 @@ class _ToCsv:
     def __call__(self, unit: Unit) -> Done:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
-        write_boxes_csv(self.target / name, box_rows((frame.key, boxes_of(frame, self.boxes)) for frame in frames))
+        reference = self.dataset[indices[0]].reference
+        rows = box_rows(((frame.key, boxes_of(frame, self.boxes)) for frame in frames), reference=reference)
+        write_boxes_csv(self.target / name, rows)
         return Done(files=(self.target / name,))
 
 
-def box_rows(frames: Iterable[tuple[Key, Boxes | None]]) -> BoxRows:
-    """Join the boxes of frames, by (sequence, frame), to the rows of a CSV file; one without boxes leaves no row."""
+def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "") -> BoxRows:
+    """Join the boxes of frames, by (sequence, frame), to the rows of a CSV file; one without boxes leaves no row.
+
+    Args:
+        frames: The boxes of each frame.
+        reference: Sensor in whose coordinates they stand; empty where not known.
+    """
     filled = [(key, boxes) for key, boxes in frames if boxes is not None and len(boxes)]
     together = Boxes.concatenate([boxes for _, boxes in filled]) if filled else Boxes.empty()
     counts = [len(boxes) for _, boxes in filled]
@@ -344,4 +377,5 @@ def box_rows(frames: Iterable[tuple[Key, Boxes | None]]) -> BoxRows:
         track_id=together.track_id,
         point_count=together.point_count,
         velocity_m_s=together.velocity_m_s,
+        reference=np.full(len(together), reference) if reference else None,
     )

@@ -14,7 +14,9 @@ from farfield.datasets.kitti.writer import VIRTUAL_CAMERA
 from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
+from farfield.files.coordinates import camera_words, write_coordinates
 from farfield.files.kitti import write_labels
+from farfield.files.nuscenes import WORLD
 from farfield.frame import Boxes, Frame, Key
 from farfield.recording.convert import box_rows
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, NUSCENES_FROM_CIRRUS
@@ -89,17 +91,20 @@ class Results:
         elif self.format == "nuscenes":
             self._nuscenes(out, found)
         else:
-            write_boxes_csv_parts(out, rows_of(found))
+            write_boxes_csv_parts(out, rows_of(found, self.frames[0].reference))
 
     def _kitti(self, out: Path, found: Found) -> None:
         """``FRAME.txt`` for each frame, the empty ones too, below a folder for each of several sequences."""
         several = len({sequence for sequence, _ in self.keys}) > 1
-        virtual = 0
+        virtual, named = 0, set[Path]()
         for number, ((sequence, frame_id), boxes) in enumerate(found):
-            camera = next(iter(self.frames[number].cameras.values()), None)
+            frame = self.frames[number]
+            called, camera = next(iter(frame.cameras.items()), ("", None))
             virtual += camera is None
             folder = out / sequence if several else out
-            folder.mkdir(parents=True, exist_ok=True)
+            if folder not in named:
+                named.add(folder)
+                write_coordinates(folder, camera_words(called, frame.reference))
             classes = _named(boxes, KITTI_FROM_CIRRUS)
             objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=classes)
             write_labels(folder / f"{frame_id}.txt", objects)
@@ -115,9 +120,10 @@ class Results:
         plain = len({frame for _, frame in self.keys}) == len(self.keys)
         meta = {"use_camera": False, "use_map": False, "use_external": False}
         meta |= {"use_lidar": self.kind == "lidar", "use_radar": self.kind == "radar"}
+        meta_text = json.dumps(meta | {"reference": WORLD if posed else self.frames[0].reference})
         still = False
         with open_atomic(out) as handle:
-            handle.write(f'{{"meta": {json.dumps(meta)}, "results": {{'.encode())
+            handle.write(f'{{"meta": {meta_text}, "results": {{'.encode())
             for number, ((sequence, frame_id), boxes) in enumerate(found):
                 pose = self.frames[number].world_T_frame if posed else None
                 token = frame_id if plain else f"{sequence}/{frame_id}"
@@ -131,10 +137,10 @@ class Results:
             self.notes.append("velocities are not known and stand as 0: nuScenes' results must have numbers there")
 
 
-def rows_of(found: Found) -> Iterator[BoxRows]:
-    """Rows of a CSV file, one frame at a time."""
+def rows_of(found: Found, reference: str = "") -> Iterator[BoxRows]:
+    """Rows of a CSV file, one frame at a time; ``reference`` names the coordinates of the boxes."""
     for key, boxes in found:
-        yield box_rows([(key, boxes)])
+        yield box_rows([(key, boxes)], reference=reference)
 
 
 def _named(boxes: Boxes, names: Mapping[str, str]) -> dict[str, str]:

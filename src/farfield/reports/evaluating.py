@@ -77,6 +77,7 @@ def evaluate_clouds(
             journal=None if kept is None else kept / f".found-{name}.jsonl",
             overwrite=overwrite,
         )
+        found.check_label(chosen, options.get("label"), **{k: v for k, v in options.items() if k != "label"})
         results[name] = found.score(protocol, **options).to_json()
         parts[name] = _parts(found, chosen, options, by_condition="conditions" not in results[name])
         objects[name] = annotated_objects(

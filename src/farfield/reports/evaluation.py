@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from farfield.datasets.base import Dataset
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Frame
@@ -153,3 +154,34 @@ def _read_json(path: Path) -> dict[str, Any]:
         found = type(content).__name__
         raise FileFormatError(path, where="the file", expected="a JSON object", found=found)
     return content
+
+
+def default_folder(detector: str, digest: str, data: Dataset, *, runs: Path = Path("runs")) -> Path:
+    """Where an evaluation goes unless it is said: named by detector and data, another than other evaluations have.
+
+    Args:
+        detector: The detector's name.
+        digest: What decides its boxes, see :meth:`farfield.detectors.runtime.Detector.digest`.
+        data: The data.
+        runs: The folder of runs.
+    """
+    plain = f"evaluation-{detector}-{data.root.resolve().name}"
+    print_ = data.fingerprint()
+    for number in range(1, 1000):
+        folder = runs / (plain if number == 1 else f"{plain}-{number}")
+        if _is_of(folder, digest, print_):
+            return folder
+    return runs / plain
+
+
+def _is_of(folder: Path, digest: str, fingerprint: str) -> bool:
+    """Whether a folder is free, or holds the evaluation of a detector on these data."""
+    path = folder / EVALUATION
+    if not path.is_file():
+        return True
+    try:
+        tree = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        subjects = [result["subject"] for result in tree["results"].values()]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return False
+    return all(each["detector_digest"] == digest and each["fingerprint"] == fingerprint for each in subjects)

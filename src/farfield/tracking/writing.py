@@ -11,7 +11,9 @@ import numpy as np
 from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
+from farfield.files.coordinates import camera_words, write_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, write_tracking
+from farfield.files.nuscenes import WORLD
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import camera_from_lidar
@@ -46,6 +48,9 @@ def write_kitti_tracks(folder: Path | str, tracks: Detections) -> list[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_tracking(path, _kitti_tracks([key for key in keys if key[0] == sequence], tracks))
         paths.append(path)
+    if tracks.reference:
+        already = tracks.reference.startswith(("camera ", "a camera's axes"))
+        write_coordinates(Path(folder), tracks.reference if already else camera_words("", tracks.reference))
     return paths
 
 
@@ -99,6 +104,7 @@ def _csv_parts(tracks: Detections) -> Iterator[BoxRows]:
             score=boxes.score,
             track_id=boxes.track_id,
             velocity_m_s=boxes.velocity_m_s,
+            reference=np.full(len(boxes), tracks.reference) if tracks.reference else None,
         )
 
 
@@ -127,7 +133,9 @@ def write_nuscenes_tracks(path: Path | str, tracks: Detections, *, names: Mappin
             raise ConfigError(f"nuScenes' tracking JSON: expected {expected}; got {len(boxes)} boxes in {key}")
         boxes = boxes.transform(poses[key]) if key in poses else boxes
         results[key[1]] = [_nuscenes_box(boxes, row, key, names or {}) for row in range(len(boxes))]
-    meta = {f"use_{name}": name == "lidar" for name in _SENSORS}
+    meta: dict[str, Any] = {f"use_{name}": name == "lidar" for name in _SENSORS}
+    stands_in = WORLD if poses else tracks.reference
+    meta |= {"reference": stands_in} if stands_in else {}
     write_text(path, json.dumps({"meta": meta, "results": results}, allow_nan=False) + "\n")
 
 

@@ -22,6 +22,7 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Frame, Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.metrics.oddities import meant_by
 from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
@@ -29,6 +30,7 @@ from farfield.training.method import LABELLED, Stream
 from farfield.training.weather import Laying, check_weather, draw_laid, read_with
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # words of the generators; 4 and 5 are the loop's and the methods'
+_LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
 _FIRST = ("x_m", "y_m", "z_m", "lag_s")
 
 Binding = Mapping[str, str]
@@ -226,9 +228,40 @@ class TrainingSamples(TorchDataset[Sample]):
         That is the annotation of all frames, where far boxes decide how often a frame is drawn, and the frames whose
         objects are pasted.
         """
+        if self.labelled:
+            self._check_boxes()
         self._weigh(progress)
         if self._bank is not None:
             self._bank.at(position, progress)
+
+    def _check_boxes(self) -> None:
+        """Refuse frames of which none has a box of a trained class: the loss of boxes would be 0 to the end.
+
+        Raises:
+            DatasetError: If there is none, or none of the first ones holds a point.
+        """
+        met: dict[str, int] = {}
+        boxes = looked = filled = 0
+        for index, key in enumerate(self.data.keys):
+            annotation = self.data.annotation(index)
+            wanted = self._wanted(annotation, key)
+            if annotation is not None and not len(wanted):
+                for name in np.asarray(annotation.boxes.label).tolist():
+                    met[str(name)] = met.get(str(name), 0) + 1
+                continue
+            points, boxes_of = self.load(index if self._joint else index * len(self.bindings))
+            filled += len(boxes_of)
+            del points
+            boxes, looked = boxes + len(wanted), looked + 1
+            if filled or looked >= _LOOKED_AT:
+                break
+        if not boxes:
+            raise no_boxes(self.data, self.name, self.classes, met)
+        if not filled and boxes >= _LEAST_BOXES:
+            raise DatasetError(
+                f"{self.data.root}: expected boxes with at least {self.min_points} points, found none among {boxes} "
+                f"boxes of {looked} frames: boxes and points do not lie in one place. farfield doctor DATA says how"
+            )
 
     def _weigh(self, progress: Progress = iter) -> np.ndarray | None:
         """Weight of each sample of an epoch, shape (epoch_length,), by the far boxes of its frame."""
@@ -302,6 +335,27 @@ class TrainingSamples(TorchDataset[Sample]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._set_up()
+
+
+def no_boxes(data: Dataset, stream: str, classes: Sequence[str], met: Mapping[str, int]) -> DatasetError:
+    """What to say of frames without one box of the trained classes.
+
+    Args:
+        data: The frames.
+        stream: Name of the stream.
+        classes: The trained classes.
+        met: The classes that were met, after aliases, with their numbers.
+    """
+    shown = ", ".join(f"{name} ({count})" for name, count in met.items()) or "no box at all"
+    pairs = {name: meant for name in met if (meant := meant_by(name, classes))}
+    pairs = pairs or dict.fromkeys(list(met)[:1], classes[0] if classes else "")
+    words = ", ".join(f"{name}: {meant}" for name, meant in pairs.items())
+    place = "data" if stream == LABELLED else f"data.{stream}"
+    mend = f" Say which is meant: -o '{place}.aliases={{{words}}}', or train them: detector.class_names" if met else ""
+    return DatasetError(
+        f"{data.root}: expected boxes of the trained classes {', '.join(classes)}, found none in {len(data)} frames; "
+        f"there are: {shown}.{mend}"
+    )
 
 
 def _count(points: Points, boxes: Boxes) -> Int[np.ndarray, " n"]:

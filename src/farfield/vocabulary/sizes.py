@@ -37,3 +37,13 @@ SMALL_KINDS: dict[str, tuple[float, float, float]] = {
 }
 """The same for people, two-wheelers and animals, whose boxes lie about their points and do not grow away from the
 sensor."""
+
+
+def unit_of_sizes(longest: float) -> str:
+    """The unit that the median longest side of road users' boxes shows where it is not metres; empty where it is.
+
+    >>> unit_of_sizes(4.5), unit_of_sizes(450.0), unit_of_sizes(4500.0)
+    ('', 'centimetres', 'millimetres')
+    """
+    unit = "millimetres" if longest > 1500 else "centimetres" if longest > 35 else ""
+    return "kilometres or another large unit" if longest < 0.05 else unit

@@ -17,6 +17,8 @@ from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.bin_columns import names_of
+from farfield.files.clouds import read_bin
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Frame, Lazy, Sensor, camera_sensor
@@ -66,6 +68,17 @@ class Kitti(Dataset):
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
         self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        if self.name == Kitti.name and self.bin_columns > _COLUMNS:
+            self._refuse_radar()
+
+    def _refuse_radar(self) -> None:
+        """A column that equals the distance is a radar's: TJ4DRadSet has KITTI's folders."""
+        names = names_of(read_bin(self.clouds[0], columns=self.bin_columns))
+        if "range_m" in names:
+            raise DatasetError(
+                f"{self.clouds[0]}: expected a LiDAR's points, got a radar's: of {len(names)} numbers a point number "
+                f"{names.index('range_m') + 1} is its range. Open TJ4DRadSet with format=tj4dradset"
+            )
 
     def drive_indices(self) -> Mapping[str, Indices]:
         """No drives: the set shuffles their frames."""

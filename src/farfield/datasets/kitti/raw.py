@@ -14,7 +14,7 @@ from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
 from farfield.datasets.labels.cuboid_boxes import annotation_of
 from farfield.errors import DatasetError, FileFormatError
@@ -28,6 +28,7 @@ from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_senso
 from farfield.geometry.poses import invert, pose
 
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
+_COLUMNS, _LOOKED_AT = 4, 8
 _LABELS = "tracklet_labels.xml"
 _IMAGES = (".png", ".jpg")
 _STAMPS = {"middle": "timestamps.txt", "start": "timestamps_start.txt", "end": "timestamps_end.txt"}
@@ -65,6 +66,8 @@ class KittiRaw(Dataset):
         self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}
         self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
         self.frame_ids = tuple(path.stem for path in self.clouds)
+        self.columns = columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
 
     def _drive(self, index: int) -> Path:
         return self.clouds[index].parents[2]
@@ -100,11 +103,12 @@ class KittiRaw(Dataset):
         labels = drive / _LABELS
         turn = tuple(self._time_ns(index, which) for which in ("start", "end"))
         times = {name: stamp_of(drive / name / _STAMPS["middle"], frame_id) for name in (*images, *cameras)}
+        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=self.sequences[index],
             frame_id=frame_id,
             time_ns=self._time_ns(index, "middle"),
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index], bin_columns=4, intensity_scale=1.0)}),
+            clouds=Lazy({"lidar": partial(read, self.clouds[index])}),
             images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
             cameras=cameras,
             sensors={

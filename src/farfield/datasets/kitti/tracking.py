@@ -13,16 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import read_cloud
+from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.datasets.kitti.object import boxes_from_objects, mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
-from farfield.frame import Annotation, CameraField, Cloud, Frame, Lazy
+from farfield.frame import Annotation, CameraField, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
+_COLUMNS, _LOOKED_AT = 4, 8
 
 
 class KittiTracking(Dataset):
@@ -36,6 +37,8 @@ class KittiTracking(Dataset):
         root: The folder with ``training`` or ``testing``, or one of those itself.
         part: ``"training"`` or ``"testing"``.
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
+        bin_columns: Numbers a point; None takes what the largest of the first clouds shows, and KITTI's four where it
+            shows none.
 
     Raises:
         DatasetError: If there are neither clouds nor labels.
@@ -49,6 +52,7 @@ class KittiTracking(Dataset):
         *,
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
+        bin_columns: int | None = None,
     ) -> None:
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
@@ -62,6 +66,9 @@ class KittiTracking(Dataset):
             raise DatasetError(f"{self.root}: expected KITTI tracking data, found none. Looked for {looked}")
         self.sequences = tuple(name for name, _ in keys)
         self.frame_ids = tuple(stem for _, stem in keys)
+        first = sorted(self.folder.glob(f"velodyne/{keys[0][0]}/*.bin"))[:_LOOKED_AT]
+        self.columns = bin_columns or columns_shown(first) or _COLUMNS
+        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
 
     def _stems(self, sequence: str) -> list[str]:
         clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/*.bin"))]
@@ -106,12 +113,11 @@ class KittiTracking(Dataset):
             camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
             field = CameraField(camera=cameras["camera"], name="the left colour camera") if cameras else None
             annotation = partial(self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.classes, field)
+        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=sequence,
             frame_id=stem,
-            clouds=Lazy(
-                {} if cloud is None else {"lidar": partial(read_cloud, cloud, bin_columns=4, intensity_scale=1.0)}
-            ),
+            clouds=Lazy({} if cloud is None else {"lidar": partial(read, cloud)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),
@@ -139,7 +145,3 @@ class _TrackFile:
 
     def __getstate__(self) -> dict[str, Path]:
         return {"path": self.path}
-
-
-def _read_cloud(path: Path) -> Cloud:
-    return read_cloud(path, bin_columns=4, intensity_scale=1.0)

@@ -36,19 +36,21 @@ def label_format(data: Dataset) -> LabelFormat | None:
     return found
 
 
-def label_files_in(folder: Path, name: str) -> LabelFormat:
+def label_files_in(folder: Path, name: str, *, reference: str = "") -> LabelFormat:
     """Label files of any data set in a folder of their own.
 
     Args:
         folder: The folder; for ``boxes-csv`` the file.
         name: ``boxes-csv``, ``openlabel``, ``sustechpoints`` or ``cvat``.
+        reference: Sensor in whose coordinates the boxes stand; ``boxes-csv`` names it.
 
     Raises:
         DatasetError: If there is no such format.
     """
     if name not in _IN_A_FOLDER:
         raise DatasetError(f"label files: expected one of {', '.join(_IN_A_FOLDER)}; got {name!r}")
-    found: LabelFormat = _load(_IN_A_FOLDER[name])(folder)
+    named = {"reference": reference} if reference and name == "boxes-csv" else {}
+    found: LabelFormat = _load(_IN_A_FOLDER[name])(folder, **named)
     return found
 
 

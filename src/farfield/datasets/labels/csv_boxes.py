@@ -27,11 +27,13 @@ class CsvLabels:
 
     Args:
         file: The file.
+        reference: Sensor in whose coordinates the boxes of a new file stand; empty where not known.
     """
 
     name: ClassVar[str] = "boxes-csv"
     attributes: ClassVar[Mapping[str, tuple[Value, ...]]] = {}
     file: Path
+    reference: str = ""
 
     def path(self, key: Key) -> Path:
         """The one file."""
@@ -48,9 +50,11 @@ class CsvLabels:
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other boxes in some frames; new ones stand behind those of their frame."""
-        header, parts = _parts(_NEW_FILE if data is None else data, path, list(labels))
+        new = _NEW_FILE.replace(b"\n", b",reference\n") if self.reference else _NEW_FILE
+        header, parts = _parts(new if data is None else data, path, list(labels))
         end = "\r\n" if parts[0].raw.endswith(b"\r\n") else "\n"
-        write = partial(_written, header=header, path=path, end=end)
+        stands_in = self.reference if data is None else parse_boxes_csv(data, path).stands_in or self.reference
+        write = partial(_written, header=header, path=path, end=end, stands_in=stands_in)
         return replaced(parts, labels, write=write, same=_same, end=end.encode())
 
 
@@ -94,9 +98,11 @@ def _same(old: BoxLabel, new: BoxLabel) -> bool:
     return (old.label, old.box, old.track) == (new.label, new.box, new.track)
 
 
-def _written(key: Key, new: BoxLabel, old: Part | None, *, header: Sequence[str], path: Path, end: str) -> bytes:
+def _written(
+    key: Key, new: BoxLabel, old: Part | None, *, header: Sequence[str], path: Path, end: str, stands_in: str
+) -> bytes:
     """One record; cells whose value did not change stay as they are spelt."""
-    row = dict(zip(("sequence", "frame"), key, strict=True))
+    row = {"sequence": key[0], "frame": key[1], "reference": stands_in}
     if old is not None and old.label is not None:
         cells = next(csv.reader(io.StringIO(old.raw.decode(), newline="")))
         row = dict(zip(header, map(str.strip, cells), strict=True)) | {"point_count": ""}

@@ -4,7 +4,7 @@ from typing import Any
 
 from farfield.bulk import HERE, Bulk
 from farfield.datasets.base import Dataset
-from farfield.inspection.doctor import content, conventions, inventory
+from farfield.inspection.doctor import content, conventions, inventory, upright
 from farfield.inspection.doctor.calibration import calibration as check_calibration
 from farfield.inspection.doctor.findings import Finding, Report
 from farfield.inspection.doctor.kradar import kradar
@@ -19,6 +19,8 @@ _CHECKS = (
     stamps,
     kradar,
     content.clouds,
+    upright.clouds_upright,
+    upright.cameras_upright,
     conventions.quaternions,
     conventions.readings,
     content.classes,

@@ -1,19 +1,22 @@
 """What the clouds and boxes hold: columns, units, intensity, classes by range, suspicious boxes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.frame import Boxes
+from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.evidence import count_points
 from farfield.inspection.doctor.findings import Finding, counted
 from farfield.inspection.doctor.ground import ground_height_m
 from farfield.inspection.doctor.survey import Survey
-from farfield.vocabulary.classes import normalised_class
+from farfield.metrics.oddities import meant_by
+from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class
+from farfield.vocabulary.sizes import unit_of_sizes
 
+_LARGEST_VALUE, _MOST_RINGS, _RING_NAMES = 1e20, 1024, ("ring", "laser", "line", "channel")
 RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)
 _LARGEST_M = {  # length, width, height of the largest plausible objects, sorted; smaller ones may be partly seen
     "vehicle": (9.0, 3.5, 3.8),
@@ -61,7 +64,26 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         if strength is not None and not strength.any():
             mend = "A detector trained with intensity will not work here: name the right column in the mapping."
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
+        yield from _doubtful_columns(name, read)
         yield from _units_of_points(name, reach)
+
+
+def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
+    """Columns whose numbers cannot be what they are called: a header with wrong offsets mixes their bytes."""
+    doubtful = {}
+    for column in read[0].extra:
+        values = np.concatenate(
+            [np.asarray(cloud.extra[column]).reshape(-1) for cloud in read if column in cloud.extra]
+        )
+        values = values.astype(np.float64)
+        wild = ~np.isfinite(values) | (np.abs(values) > _LARGEST_VALUE)
+        rings = column in _RING_NAMES and len(values) and values[~wild].max(initial=0) >= _MOST_RINGS
+        if wild.any() or rings:
+            doubtful[column] = f"{column} (to {np.abs(values[np.isfinite(values)]).max(initial=0):.3g})"
+    if doubtful:
+        what = f"impossible numbers in {', '.join(doubtful.values())}: the header may give wrong places for them"
+        mend = "Positions and intensity are not touched; do not use these columns, or write the header anew."
+        yield Finding(severity="warn", topic=f"cloud {name}", what=what, mend=mend)
 
 
 def _scale_text(found: Survey, name: str) -> str:
@@ -95,6 +117,7 @@ def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
     reader = found.dataset.unwrapped
     if not isinstance(reader, Cirrus):
+        yield from _own_names(table)
         return
     aliases = reader.mapping.labels.aliases
     strange = {
@@ -113,6 +136,27 @@ def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         )
 
 
+def _own_names(table: Mapping[str, Mapping[str, int]]) -> Iterator[Finding]:
+    """Names that neither the detectors nor the experiments know, with what they may mean."""
+    counts = {label: sum(row.values()) for label, row in table.items()}
+    strange = {label: count for label, count in counts.items() if label not in CIRRUS_CLASSES}
+    if not strange:
+        return
+    known = [name for name in CIRRUS_CLASSES if name != "unknown"]
+    meant = {label: guess for label in strange if (guess := meant_by(label, known))}
+    shown = ", ".join(f"{label!r} ({count})" for label, count in list(strange.items())[:8])
+    example = meant or {next(iter(strange)): known[0]}
+    pairs = ", ".join(f"{label}: {guess}" for label, guess in example.items())
+    yield Finding(
+        severity="fail" if len(strange) == len(counts) else "warn",
+        topic="class names",
+        what=f"not in the vocabulary ({', '.join(known)}): {shown}" + (f"; did you mean {pairs}?" if meant else ""),
+        mend=f"Rename them, or map them where they are used: -o 'data.aliases={{{pairs}}}' in train, --options "
+        f"relabel={pairs.replace(': ', ':').replace(', ', ',')} in score and evaluate; or train your own: "
+        "detector.class_names.",
+    )
+
+
 def _bins() -> list[tuple[float, float]]:
     return list(pairwise(RANGE_BINS_M))
 
@@ -124,8 +168,7 @@ def sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         return
     longest = float(np.median(boxes.size_m.max(axis=1)))
     facts["median_longest_side_m"] = round(longest, 3)
-    unit = "millimetres" if longest > 1500 else "centimetres" if longest > 35 else ""
-    unit = "kilometres or another large unit" if longest < 0.05 else unit
+    unit = unit_of_sizes(longest)
     if unit:
         what = f"the median box is {longest:.3g} long: sizes seem to be in {unit}"
         yield Finding(severity="fail", topic="units", what=what, mend="Bring sizes and positions to metres.")

@@ -31,6 +31,7 @@ def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             "farfield stats and farfield score.",
         )
     yield _labels(found)
+    yield from _strays(found)
     images = ", ".join(f"{number} of {name}" for name, number in found.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(found)
@@ -92,6 +93,20 @@ def _labels(found: Survey) -> Finding:
         mend = "Frames without annotation are left out of training and scoring."
         return Finding(severity="warn", topic="labels", what=what, mend=mend)
     return Finding(severity="ok", topic="labels", what=what)
+
+
+def _strays(found: Survey) -> Iterator[Finding]:
+    """Annotations of one's own folder that belong to no cloud."""
+    reader = found.dataset.unwrapped
+    strays = reader.strays if isinstance(reader, Folder) else ()
+    if strays:
+        yield Finding(
+            severity="warn" if found.boxes else "fail",
+            topic="labels",
+            what=f"{len(strays)} annotations belong to no cloud",
+            where=strays[0],
+            mend=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
+        )
 
 
 def timing(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:

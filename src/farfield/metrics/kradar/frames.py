@@ -170,12 +170,17 @@ def _inside(side: Side, settings: KRadarSettings) -> Bool[np.ndarray, " n"]:
 
 
 def _written(box: Float[np.ndarray, "n 7"], settings: KRadarSettings) -> Float[np.ndarray, "n 7"]:
-    """The annotated boxes as the kit's text files hold them: rounded, the yaw as it is written there."""
+    """The annotated boxes as the kit's text files hold them: rounded, the yaw as it is written there.
+
+    A correct yaw is brought to [-pi, pi) before it is rounded, as in what the parity figures were made of: of -pi the
+    text holds 1.57 and not -4.71, which are 0.003 rad apart once 2 pi is added.
+    """
     if settings.decimals is None:
         return box
     written = box.copy()
     turn = math.pi / 2 if settings.yaw == "correct" else 0.0
-    written[:, 6] -= turn
+    if turn:
+        written[:, 6] = np.mod(written[:, 6] - turn + math.pi, 2 * math.pi) - math.pi
     written = np.round(written, settings.decimals)
     written[:, 6] += turn
     return written

@@ -52,6 +52,11 @@ class KRadar(Protocol):
             known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in found.classes))
         if found.reference:
             known["boxes_in"] = "radar" if found.reference == "radar" else "os2-64"
+            if given.get("boxes_in", known["boxes_in"]) != known["boxes_in"]:
+                raise ConfigError(
+                    f"boxes_in: expected {known['boxes_in']}, as the boxes say that they stand in the coordinates of "
+                    f"{found.reference}; got {given['boxes_in']}. Leave boxes_in out"
+                )
         settings = kradar_settings(str(self), **{**known, **given})
         version = found.facts.get("label_version")
         return replace(settings, label_version=version) if version and "label_version" not in given else settings

@@ -125,7 +125,7 @@ def _class(spec: ClassSpec) -> ClassSettings:
 def _copied(data: Dataset, folder: Path) -> LabelFormat:
     """Labels in a CSV of their own, begun with what the data set has."""
     path = folder / START
-    labels = label_files_in(path, "boxes-csv")
+    labels = label_files_in(path, "boxes-csv", reference=data[0].reference)
     if not path.is_file():
         found = {data.keys[index]: _labels(data, index) for index in range(len(data)) if data.has_annotation(index)}
         if any(found.values()):

@@ -52,7 +52,7 @@ def save(store: Store, settings: StudioSettings, author: Author, id: str, folder
     if format and format != store.files.format.name:
         target = place or store.folder / "saved"
         target = target / f"labels-{format}"
-        made = export_labels(store, _in(target, format), store.keys)
+        made = export_labels(store, _in(store, target, format), store.keys)
         return Written(len(made), target.name, store.state.seq)
     if place is None:
         saved = save_in_place(store, author, id)
@@ -70,10 +70,11 @@ def _beside(store: Store, name: str, place: Path | None) -> Path:
     return found
 
 
-def _in(folder: Path, format: str):  # type: ignore[no-untyped-def]
+def _in(store: Store, folder: Path, format: str):  # type: ignore[no-untyped-def]
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    return label_files_in(folder / "labels.csv" if format == "boxes-csv" else folder, format)
+    path = folder / "labels.csv" if format == "boxes-csv" else folder
+    return label_files_in(path, format, reference=store.data[0].reference)
 
 
 def pack(store: Store, format: str, frames: tuple[int, ...], folder: Path, target: Path) -> int:
@@ -87,7 +88,7 @@ def pack(store: Store, format: str, frames: tuple[int, ...], folder: Path, targe
         target: The ZIP file.
     """
     keys = [store.keys[index] for index in frames if index < len(store.keys)] if frames else list(store.keys)
-    made = export_labels(store, _in(folder, format), keys)
+    made = export_labels(store, _in(store, folder, format), keys)
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
         for path in made:
             packed.write(path, path.relative_to(folder))
