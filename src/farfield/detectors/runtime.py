@@ -20,7 +20,9 @@ from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame
+from farfield.frame.cloud import RADAR_COLUMNS
 from farfield.geometry.boxes import Boxes
+from farfield.registry import named
 
 
 @cache
@@ -47,7 +49,6 @@ _TOO_LARGE = (
     "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
     "cells, or device cpu."
 )
-_RADAR_COLUMNS = ("power", "doppler", "rcs")
 _KRADAR_LIDAR = "os2-64"
 """In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
 
@@ -144,6 +145,10 @@ class Detector:
             f"{self.precision} on {self.device})"
         )
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: where it looks, and for what."""
+        return str(named("farfield.reports.notebook:detector_html")(self))
+
     @property
     def class_names(self) -> tuple[str, ...]:
         """The classes that this detector tells apart, by the names that it gives them."""
@@ -169,7 +174,7 @@ class Detector:
     @property
     def kind(self) -> Literal["lidar", "radar"]:
         """Of which kind of sensor its clouds are: a radar's if it reads a radar's columns or learnt from a radar."""
-        of_radar = any(name.startswith(_RADAR_COLUMNS) for name in self.columns)
+        of_radar = any(name.startswith(RADAR_COLUMNS) for name in self.columns)
         return "radar" if of_radar or any(name.startswith("radar") for name in self.learnt_clouds) else "lidar"
 
     @property
@@ -269,7 +274,8 @@ class Detector:
             return f"it is of a {sensor.kind}"
         if sensor is not None and not sensor.in_frame:
             return "it keeps its sensor's own coordinates"
-        present = (*frame.cloud(name).columns, "lag_s")
+        cloud = frame.cloud(name)
+        present = (*cloud.columns, "lag_s", *(("intensity",) if cloud.kind == "lidar" else ()))
         missing = [column for column in self.network.inputs[source].columns if column not in present]
         return f"it has no column {missing[0]!r}" if missing else ""
 
