@@ -61,7 +61,7 @@ def run(
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
-        precision: fp32, bf16, fp16, or what suits the device.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
         engine: Where the work is done.
@@ -78,6 +78,7 @@ def run(
     chosen_format = result_format(out, format)
     frames = _frames(files, rotate_deg)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **kept.options)
+    print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
     chosen = partial(search, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)

@@ -60,7 +60,8 @@ class Detector:
         network: The network; a folded copy in evaluation mode is kept.
         provenance: What is known of its training.
         device: Where to run; by default, and for ``"auto"``, a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies natively.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies itself, for the
+            reason that ``why_precision`` gives.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
         score_threshold: Boxes below are not given; this and the following are the weights' own unless given.
@@ -93,7 +94,8 @@ class Detector:
         if precision not in ("auto", *DTYPES):
             raise ConfigError(f"Expected precision to be one of 'auto', {str([*DTYPES])[1:-1]}; got {precision!r}.")
         self.device = chosen_device(device)
-        self.precision = default_precision(self.device) if precision == "auto" else precision
+        asked = (precision, "asked for")
+        self.precision, self.why_precision = default_precision(self.device, network) if precision == "auto" else asked
         self.provenance, self.cloud, self._name = provenance or {}, cloud, name
         keep_freed_memory()
         most = None if max_boxes is None or classes is None else max(max_boxes, network.config.max_boxes)
