@@ -1,13 +1,18 @@
 """The functions most people need. Each imports what it uses when it is called."""
 
+import json
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Shaped
+
     from farfield.bulk import Bulk
     from farfield.datasets.base import Dataset
     from farfield.detectors.runtime import Detector
@@ -46,7 +51,8 @@ def load_detector(
         device: Where to run, such as ``"cpu"`` or ``"cuda:0"``; by default, and for ``"auto"``, a GPU if there is one.
         precision: ``"fp32"``, ``"bf16"``, ``"fp16"``, or ``"auto"``: what suits the device.
         cloud: Which of a frame's clouds to read.
-        score_threshold: Boxes below are not given; lower or higher than the weights' own, which counts unless given.
+        score_threshold: Boxes below are not given; lower or higher than the weights' own, which counts unless given:
+            a low one, as scores need unsure boxes too. Pictures leave out more unless told, see :func:`show`.
         nms_iou: Boxes that overlap a better one by more are not given; likewise.
         max_boxes: Boxes given in a frame; likewise.
         classes: Classes to give, such as ``["vehicle"]``, or for each of them the name to give it, such as
@@ -191,18 +197,63 @@ def adapt(
     )
 
 
-def show(frame: "Frame", predictions: "Boxes | None" = None, *, radar: bool = False) -> Any:
+def train(
+    experiment: Path | str,
+    changes: Mapping[str, Any] | None = None,
+    *,
+    out: Path | str = "runs",
+    report: "Report | None" = None,
+) -> Path:
+    """Train a detector from one experiment; called again with the same, it goes on: what ``farfield train`` does.
+
+    Args:
+        experiment: A shipped experiment's name, or a YAML file.
+        changes: Settings to change by dotted name, such as ``{"training.steps": 500, "data.path": "mine"}``.
+        out: Folder of all runs; this one's bears the experiment's name.
+        report: Is informed of the course.
+
+    Returns:
+        The weights, which :func:`load_detector` takes.
+
+    Raises:
+        ConfigError: If there is no such experiment or setting, or the folder holds another run.
+        DatasetError: If data are not there, or hold none of the clouds or classes asked for.
+        MissingExtraError: If torch is not installed.
+    """
+    from farfield.detectors import DETECTORS
+
+    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
+    from farfield.experiments.catalogue import find
+    from farfield.experiments.plan import Plan
+    from farfield.experiments.schema import load_experiment
+
+    words = [f"{name}={json.dumps(value, default=str)}" for name, value in (changes or {}).items()]
+    settings = load_experiment(find(experiment), words)
+    return Plan(settings, Path(out) / settings.name).run(report)
+
+
+def show(
+    frame: "Frame | Cloud | Shaped[np.ndarray, 'n columns']",
+    predictions: "Boxes | None" = None,
+    *,
+    radar: bool = False,
+    shown_score: float = SHOWN_SCORE,
+) -> Any:
     """Draw a frame from above with its annotated and predicted boxes; returns the matplotlib figure.
 
     Args:
-        frame: The frame.
+        frame: The frame; or a cloud or its rows, of which every point is shown.
         predictions: Predicted boxes.
         radar: Draw the radar's power instead of a cloud; see :func:`farfield.reports.radar_map.radar_map`.
+        shown_score: Predicted boxes of a lower score are left out, which the title says; 0 shows all.
     """
-    if radar:
-        from farfield.reports.radar_map import radar_map
-
-        return radar_map(frame, predictions)
+    from farfield.frame import Frame
     from farfield.reports.figures import show_frame
+    from farfield.reports.objects import shown_of
+    from farfield.reports.radar_map import radar_map
 
-    return show_frame(frame, predictions)
+    if not isinstance(frame, Frame):
+        return show_frame(Frame.of(frame), predictions, window_m="fit", shown_score=shown_score)
+    if radar:
+        return radar_map(frame, shown_of(predictions, shown_score)[0])
+    return show_frame(frame, predictions, shown_score=shown_score)

@@ -12,6 +12,16 @@ T = TypeVar("T")
 Registered = TypeVar("Registered")
 
 
+def named(place: str) -> Any:
+    """What stands at ``"module:attribute"``, imported now.
+
+    So a method of a lower room, such as ``Frame._repr_html_``, reaches the upper room that does the work, which it
+    knows by name alone.
+    """
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)
+
+
 class PluginError(FarfieldError):
     """What another package registered cannot be used: it fails to import, or two packages use one name."""
 
@@ -49,8 +59,7 @@ class Registry(Generic[T]):
 
     def _load(self, name: str) -> T:
         if name in self.builtin:
-            module, _, attribute = self.builtin[name].partition(":")
-            loaded: T = getattr(import_module(module), attribute)
+            loaded: T = named(self.builtin[name])
             return loaded
         points = [point for point in self._points() if point.name == name]
         if not points:

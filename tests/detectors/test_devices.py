@@ -48,7 +48,7 @@ def gpu(monkeypatch):
 )
 def test_the_number_type_is_what_the_gpu_multiplies_natively(gpu, capability, detecting, training):
     gpu(capability)
-    assert default_precision(torch.device("cuda")) == detecting
+    assert default_precision(torch.device("cuda"))[0] == detecting
     assert precision_of(TrainingConfig()) == training  # float16 would want its gradients scaled
     assert precision_of(TrainingConfig(precision="fp32")) == "fp32"
 

@@ -223,8 +223,14 @@ def test_run_of_another_experiment_is_not_continued(experiment, tmp_path):
 
     Plan(load_experiment(experiment, ["training.steps=1"]), tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["step"] == 1
-    with pytest.raises(ConfigError, match="another experiment"):
-        Plan(load_experiment(experiment, ["training.steps=2"]), tmp_path / "run").run()
+    kept = (tmp_path / "run" / "experiment.yaml").read_bytes()
+    other = ["training.steps=2", "training.learning_rate=0.1", "augmentation.scale=0"]
+    said = (
+        r"another experiment: augmentation.scale was 0.05, is 0.0; training.learning_rate was 0.003, is 0.1\. .*-o name"
+    )
+    with pytest.raises(ConfigError, match=said):
+        Plan(load_experiment(experiment, other), tmp_path / "run").run()
+    assert (tmp_path / "run" / "experiment.yaml").read_bytes() == kept, "a refused run leaves the other's files alone"
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"\x80\x04\x95\x00."])

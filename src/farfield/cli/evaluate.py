@@ -1,6 +1,7 @@
 """``farfield evaluate``."""
 
 import json
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -75,7 +76,7 @@ def run(
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
         replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
         kept: Which of the detector's boxes count.
-        precision: fp32, bf16, fp16, or what suits the device.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU or for few frames.
         engine: Where the work is done.
@@ -101,6 +102,7 @@ def run(
     opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
     opened = opened.split(split) if split else opened
     loaded = load_detector(detector, precision=precision, device=device, **kept.options)
+    print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     protocol = protocol or opened.protocol
     given: dict[str, Any] = {
         "label": label,

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.datasets.cloud_files import CloudFiles
     from farfield.detection import Found
-    from farfield.frame import Boxes, Key
+    from farfield.frame import Boxes, Frame, Key
 
-SURE = 0.1
-"""Boxes from this score on are written unless a threshold is given."""
 _WORDS = {"boxes-csv": "", "kitti": " as KITTI's results", "nuscenes": " as nuScenes' results"}
 
 
@@ -59,18 +57,20 @@ def run(
         format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera) or
             nuscenes (one JSON; boxes in the world where poses are known); what the suffix of --out says unless given.
         cloud: Which of a data set's clouds; the first that suits the detector unless given.
-        kept: Which boxes are kept. Without --score-threshold those from 0.1 on, or from the weights' own threshold.
+        kept: Which boxes are kept: those that load_detector gives with the same settings. Without --score-threshold the
+            weights' own threshold counts, and pictures leave out boxes below 0.3.
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
         columns: Numbers a point in .bin files; what the numbers themselves show unless given.
-        precision: fp32, bf16, fp16, or what suits the device.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
         engine: Where the work is done.
-        picture: Draw the first frame from above into this file.
+        picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as
+            FILE-CAMERA.
     """
-    from farfield.api import load_detector, show
+    from farfield.api import load_detector
     from farfield.bulk.folders import sweep_out_file
     from farfield.detection import search
     from farfield.errors import ConfigError
@@ -83,6 +83,7 @@ def run(
     if out is not None:
         check_apart(out, frames)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **kept.options)
+    print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
     chosen = partial(search, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
@@ -96,30 +97,52 @@ def run(
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)
-    least = SURE if kept.score_threshold is None else kept.score_threshold
-    found = _Sure(frames.keys, prepared.found({}), least)
+    found = _Counted(frames.keys, prepared.found({}))
     if out is not None and journal is not None:
         results = Results(chosen_format, shown, frames.keys, loaded.kind)
         results.write(out, found)
         journal.unlink(missing_ok=True)
         print("".join(f"note: {note}\n" for note in results.notes), end="")
-        print(f"{found.count} boxes in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
+        least = loaded.config.score_threshold
+        print(f"{found.count} boxes of score {least:g} or more in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
         if not found.count:
             print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
     else:
         for text in format_boxes_csv_parts(rows_of(found, shown[0].reference)):
             sys.stdout.write(text)
     if picture is not None:
-        show(shown[0], found.first).savefig(picture, dpi=120)
-        print(f"picture: {picture}")
+        _draw(picture, shown[0], found.first, kept.score_threshold)
     return 0
 
 
-class _Sure:
-    """The boxes from a score on, frame by frame; only those of the first frame are remembered."""
+def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None) -> None:
+    """The frame from above, and each camera's image with the boxes projected into it, beside one another as files."""
+    from farfield.api import show
+    from farfield.datasets.labels.tool_labels import file_name
+    from farfield.reports.camera import camera_picture
+    from farfield.reports.objects import shown_of
+    from farfield.vocabulary.scores import SHOWN_SCORE
 
-    def __init__(self, keys: "Sequence[Key]", found: "Iterator[Found | None]", score_threshold: float) -> None:
-        self.keys, self.found, self.threshold = keys, found, score_threshold
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shown_score = SHOWN_SCORE if least is None else least
+    show(frame, found, shown_score=shown_score).savefig(path, dpi=120)
+    print(f"picture: {path}")
+    boxes, left_out = shown_of(found, shown_score)
+    for name in frame.images:
+        camera = frame.cameras.get(name)
+        if camera is None:
+            print(f"note: no picture of the camera {name}: it has no calibration, so no place for boxes")
+            continue
+        target = path.with_name(f"{path.stem}-{file_name(name)}{path.suffix}")
+        camera_picture(frame.images[name], camera, predicted=boxes, title=left_out).savefig(target, dpi=120)
+        print(f"picture: {target}")
+
+
+class _Counted:
+    """The boxes frame by frame; only those of the first frame are remembered."""
+
+    def __init__(self, keys: "Sequence[Key]", found: "Iterator[Found | None]") -> None:
+        self.keys, self.found = keys, found
         self.count = 0
         self.first: Boxes | None = None
 
@@ -128,7 +151,6 @@ class _Sure:
             if found is None:
                 continue
             boxes = found.boxes
-            boxes = boxes if boxes.score is None else boxes[boxes.score >= self.threshold]
             self.first = boxes if self.first is None else self.first
             self.count += len(boxes)
             yield key, boxes

@@ -5,13 +5,15 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.vocabulary.scores import SHOWN_SCORE
+
 
 def run(
     evaluation: Positional[Path],
     *,
     out: Path | None = None,
     title: str = "",
-    shown_score: float = 0.3,
+    shown_score: float = SHOWN_SCORE,
     film: Path | None = None,
     predictions: Path | None = None,
     format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",

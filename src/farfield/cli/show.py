@@ -8,7 +8,10 @@ from tyro.conf import Positional
 from farfield.cli._detector_options import OWN, BoxFlags
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from farfield.datasets import Dataset
+    from farfield.frame import Boxes, Frame
 
 
 def run(
@@ -36,15 +39,13 @@ def run(
             the radar's points.
         detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
-        kept: Which of the detector's boxes are drawn.
+        kept: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
         out: The PNG; runs/show-DATA-NUMBER.png unless given.
     """
     from farfield.api import load_detector
     from farfield.detection import as_trained, suitable_clouds
     from farfield.errors import ConfigError
     from farfield.frame.provenance import is_simulated
-    from farfield.reports.figures import birdseye
-    from farfield.reports.radar_map import radar_map
 
     opened, predicted = _opened(data, radar=radar), None
     if not 0 <= frame < len(opened):
@@ -55,13 +56,25 @@ def run(
         shown = as_trained(opened, loaded)[frame]
         cloud = cloud or suitable_clouds(loaded, shown)[0]
         predicted = loaded.with_cloud(cloud)(shown)
-    figure = radar_map(shown, predicted) if radar else birdseye(shown, predicted, cloud=cloud, window_m="fit")
+    figure = _drawn(shown, predicted, radar, cloud, kept.score_threshold)
     path = out or Path("runs") / f"show-{opened.root.resolve().name}-{frame}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     print("simulated data\n" if is_simulated(opened.root) else "", end="")
     print(f"{figure.axes[0].get_title(loc='left')}\npicture: {path.resolve()}")
     return 0
+
+
+def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | None, least: float | None) -> "Figure":
+    from farfield.reports.figures import birdseye
+    from farfield.reports.objects import shown_of
+    from farfield.reports.radar_map import radar_map
+    from farfield.vocabulary.scores import SHOWN_SCORE
+
+    shown_score = SHOWN_SCORE if least is None else least
+    if radar:
+        return radar_map(shown, shown_of(predicted, shown_score)[0])
+    return birdseye(shown, predicted, cloud=cloud, window_m="fit", shown_score=shown_score)
 
 
 def _opened(path: Path, *, radar: bool) -> "Dataset":

@@ -17,23 +17,26 @@ def run(
     experiment: tyro.conf.Positional[str],
     override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     out: Path = Path("runs"),
+    dry_run: bool = False,
 ) -> int:
     """Train a detector from one experiment; run the same command again to resume.
 
     examples:
-      farfield train pointpillars-cirrus-sim
+      farfield train pointpillars-cirrus-sim --dry-run
       farfield train pointpillars-cirrus-sim -o training.steps=500 -o name=short
       farfield train my-experiment.yaml -o data.path=/data/Cirrus_dataset1
       torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
-    weights.safetensors. A killed run resumes from its checkpoint to the same weights. Several processes, torchrun's or
-    those of training.devices, share each batch and follow the course of one.
+    weights.safetensors. A killed run resumes from its checkpoint to the same weights, and Ctrl-C writes one. More
+    training.steps prolong a run; training.validation scores it on held-out frames and keeps the best weights. Several
+    processes, torchrun's or those of training.devices, share each batch and follow the course of one.
 
     Args:
         experiment: A shipped experiment's name, as `farfield experiments` lists them, or a YAML file.
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
+        dry_run: Say what would be done, and do nothing.
     """
     from rich.console import Console
 
@@ -46,7 +49,9 @@ def run(
     training = settings.training
     kind = BarReport if console.is_terminal else LineReport
     folder = out / settings.name
-    Plan(settings, folder).run(kind(console, folder, training.log_every_steps, _following(folder, settings)))
+    plan = Plan(settings, folder)
+    report = kind(console, folder, training.log_every_steps, _following(folder, settings))
+    plan.announce(report) if dry_run else plan.run(report)
     return 0
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
-from farfield.errors import DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bin_columns import bin_columns as bin_columns_of
 from farfield.files.bin_columns import names_of
 from farfield.files.clouds import CACHE_SUFFIX, read_bin, read_cache, write_cache
@@ -154,6 +154,18 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
     else:
         raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
     return _from_named(path, dict(zip(names_of(rows), rows.T, strict=True)), intensity_scale)
+
+
+def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
+    """A cloud of an array in memory, its columns named as those of a file are.
+
+    Raises:
+        ConfigError: If it does not have rows of three numbers or more.
+        DatasetError: If coordinates are not finite, or an intensity is negative.
+    """
+    if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
+        raise ConfigError(f"expected rows of 3 or more numbers, got shape {rows.shape} of {rows.dtype}")
+    return _from_named(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)), None)
 
 
 def columns_shown(paths: Sequence[Path]) -> int | None:

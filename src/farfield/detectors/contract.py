@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Protocol, final, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -47,8 +47,8 @@ class DetectorConfig(BaseModel, ABC):
     old_names: ClassVar[Mapping[str, str]] = {}
     """Today's places of settings that had other ones, dotted."""
 
-    name: str
-    score_threshold: float = Field(0.05, ge=0, le=1)
+    name: str = Field(description="which detector")
+    score_threshold: float = Field(0.05, ge=0, le=1, description="boxes of a lower score are not given")
     nms_iou: float = Field(0.1, ge=0, le=1, description="boxes that overlap a better one by more are dropped")
     max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
@@ -108,6 +108,7 @@ class Network(nn.Module, ABC):
 
     Attributes:
         inputs: What it reads, by name.
+        emulated: Number type that is faster on processors with AVX-512 but without bfloat16 of their own.
         channels: Features of a row of what :meth:`encode` gives.
         low_precision: Submodules that the runtime may turn into bfloat16.
         assigner: Makes targets of annotations.
@@ -117,6 +118,7 @@ class Network(nn.Module, ABC):
     inputs: Mapping[str, CloudInput]
     channels: int
     low_precision: ClassVar[tuple[str, ...]] = ()
+    emulated: ClassVar[Literal["fp32", "bf16"]] = "fp32"
     assigner: Assigner
     head: Callable[..., Any]
 

@@ -20,7 +20,9 @@ from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame
+from farfield.frame.cloud import RADAR_COLUMNS
 from farfield.geometry.boxes import Boxes
+from farfield.registry import named
 
 
 @cache
@@ -47,7 +49,6 @@ _TOO_LARGE = (
     "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
     "cells, or device cpu."
 )
-_RADAR_COLUMNS = ("power", "doppler", "rcs")
 _KRADAR_LIDAR = "os2-64"
 """In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
 
@@ -59,7 +60,8 @@ class Detector:
         network: The network; a folded copy in evaluation mode is kept.
         provenance: What is known of its training.
         device: Where to run; by default, and for ``"auto"``, a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies natively.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies itself, for the
+            reason that ``why_precision`` gives.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
         score_threshold: Boxes below are not given; this and the following are the weights' own unless given.
@@ -92,7 +94,8 @@ class Detector:
         if precision not in ("auto", *DTYPES):
             raise ConfigError(f"Expected precision to be one of 'auto', {str([*DTYPES])[1:-1]}; got {precision!r}.")
         self.device = chosen_device(device)
-        self.precision = default_precision(self.device) if precision == "auto" else precision
+        asked = (precision, "asked for")
+        self.precision, self.why_precision = default_precision(self.device, network) if precision == "auto" else asked
         self.provenance, self.cloud, self._name = provenance or {}, cloud, name
         keep_freed_memory()
         most = None if max_boxes is None or classes is None else max(max_boxes, network.config.max_boxes)
@@ -144,6 +147,10 @@ class Detector:
             f"{self.precision} on {self.device})"
         )
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: where it looks, and for what."""
+        return str(named("farfield.reports.notebook:detector_html")(self))
+
     @property
     def class_names(self) -> tuple[str, ...]:
         """The classes that this detector tells apart, by the names that it gives them."""
@@ -169,7 +176,7 @@ class Detector:
     @property
     def kind(self) -> Literal["lidar", "radar"]:
         """Of which kind of sensor its clouds are: a radar's if it reads a radar's columns or learnt from a radar."""
-        of_radar = any(name.startswith(_RADAR_COLUMNS) for name in self.columns)
+        of_radar = any(name.startswith(RADAR_COLUMNS) for name in self.columns)
         return "radar" if of_radar or any(name.startswith("radar") for name in self.learnt_clouds) else "lidar"
 
     @property
@@ -269,7 +276,8 @@ class Detector:
             return f"it is of a {sensor.kind}"
         if sensor is not None and not sensor.in_frame:
             return "it keeps its sensor's own coordinates"
-        present = (*frame.cloud(name).columns, "lag_s")
+        cloud = frame.cloud(name)
+        present = (*cloud.columns, "lag_s", *(("intensity",) if cloud.kind == "lidar" else ()))
         missing = [column for column in self.network.inputs[source].columns if column not in present]
         return f"it has no column {missing[0]!r}" if missing else ""
 

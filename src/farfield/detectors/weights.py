@@ -13,6 +13,7 @@ from torch import Tensor
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
 from farfield.detectors.devices import gpu_precision
+from farfield.detectors.precision import chosen_precision
 from farfield.errors import FarfieldError, FileFormatError
 from farfield.files.atomic import write_bytes
 
@@ -123,8 +124,12 @@ def resolve_weights(name: str | Path) -> Path:
     )
 
 
-def default_precision(device: torch.device) -> str:
-    """``"bf16"`` where the processor multiplies it natively, else ``"fp32"``; ``"fp16"`` on GPUs with that alone."""
+def default_precision(device: torch.device, network: Any = None) -> tuple[str, str]:
+    """The number type that suits a device and a network, and why.
+
+    ``"bf16"`` where the device multiplies it itself, else ``"fp32"``, or ``"fp16"`` on GPUs with that alone; for
+    processors see :func:`farfield.detectors.precision.chosen_precision`.
+    """
     if device.type == "cuda":
-        return gpu_precision(device)
-    return "bf16" if torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported() else "fp32"
+        return gpu_precision(device), "what the GPU has matrix units for"
+    return chosen_precision(network)

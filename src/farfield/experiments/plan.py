@@ -14,16 +14,18 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors import build_detector
 from farfield.errors import ConfigError, DatasetError
+from farfield.experiments.announcing import lines_of
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.recording import ensure
 from farfield.training.launching import launch
 from farfield.training.loop import CHECKPOINT_NAME, Training
-from farfield.training.method import METHODS, Method, Stream
+from farfield.training.method import DETECTOR, METHODS, Method, Stream
 from farfield.training.report import Report
 from farfield.training.samples import TrainingSamples
 from farfield.training.starting import Start, start_network
+from farfield.training.validating import Validation, spread
 
 START_NAME = "start.json"
 """In a run's folder: what was taken of the weights that it started from."""
@@ -60,6 +62,7 @@ class Plan:
         fabric = launch(experiment.training)
         report = report if report is not None and fabric.is_global_zero else Report()
         if fabric.is_global_zero:
+            self.announce(report)
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
@@ -69,6 +72,7 @@ class Plan:
             name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
+        data, validation = self._validation(data, configs, method)
         parts = {name: held_out(each, method.held_out) for name, each in data.items()}
         data = {name: trained for name, (trained, _) in parts.items()}
         training = Training(
@@ -83,7 +87,9 @@ class Plan:
                 for name, (_, held) in parts.items()
                 if held is not None
             },
+            validation=validation,
         )
+        training.check()
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
             if start is not None:
@@ -97,6 +103,48 @@ class Plan:
             for text in signs_of(logged(self.folder)):
                 report.say(f"note: {text}")
         return weights
+
+    def announce(self, report: Report) -> None:
+        """Say what the run is about to do; errors are those of :meth:`run` that can be told without simulating."""
+        method, _ = _method(self.experiment, fresh=False)
+        configs = _configs(self.experiment, method)
+        data: dict[str, Dataset | DataConfig] = {
+            name: self.data[name]
+            if name in self.data
+            else (configs[name] if configs[name].simulate else _opened(configs[name], stream, self.experiment))
+            for name, stream in method.streams.items()
+        }
+        for line in lines_of(self.experiment, self.folder, method.modules[DETECTOR], data):
+            report.say(line)
+
+    def _validation(
+        self, data: Mapping[str, Dataset], configs: Mapping[str, DataConfig], method: Method
+    ) -> tuple[dict[str, Dataset], Validation | None]:
+        """The frames that are trained on, and those of the first labelled stream that are scored meanwhile."""
+        wanted, training = self.experiment.training.validation, self.experiment.training
+        if wanted is None:
+            return dict(data), None
+        name = next((name for name, stream in method.streams.items() if stream.labelled), None)
+        if name is None:
+            raise ConfigError(f"training.validation: the method {self.experiment.method.name} has no labelled stream.")
+        config, data = configs[name], dict(data)
+        if wanted.split:
+            other = config.model_copy(update={"split": wanted.split})
+            frames = spread(_opened(other, method.streams[name], self.experiment), wanted.frames)
+        else:
+            data[name], held = held_out(data[name], wanted.frames)
+            assert held is not None
+            frames = held
+        cloud = config.clouds[0] if isinstance(config.clouds, tuple) else None
+        validation = Validation(
+            frames=frames,
+            every_steps=wanted.every_steps,
+            cloud=cloud,
+            aliases=config.aliases,
+            precision=training.precision,
+        )
+        validation.check(self.experiment.detector.class_names)
+        return data, validation
 
     def _started(self, start: Start | None) -> dict[str, Any]:
         """What the provenance says of the start: of a run that goes on, what it wrote when it began."""

@@ -35,7 +35,7 @@ class DataConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    path: Path
+    path: Path = Field(description="the data set's folder")
     split: str | None = Field(None, description="train, val, test, or nothing for all frames")
     clouds: Annotated[tuple[str, ...], Field(min_length=1)] | dict[str, tuple[str, ...]] = Field(
         ("gaussian", "uniform"), description="clouds to learn from in turn, or such a list for each of several inputs"
@@ -64,7 +64,7 @@ class MethodConfig(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    name: str = "supervised"
+    name: str = Field("supervised", description="which method; `supervised` learns from annotated frames")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class Experiment(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="what the run and its folder are called")
     data: Data
     method: MethodConfig = MethodConfig()
     detector: SerializeAsAny[DetectorConfig] = Field({"name": "pointpillars"}, validate_default=True)

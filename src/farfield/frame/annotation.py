@@ -103,6 +103,9 @@ class Annotation:
     region: CameraField | None = None
     version: str = ""
 
+    def __repr__(self) -> str:
+        return f"Annotation{str(self.boxes).removeprefix('Boxes')}"
+
     def __post_init__(self) -> None:
         for name, rows in self._rows().items():
             if rows is not None and len(rows) != len(self.boxes):

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Shaped, UInt8
 
 from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
@@ -20,6 +20,7 @@ from farfield.frame.lazy import Given, Lazy
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
+from farfield.registry import named
 
 Pose = Float[np.ndarray, "4 4"]
 Kind = Literal["lidar", "radar", "camera"]
@@ -47,6 +48,12 @@ class Sensor:
     holds: tuple[str, ...] = ()
     shots: int | None = None
 
+    def __repr__(self) -> str:
+        place = "at an unknown place"
+        if self.frame_T_sensor is not None:
+            place = f"at {', '.join(f'{metres:.2f}' for metres in self.frame_T_sensor[:3, 3])} m"
+        return f"Sensor({self.kind}, {place}{'' if self.in_frame else ', in its own axes'})"
+
     def moved(self, target_T_frame: Pose) -> "Sensor":
         """The sensor as seen from other coordinates; one that then stands at their origin stands there exactly."""
         if self.frame_T_sensor is None:
@@ -61,8 +68,8 @@ def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
     return Sensor(kind="camera", frame_T_sensor=pose, in_frame=False, time_ns=time_ns)
 
 
-def _kind_of(cloud: Cloud) -> Kind:
-    return "radar" if cloud.intensity is None else "lidar"
+def _kind_of(name: str, cloud: Cloud) -> Kind:
+    return "radar" if cloud.intensity is None and name.startswith("radar") else cloud.kind
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -109,7 +116,7 @@ class Frame:
     @classmethod
     def of(
         cls,
-        cloud: Cloud | None = None,
+        cloud: Cloud | Shaped[np.ndarray, "n columns"] | None = None,
         boxes: Boxes | Annotation | None = None,
         *,
         clouds: Mapping[str, Cloud] | None = None,
@@ -118,11 +125,12 @@ class Frame:
     ) -> "Frame":
         """Make a frame from one cloud, or several by name, and what was annotated, already in memory.
 
-        The sensor of a cloud is a LiDAR if the cloud has intensities and else a radar, unless ``sensors`` says
-        otherwise; the first one's kind also names the coordinates, unless ``reference`` does.
+        The sensor of a cloud without intensities is a radar if the cloud has a radar's columns or its name begins with
+        ``radar``; others are LiDARs, unless ``sensors`` says otherwise. The first one's kind also names the
+        coordinates, unless ``reference`` does.
 
         Args:
-            cloud: The only cloud.
+            cloud: The only cloud, or its rows; see :meth:`Cloud.of`.
             boxes: What was annotated.
             clouds: Several clouds by name, in its place.
             name: What to call the only cloud.
@@ -131,14 +139,28 @@ class Frame:
         Raises:
             ConfigError: If there is no cloud, or one and several are given.
         """
+        cloud = cloud if cloud is None or isinstance(cloud, Cloud) else Cloud.of(np.asarray(cloud))
         given = dict(clouds or {}) if cloud is None else {name: cloud}
         if not given or (cloud is not None and clouds):
             raise ConfigError("Frame.of: expected one cloud, or clouds= with one or more by name; got none or both.")
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
-        sensors = {key: Sensor(kind=_kind_of(each)) for key, each in given.items()}
+        sensors = {key: Sensor(kind=_kind_of(key, each)) for key, each in given.items()}
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
         load = None if annotation is None else Given(annotation)
         return cls(clouds=given, load_annotation=load, **{**usual, "sensors": sensors, **rest})
+
+    def __repr__(self) -> str:
+        """Its name and what it holds, in one line; nothing is loaded for it."""
+        held = {"cloud": self.clouds, "image": self.images, "radar": self.radar}
+        parts = [f"{word}{'s' if len(of) > 1 and word != 'radar' else ''} {', '.join(of)}" for word, of in held.items()]
+        parts = [part for part, of in zip(parts, held.values(), strict=True) if of]
+        parts += ["annotated" if self.has_annotation else "not annotated"]
+        parts += [f"{name} {value}" for name, value in self.conditions.items()]
+        return f"Frame({self.sequence}/{self.frame_id}: {'; '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the frame from above, with its boxes."""
+        return str(named("farfield.reports.notebook:frame_html")(self))
 
     @property
     def key(self) -> Key:

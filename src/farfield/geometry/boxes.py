@@ -12,10 +12,15 @@ Corner order, seen from above with the heading to the right::
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Num, Shaped
+
+from farfield.errors import ConfigError
+from farfield.geometry.box_tables import columns_of, fields_of, read_fields, rows_of, write_fields
+from farfield.registry import named
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
 
@@ -152,6 +157,83 @@ class Boxes:
         names, counts = np.unique(self.label, return_counts=True)
         inside = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
         return f"Boxes({len(self)}: {inside})" if len(self) else "Boxes(0)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the boxes from above, and a table of the first."""
+        return str(named("farfield.reports.notebook:boxes_html")(self))
+
+    @classmethod
+    def from_csv(cls, path: Path | str, *, frame: str | None = None, sequence: str | None = None) -> "Boxes":
+        """The boxes of one frame of a CSV file, as ``farfield predict`` writes it; velocities and ids with them.
+
+        Args:
+            path: The file.
+            frame: Which frame, where the file holds several.
+            sequence: Of which sequence.
+
+        Raises:
+            ConfigError: If the file holds several such frames, or none.
+            FileFormatError: If it is damaged.
+        """
+        return cls(**read_fields(path, frame=frame, sequence=sequence))
+
+    def to_csv(self, path: Path | str, *, frame: str = "0", sequence: str = "") -> None:
+        """Write the boxes as those of one frame of a CSV file, which ``farfield score`` reads.
+
+        Args:
+            path: The file.
+            frame: Name of the frame.
+            sequence: Name of its sequence; no such column where it is empty.
+        """
+        write_fields(path, vars(self), frame=frame, sequence=sequence)
+
+    def columns(self) -> dict[str, Shaped[np.ndarray, " n"]]:
+        """The boxes as columns by name, those of a CSV file: what any library of tables takes."""
+        return columns_of(vars(self))
+
+    @classmethod
+    def from_numpy(
+        cls,
+        rows: Num[np.ndarray, "n columns"],
+        *,
+        label: Shaped[np.ndarray, " n"] | Sequence[str] | str = "unknown",
+        score: Float[np.ndarray, " n"] | None = None,
+    ) -> "Boxes":
+        """Boxes of rows x, y, z, length, width, height in metres and yaw in radians, shape (n, 7).
+
+        Raises:
+            ConfigError: If rows have another length, or yaw stands in degrees.
+        """
+        return cls(**rows_of(rows), label=label, score=score)
+
+    def to_numpy(self) -> Float[np.ndarray, "n 7"]:
+        """x, y, z, length, width, height and yaw of each box, shape (n, 7)."""
+        return np.column_stack([self.centre_m, self.size_m, self.yaw_rad])
+
+    @classmethod
+    def from_pandas(cls, table: Any) -> "Boxes":
+        """Boxes of a DataFrame, or of anything with named columns: those of a CSV file.
+
+        Args:
+            table: The rows of one frame: label, x, y, z, l, w, h, yaw_rad, and perhaps score, track_id, point_count,
+                vx_m_s, vy_m_s and vz_m_s; others are not looked at.
+
+        Raises:
+            ConfigError: If a column is missing, rows are those of several frames, or yaw stands in degrees.
+        """
+        return cls(**fields_of(table))
+
+    def to_pandas(self) -> Any:
+        """The boxes as a DataFrame, a row a box.
+
+        Raises:
+            ConfigError: If pandas is not installed.
+        """
+        try:
+            frame = named("pandas:DataFrame")
+        except ImportError as error:
+            raise ConfigError("Boxes.to_pandas needs pandas. Install it with: pip install pandas") from error
+        return frame(self.columns())
 
     def replace(self, **changes: Any) -> "Boxes":
         """Return a copy with the named fields replaced."""

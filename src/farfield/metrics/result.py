@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.subject import Subject
+from farfield.registry import named
 
 Intervals = Mapping[str, list[float] | None]
 R = TypeVar("R", bound="Result")
@@ -51,6 +52,10 @@ class Result:
         """What it is of, and its first figure."""
         about = f"{self.protocol} of {self.label!r}" if self.subject is None else str(self.subject)
         return f"{type(self).__name__}({about}; {len(self.figures)} figures)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the table, and the curves."""
+        return str(named("farfield.reports.notebook:result_html")(self))
 
     def __str__(self) -> str:
         rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]

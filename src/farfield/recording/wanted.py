@@ -16,10 +16,10 @@ class SimulationConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    preset: str
-    sequences: int = Field(ge=1)
+    preset: str = Field(description="which one, as `farfield simulate --help` lists them")
+    sequences: int = Field(ge=1, description="drives")
     frames: int = Field(ge=1, description="frames of each sequence")
-    seed: int = 0
+    seed: int = Field(0, description="another seed gives other roads and traffic")
     sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
     stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
 

@@ -7,9 +7,11 @@ from jaxtyping import Float, UInt8
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
+from farfield.reports.figures import tags_of
 from farfield.reports.style import ANNOTATED, PREDICTED, house_style, new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
@@ -68,8 +70,21 @@ def camera_picture(
         for boxes, colour, line_width in ((annotated, ANNOTATED, 2.0), (predicted, PREDICTED, 1.2)):
             if camera is not None and boxes is not None:
                 axes.add_collection(LineCollection(box_lines(boxes, camera), colors=colour, linewidths=line_width))
+                if boxes is predicted or predicted is None:
+                    _draw_tags(axes, boxes, camera, colour)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         axes.set_axis_off()
         if title:
             axes.set_title(title)
     return figure
+
+
+def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:
+    """Class and score above each box that is seen."""
+    if not len(boxes):
+        return
+    pixels, _, visible = camera.project(boxes.corners_m().reshape(-1, 3))
+    for place, seen, words in zip(pixels.reshape(-1, 8, 2), visible.reshape(-1, 8), tags_of(boxes), strict=True):
+        if seen.any():
+            left, top = place[seen].min(axis=0)
+            axes.text(left, top - 2, words, color=colour, fontsize=6.5, va="bottom", clip_on=True)

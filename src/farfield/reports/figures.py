@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
-from farfield.reports.objects import of_classes
+from farfield.reports.objects import of_classes, shown_of
 from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame", "zooms"]
 
 Window = tuple[float, float, float, float]
+_MOST_TAGS = 80  # beside boxes, in one picture
 _POINT_DPI = 110  # pixels an inch of the points
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
@@ -68,6 +70,9 @@ def draw_birdseye(
         draw_boxes(axes, annotated[asked], ANNOTATED, line_width=1.9 * line_width, order=4)
     if predicted is not None:
         draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
+        _draw_tags(axes, predicted, PREDICTED, window_m)
+    elif annotated is not None:
+        _draw_tags(axes, annotated, ANNOTATED, window_m)
     if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
         axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
     axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
@@ -166,6 +171,33 @@ def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, or
     )
     for artist in (edge, heading):
         axes.add_collection(artist, autolim=False)
+
+
+def _draw_tags(axes: "Axes", boxes: Boxes, colour: str, window_m: Window) -> None:
+    """Class and score beside each box in the window; of very many beside the surest, or else the nearest."""
+    boxes = boxes[in_window(boxes.centre_m, window_m)]
+    order = np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")[:_MOST_TAGS]
+    corners = boxes.bev_corners_m()
+    for row, words in zip(order, tags_of(boxes[order]), strict=True):
+        right, top = corners[row].max(axis=0)
+        axes.annotate(
+            words,
+            (right, top),
+            xytext=(1.5, 0.5),
+            textcoords="offset points",
+            fontsize=6.5,
+            color=colour,
+            annotation_clip=True,
+            clip_on=True,
+            zorder=6,
+        )
+
+
+def tags_of(boxes: Boxes) -> list[str]:
+    """Class and, where there is one, score of each box, such as ``"vehicle 0.87"``."""
+    if boxes.score is None:
+        return [str(label) for label in boxes.label]
+    return [f"{label} {score:.2f}" for label, score in zip(boxes.label, boxes.score, strict=True)]
 
 
 def draw_legend(
@@ -280,6 +312,7 @@ def birdseye(
     cloud: str | None = None,
     labels: Collection[str] | None = None,
     window_m: Window | Literal["fit"] = WINDOW_M,
+    shown_score: float = SHOWN_SCORE,
 ) -> "Figure":
     """Draw a frame from above with its annotated boxes and a detector's predictions.
 
@@ -289,15 +322,18 @@ def birdseye(
         cloud: Which cloud; None takes the first.
         labels: Classes that the detector was asked for; others are drawn in grey.
         window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        shown_score: Predicted boxes of a lower score are left out, which the title says.
     """
+    predictions, left_out = shown_of(predictions, shown_score)
     points = frame.cloud(cloud)
-    window = _window_of(points.points_m) if window_m == "fit" else window_m
+    window = fit_window(points.points_m) if window_m == "fit" else window_m
     title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
     if predictions is not None and frame.boxes is not None:
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
         annotated = annotated[in_window(annotated.centre_m, window)]
         found = int((found_by(predictions, annotated) >= 0).sum())
         title += f": {found} of {len(annotated)} annotated objects found within 2 m"
+    title += f"; {left_out}" if left_out else ""
     point = returns_word(kind_of(frame, cloud))
     return overview(
         points, annotated=frame.boxes, predicted=predictions, labels=labels, window_m=window, point=point, title=title
@@ -337,7 +373,8 @@ def filled_zooms(cloud: Cloud, *boxes: Boxes | None, edges_m: Sequence[float] = 
     ]
 
 
-def _window_of(points_m: Float[np.ndarray, "n 3"]) -> Window:
+def fit_window(points_m: Float[np.ndarray, "n 3"]) -> Window:
+    """The window that shows all points, in whole tens of metres."""
     if not len(points_m):
         return WINDOW_M
     low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
@@ -351,20 +388,29 @@ def in_window(points_m: Float[np.ndarray, "n 3"], window_m: Window) -> Bool[np.n
     return (x >= window_m[0]) & (x <= window_m[1]) & (y >= window_m[2]) & (y <= window_m[3])
 
 
-def show_frame(frame: Frame, predictions: Boxes | None = None, *, cloud: str | None = None) -> "Figure":
+def show_frame(
+    frame: Frame,
+    predictions: Boxes | None = None,
+    *,
+    cloud: str | None = None,
+    window_m: Window | Literal["fit"] = WINDOW_M,
+    shown_score: float = SHOWN_SCORE,
+) -> "Figure":
     """Draw a frame from above and, where matplotlib has a window or a notebook, show it.
 
     Args:
         frame: The frame.
         predictions: Predicted boxes.
         cloud: Which cloud; None takes the first.
+        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        shown_score: Predicted boxes of a lower score are left out, which the title says.
 
     Returns:
         The figure; ``figure.savefig("frame.png", dpi=150)`` writes it.
     """
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
-    figure = birdseye(frame, predictions, cloud=cloud)
+    figure = birdseye(frame, predictions, cloud=cloud, window_m=window_m, shown_score=shown_score)
     pyplot: Any = import_module("matplotlib.pyplot")  # its types hide the one function that adopts a figure
     if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
         pyplot.new_figure_manager_given_figure(max(pyplot.get_fignums(), default=0) + 1, figure).show()

@@ -24,6 +24,7 @@ from farfield.frame import Boxes, Drive, Key
 from farfield.geometry.poses import invert
 from farfield.reports.film_frame import panels_of, picture
 from farfield.reports.film_panels import Drawn
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 ANIMATED = (".gif", ".webp")
 _VERSION = 1
@@ -44,7 +45,7 @@ class FilmSettings:
     reach_m: float | int = 100.0
     rate_hz: float | int = 0.0
     trail_frames: int = 20
-    score: float | int = 0.3
+    score: float | int = SHOWN_SCORE
 
     def __post_init__(self) -> None:
         if not 5 <= self.reach_m <= 1000 or not 0 <= self.rate_hz <= 60 or self.trail_frames < 0:

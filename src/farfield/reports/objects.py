@@ -8,6 +8,7 @@ from jaxtyping import Bool
 
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.presenting import Finding
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 VEHICLES = ("vehicle", "large_vehicle")
 Key = tuple[str, str]
@@ -23,12 +24,22 @@ def sure(predictions: Boxes, score_min: float) -> Boxes:
     return predictions if predictions.score is None else predictions[predictions.score >= score_min]
 
 
+def shown_of(predictions: Boxes | None, score_min: float) -> tuple[Boxes | None, str]:
+    """The predictions that a picture shows, and what it says of the others; nothing where it shows all."""
+    if predictions is None:
+        return None, ""
+    shown = sure(predictions, score_min)
+    if len(shown) == len(predictions):
+        return shown, ""
+    return shown, f"{len(shown)} of {len(predictions)} boxes: score {score_min:g} or more"
+
+
 def annotated_objects(
     predictions: Mapping[Key, Boxes],
     annotations: Mapping[Key, Boxes],
     *,
     labels: Collection[str] | None = VEHICLES,
-    score_min: float = 0.3,
+    score_min: float = SHOWN_SCORE,
     finding: Finding | None = None,
     kind: str = "lidar",
 ) -> dict[str, Any]:

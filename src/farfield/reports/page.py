@@ -20,6 +20,7 @@ from farfield.reports.sensing import kind_of
 from farfield.reports.style import PATTERNS, figure_uri
 from farfield.reports.tables import heading, range_name, rows
 from farfield.reports.template import render_template
+from farfield.vocabulary.scores import SHOWN_SCORE
 from farfield.vocabulary.studio import studio_link
 
 Progress = Callable[[list[FrameView]], Iterable[FrameView]]
@@ -36,7 +37,7 @@ def write_report(
     provenance: Mapping[str, Any] | None = None,
     objects: Mapping[str, Mapping[str, Any]] | None = None,
     parts: Mapping[str, Mapping[str, Any]] | None = None,
-    shown_score: float = 0.3,
+    shown_score: float = SHOWN_SCORE,
     progress: Progress = iter,
 ) -> Path:
     """Write the report page, all or nothing.
@@ -75,7 +76,7 @@ def write_report(
     return path
 
 
-def render(evaluation: Evaluation, *, shown_score: float = 0.3, progress: Progress = iter) -> str:
+def render(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress: Progress = iter) -> str:
     """Return the page as HTML; arguments as in :func:`write_report`."""
     results = evaluation.results
     first = next(iter(results.values()), {})

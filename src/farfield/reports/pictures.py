@@ -16,6 +16,7 @@ from farfield.reports.power_map import power_map
 from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 _DPI = 110  # of the points, which are counted at as many
 
@@ -49,7 +50,7 @@ class Drawing:
     """
 
     labels: Collection[str] | None = None
-    score_min: float = 0.3
+    score_min: float = SHOWN_SCORE
     finding: Finding = field(default_factory=Finding)
     edges_m: tuple[float, ...] = RANGES_M
 

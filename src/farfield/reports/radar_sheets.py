@@ -19,6 +19,7 @@ from farfield.reports.objects import of_classes, sure
 from farfield.reports.pictures import Picture
 from farfield.reports.radar_picture import cube_extent, power_levels
 from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, RULE, figure_uri, house_style, new_figure
+from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 LOST = "#9c36b5"
 """Colour of objects without any LiDAR return."""
 WINDOW_M: Window = (0.0, 76.0, -14.0, 14.0)
-SCORE_MIN = 0.3
+SCORE_MIN = SHOWN_SCORE
 _POWER = "Greys"  # the colours of boxes have to be seen on it
 _DASHED = (0, (2.2, 1.4))
 _DPI = 125

@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,10 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             mend="Remove it to begin anew.",
         ) from error
     return state
+
+
+STEPS = "training.steps"
+"""The one setting of an experiment in which a run that goes on may differ."""
 
 
 @dataclass(frozen=True)
@@ -92,18 +96,52 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         raise FileFormatError(
             path, where="keys", expected="those of farfield train", found=str(error), mend="Remove it to begin anew."
         ) from error
-    changed = [] if _today(theirs.get("experiment")) == provenance.get("experiment") else ["experiment"]
-    changed += [] if _fingerprints(theirs) == _fingerprints(provenance) else ["data_fingerprint"]
-    if changed:
-        raise ConfigError(
-            f"{path} was made by another {' and another '.join(changed)}. "
-            "Choose another run folder, or remove this one."
-        )
+    _check_same(path, theirs, provenance, step)
     if "network" in state:
         average = {f"detector.{name}": value for name, value in average.items()}
     if set(kept) != set(modules.state_dict()):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
     return Run(step, kept, optimizer, average, theirs)
+
+
+def _check_same(path: Path, theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> None:
+    """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
+    before, now = dict(flat(_today(theirs.get("experiment")))), dict(flat(ours.get("experiment")))
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
+    if names:
+        changes = [f"{name} was {before.get(name)!r}, is {now.get(name)!r}" for name in sorted(names)[:5]]
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+        raise ConfigError(
+            f"{path} was made by another experiment: {'; '.join(changes)}{more}. Give this one another name "
+            "(-o name=OTHER), set that back, or remove the run's folder."
+        )
+    if _fingerprints(theirs) != _fingerprints(ours):
+        raise ConfigError(
+            f"{path} was made of other data: their files or options changed since (data_fingerprint). Give this run "
+            "another name (-o name=OTHER), or remove the run's folder."
+        )
+    if (steps := now.get(STEPS, step)) < step:
+        raise ConfigError(f"{path} has done {step} steps; {STEPS} may be raised, not set to {steps}.")
+
+
+def flat(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of a tree of settings by dotted name.
+
+    >>> dict(flat({"a": {"b": 1, "c": [2, 3]}}))
+    {'a.b': 1, 'a.c': [2, 3]}
+    """
+    if isinstance(tree, Mapping) and tree:
+        for name, value in tree.items():
+            yield from flat(value, f"{path}.{name}" if path else str(name))
+    else:
+        yield path, tree
+
+
+def prolonged(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> list[dict[str, int]]:
+    """Where a run's number of steps was raised: ``step`` done, ``from`` and ``to``, earlier ones first."""
+    known = list(theirs.get("prolonged", ()))
+    before, now = (dict(flat(each.get("experiment"))).get(STEPS) for each in (theirs, ours))
+    return known if before == now else [*known, {"step": step, "from": before, "to": now}]
 
 
 def _today(experiment: Any) -> Any:

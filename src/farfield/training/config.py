@@ -66,7 +66,7 @@ class WeatherConfig(_Settings):
         0.2, gt=0, le=1, description="taken of all points where intensity is not read: in a teacher's strong view"
     )
     fog_m: Span = Field((120.0, 350.0), description="visibility: meteorological optical range")
-    rain_mm_h: Span = Field((12.0, 30.0))
+    rain_mm_h: Span = Field((12.0, 30.0), description="rain's rate")
     snow_mm_h: Span = Field((4.0, 6.0), description="as liquid water")
     coverage: Shares = Field((0.08, 0.35), description="share of the window's front that ice covers")
     patches_deg: tuple[Span, Span] = Field(
@@ -127,25 +127,35 @@ class StartConfig(_Settings):
     )
 
 
+class ValidationConfig(_Settings):
+    """Scores on frames that are not trained on, while the training runs; the best weights are kept."""
+
+    every_steps: int = Field(500, ge=1, description="steps between two scores; the last step is scored too")
+    frames: int = Field(
+        64, ge=1, description="frames to score on: held out of the training, whole sequences where there are several"
+    )
+    split: str = Field("", description="take them from this split of the same data instead, and hold out none")
+
+
 class TrainingConfig(_Settings):
     """The loop. ``start_from: WEIGHTS`` is short for ``start: {weights: WEIGHTS}``."""
 
-    steps: int = Field(2000, ge=1)
+    steps: int = Field(2000, ge=1, description="updates; a run whose number is raised goes on to the new one")
     batch_size: int = Field(4, ge=1, description="frames a step, over all processes")
     learning_rate: float = Field(3e-3, gt=0, description="peak of the one-cycle schedule")
-    weight_decay: float = Field(0.01, ge=0)
+    weight_decay: float = Field(0.01, ge=0, description="AdamW's, of matrices and kernels")
     warmup: float = Field(0.3, gt=0, lt=1, description="share of the steps in which the rate rises")
-    gradient_clip: float = Field(10.0, gt=0)
+    gradient_clip: float = Field(10.0, gt=0, description="limit of the gradient's norm")
     average_decay: float = Field(
         0.998, ge=0, lt=1, description="decay of the averaged weights that are kept at the end"
     )
-    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    precision: Literal["auto", "fp32", "bf16"] = Field("auto", description="number type; auto: what suits the device")
     accelerator: str = Field("auto", description="as Lightning Fabric names them: auto, cpu, gpu")
-    devices: int | Literal["auto"] = 1
+    devices: int | Literal["auto"] = Field(1, description="processes that share each batch; auto: one a GPU")
     threads: int = Field(0, ge=0, description="torch threads; 0 leaves torch's choice")
     workers: int = Field(1, ge=0, description="processes that prepare frames")
-    checkpoint_every_s: float = Field(60.0, gt=0)
-    log_every_steps: int = Field(20, ge=1)
+    checkpoint_every_s: float = Field(60.0, gt=0, description="seconds between checkpoints; Ctrl-C writes one too")
+    log_every_steps: int = Field(20, ge=1, description="steps between lines on the screen")
     min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are left out")
     unannotated: Literal["refuse", "skip"] = Field(
         "refuse", description="what to do with frames without annotation in a labelled stream: they are not empty ones"
@@ -154,9 +164,10 @@ class TrainingConfig(_Settings):
         0.0, ge=0, description="weight that a frame with an average number of far boxes gains; 0 draws all alike"
     )
     far_from_m: float = Field(150.0, gt=0, description="boxes from this range on are far")
+    validation: ValidationConfig | None = Field(None, description="scores on held-out frames while it runs")
     start: StartConfig | None = Field(None, description="weights to start from: what fits is taken, and said")
     tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
-    seed: int = 0
+    seed: int = Field(0, description="of weights, order of frames and all random changes")
 
     @model_validator(mode="before")
     @classmethod
@@ -174,8 +185,10 @@ class TrainingConfig(_Settings):
 
     @model_serializer(mode="wrap")
     def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; the start only where there is one, so that trainings without are known as before."""
+        """All settings; start and validation only where there is one, so that trainings without are known as before."""
         said = others(self)
+        if self.validation is None:
+            said.pop("validation", None)
         if self.start is None:
             said.pop("start", None)
         return said

@@ -38,10 +38,15 @@ def launch(config: TrainingConfig) -> Fabric:
 
 def precision_of(config: TrainingConfig) -> str:
     """``"fp32"`` or ``"bf16"``: what ``config.precision`` means on this machine."""
-    device = torch.device("cuda" if _accelerator(config) in ("gpu", "cuda") else "cpu")
+    device = torch.device("cuda" if kind_of_device(config) == "GPU" else "cpu")
     if config.precision != "auto":
         return config.precision
-    return "bf16" if default_precision(device) == "bf16" else "fp32"  # float16's gradients would want a scale
+    return "bf16" if default_precision(device)[0] == "bf16" else "fp32"  # float16's gradients would want a scale
+
+
+def kind_of_device(config: TrainingConfig) -> str:
+    """``"GPU"`` or ``"CPU"``."""
+    return "GPU" if _accelerator(config) in ("gpu", "cuda") else "CPU"
 
 
 def _accelerator(config: TrainingConfig) -> str:

@@ -1,5 +1,6 @@
 """The training loop: plain PyTorch, with Lightning Fabric for devices and processes."""
 
+import copy
 import json
 import math
 import time
@@ -19,7 +20,7 @@ from farfield.detectors.inputs import Inputs
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
-from farfield.training.checkpoints import Run, load_run, save_checkpoint
+from farfield.training.checkpoints import Run, load_run, prolonged, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
 from farfield.training.launching import launch, precision_of
@@ -27,7 +28,9 @@ from farfield.training.method import DETECTOR, Batch, Method, Pace
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.starting import frozen_modules, frozen_names
+from farfield.training.stopping import Stop, stopping
 from farfield.training.streams import batch_shares, batches
+from farfield.training.validating import BEST, Best, Validation, forget
 
 CHECKPOINT_NAME = "checkpoint.pt"
 _TOO_LARGE = (
@@ -35,6 +38,11 @@ _TOO_LARGE = (
     "bf16, or a shorter range or larger cells in detector.grid. The run goes on from its last checkpoint."
 )
 _LOOKS = 10  # at held-out frames, in a training
+
+
+def _best_of(stem: str) -> str:
+    """Name of the best weights beside those of the last step: ``best`` beside ``weights``."""
+    return BEST if stem == "weights" else f"{BEST}-{stem}"
 
 
 def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
@@ -65,6 +73,7 @@ class Training:
         step: Steps done.
         fabric: The processes to train with, launched; :meth:`run` launches those of ``config`` unless given.
         held: Held-out samples of its streams, as they are; all of them are looked at.
+        validation: Scores the averaged weights while it runs; the best are kept as best.safetensors.
 
     Raises:
         ConfigError: If the streams of the samples are not those of the method.
@@ -78,6 +87,7 @@ class Training:
     step: int = 0
     fabric: Fabric | None = None
     held: Mapping[str, TrainingSamples] = field(default_factory=dict)
+    validation: Validation | None = None
 
     def __post_init__(self) -> None:
         if set(self.samples) != set(self.method.streams):
@@ -108,22 +118,10 @@ class Training:
         self._resume(optimizer, average)
         for name, samples in self.samples.items():
             samples.prepare(self.step * counts[name], partial(report.reading, what="reading frames"))
-        saved_at = time.monotonic()
-        self._train_mode()
         report.begins(self.step, self.config.steps)
         try:
-            for batch in self._batches(counts, fabric):
-                with fitting(_TOO_LARGE):
-                    losses = self._update(fabric, optimizer, batch)
-                self._average(average)
-                self.method.after_step(self.step)
-                self.step += 1
-                held = self._inspected(fabric)
-                if fabric.is_global_zero:
-                    self._note(losses, held, report)
-                    if time.monotonic() - saved_at > self.config.checkpoint_every_s:
-                        self._save(optimizer, average)
-                        saved_at = time.monotonic()
+            with stopping() as stop:
+                self._steps(fabric, counts, optimizer, average, report, stop)
         except BaseException:
             report.ends(None)
             raise
@@ -133,6 +131,37 @@ class Training:
         fabric.barrier()
         report.ends(self.weights_path)
         return self.weights_path
+
+    def _steps(
+        self,
+        fabric: Fabric,
+        counts: Mapping[str, int],
+        optimizer: torch.optim.Optimizer,
+        average: dict[str, Tensor],
+        report: Report,
+        stop: Stop,
+    ) -> None:
+        """The steps that are left; asked to stop, it keeps what is done and ends."""
+        saved_at = time.monotonic()
+        self._train_mode()
+        for batch in self._batches(counts, fabric):
+            with fitting(_TOO_LARGE):
+                losses = self._update(fabric, optimizer, batch)
+            self._average(average)
+            self.method.after_step(self.step)
+            self.step += 1
+            stopped = stop.asked(fabric.device)
+            held = {} if stopped else self._inspected(fabric)
+            if fabric.is_global_zero:
+                held = held if stopped else {**held, **self._validated(average, report)}
+                self._note(losses, held, report)
+                if stopped or time.monotonic() - saved_at > self.config.checkpoint_every_s:
+                    self._save(optimizer, average)
+                    saved_at = time.monotonic()
+            if stopped:
+                fabric.barrier()
+                report.say(f"stopped after step {self.step} of {self.config.steps}; {self.checkpoint_path} keeps it")
+                stop.follow()
 
     @property
     def weights_path(self) -> Path:
@@ -255,20 +284,35 @@ class Training:
             for name, value in self.modules.state_dict().items():
                 average[name].lerp_(value.to(average[name].device, torch.float32), 1 - decay)
 
-    def _export(self, average: Mapping[str, Tensor]) -> None:
-        """Write the averaged weights of the modules that the method exports, as ordinary detectors."""
+    def _export(self, average: Mapping[str, Tensor], best: Best | None = None) -> None:
+        """Write the averaged weights of the modules that the method exports, as ordinary detectors; or the best so far.
+
+        These bear their step and score.
+        """
+        reached = {} if best is None else {"validation": {"step": best.step, "score": best.score}}
         for stem, module in self.method.exported().items():
             state = self.modules[module].state_dict()
             averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
-            path = self.folder / f"{stem}.safetensors"
+            path = self.folder / f"{_best_of(stem) if best is not None else stem}.safetensors"
             stream = self.method.meant_for().get(stem)
-            provenance = self.provenance if stream is None else {**self.provenance, "stream": stream}
+            provenance = {**self.provenance, **({} if stream is None else {"stream": stream}), **reached}
             save_weights(path, averaged, config=self.modules[module].config, provenance=provenance)
+
+    def check(self) -> None:
+        """Refuse a folder that holds another run, before anything is written there.
+
+        Raises:
+            ConfigError: If it does; the message names what differs.
+        """
+        load_run(self.checkpoint_path, self.provenance, self.modules)
 
     def _resume(self, optimizer: Any, average: dict[str, Tensor]) -> None:
         run = load_run(self.checkpoint_path, self.provenance, self.modules)
         if run is None:
+            forget(self.folder, [_best_of(stem) for stem in self.method.exported()])
             return
+        if longer := prolonged(run.provenance, self.provenance, run.step):
+            self.provenance = {**self.provenance, "prolonged": longer}
         self.modules.load_state_dict(run.modules)
         optimizer.load_state_dict(run.optimizer)
         for name in average:
@@ -278,6 +322,24 @@ class Training:
     def _save(self, optimizer: Any, average: dict[str, Tensor]) -> None:
         run = Run(self.step, self.modules.state_dict(), optimizer.state_dict(), average, self.provenance)
         save_checkpoint(self.checkpoint_path, run.state())
+
+    def _validated(self, average: Mapping[str, Tensor], report: Report) -> dict[str, float]:
+        """The averaged weights' score on held-out frames where it is due; the best weights are written."""
+        if self.validation is None or not self.validation.due(self.step, self.config.steps):
+            return {}
+        network = copy.deepcopy(self.modules[DETECTOR])
+        state = {name: average[f"{DETECTOR}.{name}"].to(value.dtype) for name, value in network.state_dict().items()}
+        network.load_state_dict(state)
+        score, best = self.validation.score(network.eval()), Best.read(self.folder)
+        better = best is None or score >= best.score
+        if better:
+            best = Best(self.step, score)
+            self._export(average, best)
+            best.write(self.folder)
+        assert best is not None
+        said = "the best so far" if better else f"best {best.score:.3f} after step {best.step}"
+        report.say(f"validation after step {self.step}: {score:.3f} mean AP, {said}")
+        return {"validation": score}
 
     def _inspected(self, fabric: Fabric) -> Mapping[str, float]:
         """What the method says of held-out frames, at each tenth of the training."""

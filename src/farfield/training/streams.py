@@ -1,5 +1,6 @@
 """Batches of several streams of samples, from one loader."""
 
+import signal
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
@@ -123,3 +124,4 @@ def _by_stream(counts: Mapping[str, int], samples: Iterable[Sample]) -> dict[str
 
 def _one_thread(_: int) -> None:
     torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the training's, which ends its workers

@@ -28,13 +28,15 @@ _BOX_NUMBERS = 9  # seven of the box, two of the direction
 class AnchorHeadConfig(DetectorConfig):
     """Settings of a detector with anchors."""
 
-    anchors: dict[str, AnchorConfig] = Field(default_factory=cirrus_anchors, min_length=1)
+    anchors: dict[str, AnchorConfig] = Field(
+        default_factory=cirrus_anchors, min_length=1, description="size, height and matching of each class"
+    )
     head: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect it")
     matching: Literal["distance", "iou"] = Field("distance", description="iou: by overlap, as published")
     positive_m: float = Field(1.0, description="anchor cells this near to a box's centre are positive")
     ignore_m: float = Field(2.0, description="anchor cells this near are never negative")
-    box_weight: float = 2.0
-    direction_weight: float = 0.2
+    box_weight: float = Field(2.0, description="weight of the boxes' loss")
+    direction_weight: float = Field(0.2, description="weight of the loss of front or back")
     candidates: int = Field(1000, ge=1, description="best anchors that go into the suppression")
 
     @property

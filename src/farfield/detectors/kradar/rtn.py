@@ -28,13 +28,15 @@ class RTNConfig(RadarDetectorConfig):
     """Everything that decides the shape of the network and its boxes."""
 
     name: str = "rtn"
-    trunk: Literal["resnet50", "resnext101"] = "resnet50"
+    trunk: Literal["resnet50", "resnext101"] = Field("resnet50", description="the backbone")
     height: Literal["channels", "mean"] = Field(
         "channels", description="mean: average the layers into one channel, as the released code's bird's-eye map does"
     )
     planes: Channels = Field(64, description="planes of the first stage")
     group_width: Channels = Field(8, description="with trunk: resnext101, channels of each of its 32 groups")
-    strides: tuple[Annotated[int, Field(ge=1, le=4)], ...] = Field((1, 2, 2, 1), min_length=1, max_length=4)
+    strides: tuple[Annotated[int, Field(ge=1, le=4)], ...] = Field(
+        (1, 2, 2, 1), min_length=1, max_length=4, description="stride of each stage"
+    )
     depths: tuple[Annotated[int, Field(ge=1, le=64)], ...] | None = Field(
         None, description="bottlenecks of each stage; those of the trunk if left out"
     )

@@ -28,8 +28,10 @@ class RTNHConfig(RadarDetectorConfig):
         0, description="0: a linear layer on each cell's mean; else the maximum over so many points (PointNet)"
     )
     positions: Literal["metres", "unit"] = Field("metres", description="unit: as shares of the grid, -1 to 1")
-    cell_channels: Channels = 64
-    widths: tuple[Channels, ...] = Field((64, 128, 256), min_length=1, max_length=6)
+    cell_channels: Channels = Field(64, description="channels of the first layer of cells")
+    widths: tuple[Channels, ...] = Field(
+        (64, 128, 256), min_length=1, max_length=6, description="channels of each block"
+    )
     execution: Literal["auto", "sparse", "dense"] = Field("auto", description="one function, two ways to compute it")
 
 

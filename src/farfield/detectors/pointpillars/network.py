@@ -30,19 +30,21 @@ class PointPillarsConfig(AnchorHeadConfig):
 
     name: str = "pointpillars"
     grid: GridConfig = GridConfig()
-    pillar_channels: Channels = 32
+    pillar_channels: Channels = Field(32, description="numbers that describe a pillar")
     features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
     max_points: int = Field(0, ge=0, description="with features: openpcdet, a pillar's points that count; 0 for all")
-    use_intensity: bool = False
+    use_intensity: bool = Field(False, description="read intensities too")
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     positions: Positions = Field(
         "absolute", description="relative: without the place on the ground, as adaptation needs"
     )
-    widths: tuple[Channels, ...] = (32, 64, 128)
-    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (1, 4, 4)
-    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
+    widths: tuple[Channels, ...] = Field((32, 64, 128), description="channels of each block")
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(
+        (1, 4, 4), description="further convolutions of each block"
+    )
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = Field((2, 2, 2), description="stride of each block")
     out_stride: int = Field(4, ge=1, description="stride of the anchors' grid, in pillars")
-    neck_width: Channels = 96
+    neck_width: Channels = Field(96, description="channels of each block's output where they are joined")
 
     @model_validator(mode="after")
     def _one_set_of_features(self) -> "PointPillarsConfig":

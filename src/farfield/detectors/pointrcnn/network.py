@@ -82,9 +82,11 @@ class PointRCNNConfig(DetectorConfig):
     )
     points: int = Field(16384, ge=1, le=1 << 20, description="points of a frame that the network reads")
     bands: BandConfig = BandConfig()
-    inputs: tuple[Literal["intensity", "lag", "height", "range"], ...] = ("height", "range")
+    inputs: tuple[Literal["intensity", "lag", "height", "range"], ...] = Field(
+        ("height", "range"), description="what is read of a point beside its place"
+    )
     backbone: BackboneConfig = Field(default_factory=cirrus_backbone)
-    head_width: Channels = 128
+    head_width: Channels = Field(128, description="channels of the head")
     bins: BinConfig = BinConfig(scope_m=4.0, bin_m=0.5, headings=12)
     foreground_margin_m: float = Field(0.05, ge=0, description="boxes grow by this before they claim points")
     unsure_margin_m: float = Field(0.2, ge=0, description="points this far outside a box are ignored")

@@ -36,7 +36,9 @@ class SetAbstractionConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     centres: int = Field(ge=1, le=65536)
-    radii_m: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1, max_length=8)
+    radii_m: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        min_length=1, max_length=8, description="set abstractions, each on fewer points"
+    )
     limits: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field(description="neighbours that each scale keeps")
     widths: tuple[Widths, ...]
 
@@ -52,7 +54,9 @@ class BackboneConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    levels: tuple[SetAbstractionConfig, ...] = Field(min_length=1, max_length=8)
+    levels: tuple[SetAbstractionConfig, ...] = Field(
+        min_length=1, max_length=8, description="set abstractions, from fine to coarse"
+    )
     propagation: tuple[Widths, ...] = Field(description="one perceptron a level; the first leads to all points")
     sampling: Literal["fps", "voxel"] = Field("fps", description="farthest points, or the faster one point a voxel")
 

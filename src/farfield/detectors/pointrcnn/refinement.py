@@ -19,13 +19,16 @@ class RefinementConfig(BaseModel):
 
     context_m: float = Field(1.0, ge=0, description="proposals grow by this at every face before they take points")
     points: int = Field(128, ge=1, le=4096, description="points of a proposal")
-    local_widths: Widths = (64, 64)
-    merged_width: Channels = 64
-    levels: tuple[SetAbstractionConfig, ...] = (
-        SetAbstractionConfig(centres=32, radii_m=(0.6,), limits=(16,), widths=((64, 96),)),
+    local_widths: Widths = Field(
+        (64, 64), description="channels of the layers that see a proposal's points in its own axes"
     )
-    pooled_widths: Widths = (128, 192)
-    head_widths: Widths = (128, 128)
+    merged_width: Channels = Field(64, description="channels of both kinds of features joined")
+    levels: tuple[SetAbstractionConfig, ...] = Field(
+        (SetAbstractionConfig(centres=32, radii_m=(0.6,), limits=(16,), widths=((64, 96),)),),
+        description="set abstractions within a proposal",
+    )
+    pooled_widths: Widths = Field((128, 192), description="channels of the layers that pool a proposal")
+    head_widths: Widths = Field((128, 128), description="channels of the layers that give score and box")
     norm: bool = Field(True, description="batch normalisation; published without")
     bins: BinConfig = BinConfig(scope_m=1.5, bin_m=0.5, headings=9, heading_span_rad=float(np.pi / 2))
     match: MatchConfig = MatchConfig()

@@ -38,18 +38,22 @@ class SecondConfig(AnchorHeadConfig):
     grid: VoxelGridConfig = VoxelGridConfig()
     features: Literal["farfield", "openpcdet"] = Field("farfield", description="openpcdet: as its checkpoints expect")
     max_points: int = Field(0, ge=0, description="first points of a voxel that count; 0 for all")
-    use_intensity: bool = False
+    use_intensity: bool = Field(False, description="read intensities too")
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     positions: Positions = Field(
         "absolute", description="relative: without the place on the ground, as adaptation needs"
     )
-    middle_widths: tuple[Channels, Channels, Channels, Channels] = (16, 32, 64, 64)
+    middle_widths: tuple[Channels, Channels, Channels, Channels] = Field(
+        (16, 32, 64, 64), description="channels of the convolutions in space"
+    )
     middle_out: Channels = Field(64, description="channels of each remaining layer of z, which are then stacked")
-    widths: tuple[Channels, ...] = (64, 128)
-    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (5, 5)
-    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (1, 2)
+    widths: tuple[Channels, ...] = Field((64, 128), description="channels of each block")
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(
+        (5, 5), description="further convolutions of each block"
+    )
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = Field((1, 2), description="stride of each block")
     out_stride: int = Field(1, ge=1, description="stride of the anchors' grid, in cells of the bird's-eye image")
-    neck_width: Channels = 128
+    neck_width: Channels = Field(128, description="channels of each block's output where they are joined")
 
     @model_validator(mode="after")
     def _grid_suits(self) -> "SecondConfig":

@@ -41,13 +41,13 @@ _NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw,
 class CentreHeadConfig(DetectorConfig):
     """Settings of a detector with a centre head."""
 
-    classes: tuple[str, ...] = Field(tuple(CIRRUS_SIZES_M), min_length=1)
+    classes: tuple[str, ...] = Field(tuple(CIRRUS_SIZES_M), min_length=1, description="classes that it tells apart")
     gaussian_m: float = Field(0.7, gt=0, description="standard deviation of the heat around a centre")
     assign_m: float = Field(8.0, gt=0, description="an occupied cell this near to a centre may be assigned to it")
     box_m: float = Field(1.2, ge=0, description="cells this near to a centre learn its box, beside the nearest one")
-    box_weight: float = 1.0
-    direction_weight: float = 0.2
-    vote_weight: float = 0.5
+    box_weight: float = Field(1.0, description="weight of the boxes' loss")
+    direction_weight: float = Field(0.2, description="weight of the loss of front or back")
+    vote_weight: float = Field(0.5, description="weight of the loss of the votes for centres")
     peak_cells: int = Field(1, ge=1, le=8, description="a peak exceeds all occupied cells within so many steps")
     candidates: int = Field(1000, ge=1, description="best peaks that go into the suppression")
 

@@ -9,7 +9,7 @@ relative to the points of their cell, since roads climb over 250 m; and any occu
 """
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field, model_validator
@@ -42,15 +42,15 @@ class SparseCentreConfig(CentreHeadConfig):
 
     name: str = "sparsecentre"
     grid: VoxelGridConfig = VoxelGridConfig(cell_m=(0.2, 0.2, 0.25))
-    use_intensity: bool = False
+    use_intensity: bool = Field(False, description="read intensities too")
     use_lag: bool = Field(False, description="read the age of each point's sweep: for several sweeps a frame")
     positions: Positions = Field(
         "absolute", description="relative: without the place on the ground, as adaptation needs"
     )
     widths: tuple[Channels, ...] = Field((16, 32, 64), description="of the 3D stages; each but the first halves")
-    depths: tuple[Depth, ...] = (1, 1, 2)
+    depths: tuple[Depth, ...] = Field((1, 1, 2), description="further convolutions of each block")
     pyramid_widths: tuple[Channels, ...] = Field((96, 96, 128, 128), description="of the map's levels; each halves")
-    pyramid_depth: Depth = 1
+    pyramid_depth: Depth = Field(1, description="further sparse convolutions at each step back up")
     vote_threshold: float = Field(0.3, ge=0, le=1, description="cells with a foreground score above this vote")
     vote_least: int = Field(16, ge=0, description="so many best cells of a frame vote in any case")
     vote_ring: int = Field(1, ge=0, le=8, description="cells around a voted one that become occupied")
@@ -92,6 +92,7 @@ class SparseCentreConfig(CentreHeadConfig):
 class SparseCentre(MapDetector):
     """The network: its outputs are the centre head's, for occupied cells."""
 
+    emulated: ClassVar[Literal["fp32", "bf16"]] = "bf16"
     low_precision: ClassVar[tuple[str, ...]] = ("encoder", "to_map", "pyramid", "diffusion", "refine", "head")
 
     def __init__(self, config: SparseCentreConfig | None = None) -> None:

@@ -39,15 +39,21 @@ class VoxelNetConfig(AnchorHeadConfig):
     positions: Positions = Field(
         "absolute", description="relative: without the place on the ground, as adaptation needs"
     )
-    vfe_widths: tuple[Annotated[Channels, Field(multiple_of=2)], ...] = (32, 128)
-    voxel_channels: Channels = 128
+    vfe_widths: tuple[Annotated[Channels, Field(multiple_of=2)], ...] = Field(
+        (32, 128), description="channels of the layers that encode a voxel's points"
+    )
+    voxel_channels: Channels = Field(128, description="numbers that describe a voxel")
     middle: Literal["sparse", "dense"] = Field("sparse", description="one function and one set of weights, two ways")
-    middle_widths: tuple[Channels, Channels, Channels] = (64, 64, 64)
-    widths: tuple[Channels, ...] = (128, 128, 256)
-    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = (3, 5, 5)
-    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (2, 2, 2)
+    middle_widths: tuple[Channels, Channels, Channels] = Field(
+        (64, 64, 64), description="channels of the convolutions in space"
+    )
+    widths: tuple[Channels, ...] = Field((128, 128, 256), description="channels of each block")
+    depths: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(
+        (3, 5, 5), description="further convolutions of each block"
+    )
+    strides: tuple[Annotated[int, Field(ge=1, le=16)], ...] = Field((2, 2, 2), description="stride of each block")
     out_stride: int = Field(2, ge=1, description="stride of the anchors' grid, in voxels")
-    neck_width: Channels = 256
+    neck_width: Channels = Field(256, description="channels of each block's output where they are joined")
 
     @model_validator(mode="after")
     def _fits(self) -> "VoxelNetConfig":

@@ -25,8 +25,8 @@ class ProposalConfig(BaseModel):
 
     candidates: int = Field(1024, ge=1, le=65536, description="points with the best scores that propose a box")
     threshold: float = Field(0.01, ge=0, le=1, description="points with a lower score propose none")
-    nms_iou: float = Field(0.5, ge=0, le=1)
-    training_nms_iou: float = Field(0.7, ge=0, le=1)
+    nms_iou: float = Field(0.5, ge=0, le=1, description="proposals that overlap a better one by more are dropped")
+    training_nms_iou: float = Field(0.7, ge=0, le=1, description="the same while it is trained")
     count: int = Field(128, ge=1, le=4096, description="proposals that reach the second stage")
     training_count: int = Field(256, ge=1, le=4096, description="proposals among which the trained ones are drawn")
     bands: BandConfig = BandConfig()
@@ -42,9 +42,9 @@ class MatchConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    right_iou: float = 0.6
-    wrong_iou: float = 0.45
-    refined_iou: float = 0.55
+    right_iou: float = Field(0.6, description="proposals that overlap a box by more are right")
+    wrong_iou: float = Field(0.45, description="those that overlap all boxes by less are wrong")
+    refined_iou: float = Field(0.55, description="those that overlap one by more learn its box")
     right_m: float = Field(0.6, ge=0, description="centres this near make a proposal right")
     wrong_m: float = Field(1.2, ge=0, description="centres farther away than this make it wrong, if overlap does too")
     refined_m: float = Field(1.2, ge=0, description="centres this near make it learn the box")

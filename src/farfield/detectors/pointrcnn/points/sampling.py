@@ -22,8 +22,10 @@ class BandConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    edges_m: tuple[float, ...] = Field((0.0, 40.0, 80.0, 150.0, 250.0), min_length=2, max_length=33)
-    shares: tuple[float, ...] = (0.4, 0.25, 0.2, 0.15)
+    edges_m: tuple[float, ...] = Field(
+        (0.0, 40.0, 80.0, 150.0, 250.0), min_length=2, max_length=33, description="edges of range bands"
+    )
+    shares: tuple[float, ...] = Field((0.4, 0.25, 0.2, 0.15), description="share of each band")
 
     @model_validator(mode="after")
     def _fit_together(self) -> "BandConfig":
@@ -48,8 +50,8 @@ class WindowConfig(BaseModel):
 
     range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
     half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
-    z_min_m: float = -6.0
-    z_max_m: float = 6.0
+    z_min_m: float = Field(-6.0, description="points below are dropped")
+    z_max_m: float = Field(6.0, description="points above are dropped")
 
     def rows(self, points: Tensor) -> Tensor:
         """Rows of the points inside, shape (k,)."""
