@@ -13,7 +13,7 @@ from torch import Tensor
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
 from farfield.detectors.devices import gpu_precision
-from farfield.errors import FarfieldError, FileFormatError
+from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes
 
 _MAX_METADATA_BYTES = 4_000_000
@@ -88,7 +88,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         raise
     except (ValueError, KeyError, TypeError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
-            path, where="configuration and tensors", expected="those of one detector", found=str(error)[:300]
+            path, where="configuration and tensors", expected="those of one detector", found=plain(error)[:300]
         ) from error
     return network.eval(), provenance
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
@@ -148,7 +148,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     if not isinstance(content, dict):
         found = type(content).__name__
         raise FileFormatError(path, where="the file", expected="a JSON object", found=found)
