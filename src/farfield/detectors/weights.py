@@ -39,7 +39,21 @@ def save_weights(
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
     if half:
         tensors = {name: t.half() if t.ndim > 1 and t.is_floating_point() else t for name, t in tensors.items()}
-    write_bytes(path, save(tensors, metadata=metadata))
+    write_bytes(path, _in_order(save(tensors, metadata=metadata)))
+
+
+def _in_order(data: bytes) -> bytes:
+    """The same file with its metadata in the order of their names: safetensors writes them as its hash table has them.
+
+    A file is the length of its header (8 bytes, little-endian), the header in JSON, padded by blanks to a multiple of
+    8 bytes, and the tensors, whose places count from the header's end (safetensors, "Format").
+    """
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:end])
+    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data[end:]
 
 
 def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
