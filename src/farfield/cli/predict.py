@@ -103,6 +103,7 @@ def run(
         for text in format_boxes_csv_parts(rows_of(found)):
             sys.stdout.write(text)
     if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
         show(shown[0], found.first).savefig(picture, dpi=120)
         print(f"picture: {picture}")
     return 0

@@ -1,52 +1,7 @@
-"""The errors that users meet. Each says what, where, expected, got, and how to mend it."""
+"""Errors of Python, json, yaml and pydantic in plain words."""
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
-
-
-class FarfieldError(Exception):
-    """Base of all errors that Farfield raises on purpose."""
-
-
-class FileFormatError(FarfieldError):
-    """A file is truncated, empty, over-long or contradicts its own header.
-
-    Args:
-        path: The file, or a name for bytes that came from elsewhere.
-        where: Line or byte, such as ``"line 7"`` or ``"byte 1024"``.
-        expected: What the format requires.
-        found: What stands there instead.
-        mend: How to mend it, if that is known.
-    """
-
-    def __init__(self, path: Path | str, *, where: str, expected: str, found: str, mend: str = "") -> None:
-        self.path, self.where, self.expected, self.found, self.mend = path, where, expected, found, mend
-        super().__init__(f"{path}, {where}: expected {expected}, found {found}." + (f" {mend}" if mend else ""))
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        known = {"where": self.where, "expected": self.expected, "found": self.found, "mend": self.mend}
-        return partial(FileFormatError, **known), (self.path,)
-
-
-class DatasetError(FarfieldError):
-    """A data set's folder does not hold what its layout promises."""
-
-
-class ConfigError(FarfieldError):
-    """An argument or a configuration value is not one of those possible."""
-
-
-class MissingExtraError(FarfieldError, ImportError):
-    """An optional dependency is not installed."""
-
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.known = (package, extra, purpose)
-        super().__init__(f'{purpose} needs {package}. Install it with: pip install "farfield[{extra}]"')
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return MissingExtraError, self.known
 
 
 def plain(error: BaseException) -> str:
@@ -67,7 +22,7 @@ def plain(error: BaseException) -> str:
         return f"bytes that are no UTF-8 text, from byte {error.start} on"
     if isinstance(error, RecursionError):
         return "too many groups within one another"
-    if isinstance(error, KeyError) and not isinstance(error, FarfieldError):
+    if type(error) is KeyError:
         return f"no key {error.args[0]!r}" if error.args else "a missing key"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
