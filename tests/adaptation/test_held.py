@@ -71,5 +71,5 @@ def test_looking_changes_no_bit(planned: Any, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_negative_number_is_refused(planned: Any) -> None:
-    with pytest.raises(ConfigError, match="held_out: Input should be greater than or equal to 0"):
+    with pytest.raises(ConfigError, match="held_out: expected 0 or more"):
         planned("run", {**NEAR, "held_out": -1}).run()

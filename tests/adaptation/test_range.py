@@ -140,7 +140,7 @@ def test_a_coin_exchanges_both_domains_of_whole_frames() -> None:
 def test_settings_that_do_not_fit_are_refused() -> None:
     network = small_detector("pointpillars")
     for settings, message in (
-        ({"lambda": 1}, r"lambda: Extra inputs.*\n?.*It has: near_m, far_m"),
+        ({"lambda": 1}, r"lambda: no such key.*\n?.*It has: near_m, far_m"),
         ({"global": {"lamda_max": 1}}, "global.lamda_max"),
         ({"global": None, "local": None}, "use the method supervised"),
         ({"near_m": [0, 100], "far_m": [50, 250]}, "a far one behind it"),

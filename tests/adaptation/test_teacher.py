@@ -147,7 +147,7 @@ def test_a_teacher_that_finds_nothing_is_an_error(planned: Any, start: Any) -> N
 def test_what_a_teacher_needs() -> None:
     network = small_detector("pointpillars")
     for settings, message in (
-        ({}, "start: Field required"),
+        ({}, "start: missing"),
         ({"start": "x", "negative": 0.7}, r"expected negative up to positive \(0.6\)"),
         ({"start": "x", "negative": 0.01}, r"score_threshold up to negative \(0.01\).*got 0.05"),
         ({"start": "nowhere"}, "Expected a bundled detector"),

@@ -65,7 +65,7 @@ def test_unknown_maps_and_settings_are_errors():
         ConfigError, match="coordinates, edited, labels_at, move, posed, radar_view, sweeps; got 'mirror'"
     ):
         make("mirror", {})
-    with pytest.raises(ConfigError, match=r"map 'sweeps': number: Extra inputs.*settings count"):
+    with pytest.raises(ConfigError, match=r"map 'sweeps': number: no such key.*settings count"):
         make("sweeps", {"count": 2, "number": 2})
     with pytest.raises(ConfigError, match="count"):
         make("sweeps", {})

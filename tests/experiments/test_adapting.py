@@ -192,8 +192,8 @@ def test_nothing_of_others_is_written_over(start: Path, simulated_cirrus: Path, 
 @pytest.mark.parametrize(
     ("choices", "message"),
     [
-        ({"round": 2}, "round: Extra inputs are not permitted. It has: clouds, frames"),
-        ({"rounds": 0}, "rounds: Input should be greater than or equal to 1"),
+        ({"round": 2}, "round: no such key. It has: clouds, frames"),
+        ({"rounds": 0}, "rounds: expected 1 or more"),
         ({"overrides": ("data.source.path=x",)}, "other than method.start"),
         ({"overrides": ("method.positive=0.3",)}, "other than method.start"),
     ],

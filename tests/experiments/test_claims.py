@@ -135,7 +135,7 @@ claims:
         ("{run: two}", "{run: two, published: X gaussian}", "expected a table among I, II"),
         ("{run: two}", "{run: two, part: far, published: II second}", "has no part far"),
         ("{run: two}}", "{run: two}, kind: equivalent}", "more than 0"),
-        ("{run: two}}", "{run: two}, sign: 1}", "Extra inputs"),
+        ("{run: two}}", "{run: two}, sign: 1}", "no such key"),
         ("protocol: dds, figure: dds/0/dds", "protocol: dds", "a protocol with a figure"),
         (
             "claims:",

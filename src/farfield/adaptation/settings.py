@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, fault_of
 
 
 class Settings(BaseModel):
@@ -32,7 +32,7 @@ def settings_of(kind: type[Chosen], method: str, given: Mapping[str, Any]) -> Ch
     try:
         return kind.model_validate(dict(given))
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg']}" for item in error.errors()]
+        lines = [f"  {'.'.join(map(str, item['loc'])) or 'settings'}: {fault_of(item)}" for item in error.errors()]
         known = ", ".join(field.alias or name for name, field in kind.model_fields.items())
         raise ConfigError(
             f"method {method}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines) + f"\nIt has: {known}."

@@ -10,7 +10,7 @@ from threading import Lock, Timer
 from typing import Any, NamedTuple
 
 from farfield.bulk.units import Unit
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import open_atomic
 
 GROUP_S, GROUP_UNITS = 0.05, 100
@@ -71,7 +71,7 @@ class Journal:
                 except (ValueError, KeyError, TypeError, AttributeError) as error:
                     mend = "Delete it, or pass --overwrite, to begin anew."
                     raise FileFormatError(
-                        self.path, where=f"line {number}", expected="a journal entry", found=str(error), mend=mend
+                        self.path, where=f"line {number}", expected="a journal entry", found=plain(error), mend=mend
                     ) from error
                 self._sorted &= last < name
                 self._entries[name], last, offset = entry, name, offset + len(line)

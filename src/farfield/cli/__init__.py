@@ -1,11 +1,15 @@
 """The ``farfield`` command: one file a verb. Only the chosen verb's module is imported."""
 
+import errno
+import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from farfield.errors import FarfieldError
+from farfield.errors import FarfieldError, MissingExtraError
 
 VERBS = {
     "demo": "simulate, detect, score and report: no data, no GPU",
@@ -72,15 +76,56 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         with ended_by_sigterm():
-            return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
+            status = _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
+            sys.stdout.flush()
+            return status
     except FarfieldError as error:
-        print(f"farfield {verb}: {error}", file=sys.stderr)
-        return 1
+        told = str(error)
+    except ImportError as error:
+        missing = MissingExtraError.of(error, f"farfield {verb}")
+        if missing is None:
+            raise
+        told = str(missing)
     except KeyboardInterrupt:
         print(f"farfield {verb}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
+        _forget_output()
         return 141
+    except OSError as error:
+        told = _refused(error)
+        _forget_output()
+    print(f"farfield {verb}: {told}", file=sys.stderr)
+    return 1
+
+
+def _forget_output() -> None:
+    """Let nothing more be written where nobody reads or no room is left; the interpreter would at its end."""
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        return
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _refused(error: OSError) -> str:
+    """What the operating system refused, in a sentence, and what may help."""
+    path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else None
+    path = path.parent if path is not None and path.name.endswith(".part") else path  # of an atomic write
+    what = error.strerror or str(error) or type(error).__name__
+    helps = _HELPS.get(error.errno or 0, "")
+    return f"{what if path is None else f'{path}: {what}'}.{helps}"
+
+
+_HELPS = {
+    errno.ENOSPC: " Make room, then run the same command again: what is done is kept.",
+    errno.EDQUOT: " Make room, then run the same command again: what is done is kept.",
+    errno.EACCES: " Give yourself the right to it, or name another place.",
+    errno.EPERM: " Give yourself the right to it, or name another place.",
+    errno.EROFS: " Name a place that can be written.",
+    errno.ENAMETOOLONG: " Choose shorter names.",
+    errno.EMFILE: " Take fewer --workers, or raise the limit: ulimit -n 4096.",
+}
 
 
 def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:

@@ -85,5 +85,9 @@ def _print(report: "Report") -> None:
     console.print(table)
     if report.absent:
         console.print(f"not there: {', '.join(report.absent)}", highlight=False)
+    from farfield.inspection.doctor.findings import counted
+
     failures = sum(finding.severity == "fail" for finding in report.findings)
-    console.print(f"{failures} findings would make training fail or score zero." if failures else "Ready for training.")
+    console.print(
+        f"{counted(failures, 'finding')} would make training fail or score zero." if failures else "Ready for training."
+    )

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
@@ -63,13 +63,9 @@ def read_calibration(path: Path | str, *, inverse: bool = False) -> dict[str, Ca
             content = {"cameras": {"camera": content}}
         entries = _CalibrationFile.model_validate(content).cameras
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"]) or "the file"
-        raise FileFormatError(
-            path, where=where, expected=first["msg"], found=repr(first["input"])[:80], mend=_MEND
-        ) from error
+        raise FileFormatError(path, where="keys", expected="cameras", found=plain(error), mend=_MEND) from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON or YAML", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="JSON or YAML", found=plain(error)) from error
     return {name: _camera(path, name, entry, inverse) for name, entry in entries.items()}
 
 

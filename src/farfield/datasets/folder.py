@@ -28,7 +28,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cloud
 from farfield.datasets.drives import Indices, all_known
-from farfield.errors import DatasetError, FileFormatError
+from farfield.errors import DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
@@ -72,9 +72,7 @@ def read_boxes(path: Path | str) -> Boxes:
     try:
         entries = _BoxFile.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES)).boxes
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"]) or "the file"
-        raise FileFormatError(path, where=where, expected=first["msg"], found=repr(first["input"])[:80]) from error
+        raise FileFormatError(path, where="keys", expected="boxes", found=plain(error)) from error
     if not entries:
         return Boxes.empty()
     scores = [entry.score for entry in entries]

@@ -16,7 +16,7 @@ from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, all_known
-from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
@@ -210,7 +210,7 @@ def read_meta(path: Path) -> dict[str, str]:
     try:
         meta = json.loads(read_bytes(path, max_bytes=1 << 20).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="a JSON object", found=str(error)[:100]) from error
+        raise FileFormatError(path, where="the file", expected="a JSON object", found=plain(error)) from error
     if not isinstance(meta, dict):
         raise FileFormatError(path, where="the file", expected="a JSON object", found=type(meta).__name__)
     return {str(key): str(value) for key, value in meta.items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, plain
 
 SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
 SPLIT_FILE = Path("splits") / "cirrus_v1.json"
@@ -77,7 +77,9 @@ def read_parts(path: Path, units: Iterable[str]) -> dict[str, list[str]]:
     try:
         parts = json.loads(path.read_text("utf-8"))
     except (ValueError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: expected JSON such as {{'train': ['segment_00']}}, found: {error}") from error
+        raise DatasetError(
+            f"{path}: expected JSON such as {{'train': ['segment_00']}}, found: {plain(error)}"
+        ) from error
     if not isinstance(parts, dict) or not all(isinstance(names, list) for names in parts.values()):
         raise DatasetError(f"{path}: expected an object of lists of sequence names, such as {{'train': [...]}}")
     missing = sorted({str(unit) for names in parts.values() for unit in names} - set(units))

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from farfield.detectors import build_detector
 from farfield.detectors.contract import Network
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, plain
 from farfield.geometry.boxes import Boxes
 
 Classes = Iterable[str] | Mapping[str, str]
@@ -80,8 +80,7 @@ def reconfigured(network: Network, changes: Mapping[str, Any]) -> Network:
     try:
         config = type(network.config).model_validate({**network.config.model_dump(), **changes})
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}; got {first['input']!r}.") from error
+        raise ConfigError(f"{plain(error)}.") from error
     with torch.device("meta"):
         other = build_detector(config)
     other.load_state_dict(network.state_dict(), assign=True)

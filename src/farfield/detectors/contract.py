@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol, final, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.kinds import DETECTORS
+from farfield.detectors.limits import check_lengths
 from farfield.detectors.renaming import renamed
 from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.boxes import Boxes
@@ -57,6 +58,11 @@ class DetectorConfig(BaseModel, ABC):
     @classmethod
     def _today(cls, settings: Any) -> Any:
         return renamed(settings, cls.old_names)
+
+    @model_validator(mode="after")
+    def _possible_lengths(self) -> Self:
+        check_lengths(self)
+        return self
 
     @field_validator("name")
     @classmethod

@@ -14,7 +14,7 @@ from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
 from farfield.detectors.devices import gpu_precision
 from farfield.detectors.precision import chosen_precision
-from farfield.errors import FarfieldError, FileFormatError
+from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes
 
 _MAX_METADATA_BYTES = 4_000_000
@@ -40,7 +40,21 @@ def save_weights(
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
     if half:
         tensors = {name: t.half() if t.ndim > 1 and t.is_floating_point() else t for name, t in tensors.items()}
-    write_bytes(path, save(tensors, metadata=metadata))
+    write_bytes(path, _in_order(save(tensors, metadata=metadata)))
+
+
+def _in_order(data: bytes) -> bytes:
+    """The same file with its metadata in the order of their names: safetensors writes them as its hash table has them.
+
+    A file is the length of its header (8 bytes, little-endian), the header in JSON, padded by blanks to a multiple of
+    8 bytes, and the tensors, whose places count from the header's end (safetensors, "Format").
+    """
+    end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:end])
+    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data[end:]
 
 
 def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
@@ -89,7 +103,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         raise
     except (ValueError, KeyError, TypeError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
-            path, where="configuration and tensors", expected="those of one detector", found=str(error)[:300]
+            path, where="configuration and tensors", expected="those of one detector", found=plain(error)[:300]
         ) from error
     return network.eval(), provenance
 

@@ -13,7 +13,7 @@ from farfield.adaptation.signs import signs_of
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors import build_detector
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, plain
 from farfield.experiments.announcing import lines_of
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
@@ -199,7 +199,7 @@ def _method(experiment: Experiment, *, fresh: bool) -> tuple[Method, Start | Non
     try:
         return kind(network, **experiment.method.settings), found
     except TypeError as error:
-        raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {error}") from error
+        raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {plain(error)}") from error
 
 
 def _configs(experiment: Experiment, method: Method) -> dict[str, DataConfig]:

@@ -20,7 +20,7 @@ from pydantic import (
 from farfield.detectors import DETECTORS
 from farfield.detectors.contract import DetectorConfig
 from farfield.detectors.renaming import renamed, today
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
 from farfield.experiments.shape import hint, keys_of, merged
 from farfield.recording import SimulationConfig
@@ -153,7 +153,7 @@ def _tree(path: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: expected an experiment's YAML file, found nothing.") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: expected YAML, found {error}.") from error
+        raise ConfigError(f"{path}: expected YAML, found {plain(error)}.") from error
     if not isinstance(tree, dict):
         raise ConfigError(
             f"{path}: expected a mapping with the keys name, data, detector..., found {type(tree).__name__}."
@@ -204,7 +204,7 @@ def _whole(detector: str) -> type[Experiment]:
 
 def _fault(item: "ErrorDetails", whole: type[Experiment]) -> str:
     """A line on what does not fit; for an unknown key with those that there are."""
-    path, what = _place(item["loc"]), item["msg"]
+    path, what = _place(item["loc"]), fault_of(item)
     if item["type"] == "extra_forbidden":
         what = hint(str(path[-1]), keys_of(whole, path[:-1]))
     return f"  {'.'.join(map(str, path))}: {what}"
@@ -235,7 +235,10 @@ def _override(tree: dict[str, Any], detector: type[DetectorConfig], override: st
         tree = tree.setdefault(key, {})
         if not isinstance(tree, dict):
             raise ConfigError(f"Expected {key!r} in {override!r} to be a group of settings; it is a value.")
-    tree[last] = yaml.safe_load(value)
+    try:
+        tree[last] = yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{override!r}: expected a value as YAML writes it, got {value!r}.") from error
 
 
 def dump_experiment(experiment: Experiment) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float32
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
 
 CACHE_SUFFIX = ".ffcloud"
@@ -158,7 +158,7 @@ def _parse_header(text: bytes, *, path: Path | str) -> tuple[list[dict[str, Any]
         good = isinstance(checksum, int) and len(set(names)) == len(names)
         good = good and all(_is_column(column) for column in table)
     except (ValueError, RecursionError, KeyError, TypeError) as error:
-        raise FileFormatError(path, where="byte 12", expected="a JSON header", found=f"{error}"[:120]) from error
+        raise FileFormatError(path, where="byte 12", expected="a JSON header", found=plain(error)) from error
     if not good:
         expected = "columns with unique names, known dtypes and shapes"
         raise FileFormatError(path, where="byte 12", expected=expected, found=repr(text[:120]))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 
 MAX_BYTES = 1 << 28
 _DEPTH = 64
@@ -30,7 +30,7 @@ def parse_json(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> 
         _check_depth(text)
         return json.loads(text, parse_constant=_refuse, object_pairs_hook=_object)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
 
 
 def _check_depth(text: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 
 _MAX_BYTES = 1 << 31
@@ -61,7 +61,7 @@ def read_results_in(path: Path | str) -> tuple[dict[str, NuScenesBoxes], str]:
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:100]) from error
+        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     results = tree.get("results") if isinstance(tree, dict) else None
     if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
         found = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
@@ -77,7 +77,7 @@ def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
         try:
             rows.append(_row(box))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            found = f"{type(error).__name__}: {error}"[:150]
+            found = plain(error)
             expected = "translation (3), size (3), rotation (4), a name and a score, as finite numbers"
             raise FileFormatError(
                 path, where=f"sample {token}, box {number}", expected=expected, found=found

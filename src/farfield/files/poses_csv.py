@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 
 COLUMNS = ("sequence", "frame", "reference", "time_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "state", "blind")
@@ -86,7 +86,7 @@ def read_poses(path: Path | str) -> PoseTable:
         lines = read_bytes(path, max_bytes=_MOST_BYTES).decode("utf-8").splitlines()
         rows = list(csv.reader(lines))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(path, where="the file", expected="CSV in UTF-8", found=str(error)) from error
+        raise FileFormatError(path, where="the file", expected="CSV in UTF-8", found=plain(error)) from error
     if not rows or tuple(rows[0]) != COLUMNS:
         found = ",".join(rows[0])[:80] if rows else "nothing"
         raise FileFormatError(path, where="line 1", expected=",".join(COLUMNS), found=found)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 
 MAX_TEXT_BYTES = 1 << 27
@@ -81,7 +81,7 @@ def read_tracks(path: Path | str) -> RadiateTracks:
     try:
         entries = json.loads(read_bytes(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise _wrong(path, "the file", "a JSON list of objects", str(error)) from error
+        raise _wrong(path, "the file", "a JSON list of objects", plain(error)) from error
     if not isinstance(entries, list):
         raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
     rows: list[tuple[int, int, str, list[float]]] = []

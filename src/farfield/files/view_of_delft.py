@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 
 MAX_LABEL_BYTES = 1 << 24  # a label file has about 20 kB
@@ -62,7 +62,7 @@ def read_camera_poses(path: Path | str) -> dict[str, Float[np.ndarray, "4 4"]]:
         try:
             entry, place = decoder.raw_decode(text, place)
         except (ValueError, RecursionError) as error:
-            raise _wrong(path, f"character {place}", "a JSON object", str(error)) from error
+            raise _wrong(path, f"character {place}", "a JSON object", plain(error)) from error
         if not isinstance(entry, dict) or not set(entry) <= set(_POSE_NAMES):
             raise _wrong(path, f"character {place}", f"objects of {', '.join(_POSE_NAMES)}", repr(entry))
         poses |= {_POSE_NAMES[name]: _motion(path, name, values) for name, values in entry.items()}
@@ -80,7 +80,7 @@ def read_objects(path: Path | str) -> DelftObjects:
     try:
         entries = json.loads(_text(path, MAX_LABEL_BYTES))
     except (ValueError, RecursionError) as error:
-        raise _wrong(path, "the file", "a JSON list of objects", str(error)) from error
+        raise _wrong(path, "the file", "a JSON list of objects", plain(error)) from error
     if not isinstance(entries, list):
         raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
     rows = [_object(path, number, entry) for number, entry in enumerate(entries)]
@@ -104,7 +104,7 @@ def _object(path: Path | str, number: int, entry: Any) -> tuple[str, str, list[f
         name, identity, attributes = entry["className"], entry.get("objectId", ""), entry.get("attributes", {})
     except (KeyError, TypeError, AttributeError) as error:
         expected = "className and geometry with center, size and quaternion"
-        raise _wrong(path, where, expected, f"{type(error).__name__}: {error}") from error
+        raise _wrong(path, where, expected, plain(error)) from error
     if not (isinstance(name, str) and isinstance(identity, str) and isinstance(attributes, dict)):
         raise _wrong(path, where, "texts for className and objectId, an object for attributes", repr(entry))
     values = _numbers(path, where, raw, 10)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, MissingCloudError
 from farfield.frame.annotation import Annotation
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Key
@@ -190,12 +190,14 @@ class Frame:
         """One cloud by name; without a name the only or first one.
 
         Raises:
-            KeyError: If there is no such cloud.
+            MissingCloudError: If there is no such cloud; it is a KeyError too.
         """
         if name is None:
             name = next(iter(self.clouds), None)
         if name is None or name not in self.clouds:
-            raise KeyError(f"frame {self.key} has no cloud {name!r}; present: {', '.join(self.clouds) or 'none'}")
+            raise MissingCloudError(
+                f"frame {self.key} has no cloud {name!r}; present: {', '.join(self.clouds) or 'none'}"
+            )
         cloud: Cloud = self.clouds[name]
         return cloud
 

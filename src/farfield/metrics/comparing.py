@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.protocol import Protocol, protocol_of
@@ -147,7 +147,7 @@ def _read(path: Path) -> dict[str, Tree]:
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the text", expected="JSON", found=str(error)[:100]) from None
+        raise FileFormatError(path, where="the text", expected="JSON", found=plain(error)) from None
     inner = tree.get("results") if isinstance(tree, dict) else None
     found = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
     for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and found is inner else ():

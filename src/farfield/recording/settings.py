@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, plain
 from farfield.frame.provenance import SIMULATION_FILE
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _claimed(record: Path, settings: dict[str, Any], wanted: Recording) -> tuple
         drawn, before = found.pop("sequences", []), set(found.pop("sensors", []))
         count = len(drawn)
     except (ValueError, AttributeError, TypeError) as error:
-        raise DatasetError(f"{record}: expected the settings of a simulation, found: {error}") from error
+        raise DatasetError(f"{record}: expected the settings of a simulation, found: {plain(error)}") from error
     if found != settings:
         differ = sorted(key for key in settings | found if found.get(key) != settings.get(key))
         raise DatasetError(

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
-from farfield.errors import FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
@@ -111,10 +111,16 @@ class Evaluation:
         The file may also be a single result, as ``farfield score --json`` writes it: a report without pictures.
 
         Raises:
+            ConfigError: If there is no such file.
             FileFormatError: If the file is no evaluation.
         """
-        path = Path(path)
-        path = path / EVALUATION if path.is_dir() else path
+        given = Path(path)
+        path = given / EVALUATION if given.is_dir() else given
+        if not path.is_file():
+            raise ConfigError(
+                f"{given}: expected {EVALUATION}, as `farfield evaluate` writes it, or the JSON of "
+                "`farfield score --json`; found none"
+            )
         content = _read_json(path)
         if "results" not in content and {"protocol", "settings"} <= set(content):
             return cls(results={str(content.get("label", "result")): content}, title=f"Scores of {path.stem}")
@@ -149,7 +155,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     if not isinstance(content, dict):
         found = type(content).__name__
         raise FileFormatError(path, where="the file", expected="a JSON object", found=found)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.clouds import CACHE_SUFFIX, read_cache, write_cache
 from farfield.files.images import read_image, write_image
@@ -108,7 +108,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             load_annotation=None if annotated is None else Given(Annotation(boxes=annotated)),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        found = f"{type(error).__name__}: {error}"[:200]
+        found = plain(error)
         raise FileFormatError(
             path, where="the frame", expected="a frame as `save_frame` writes it", found=found
         ) from error

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, plain
 from farfield.tracking.settings import TrackerSettings
 
 _AB3DMOT: dict[str, Any] = {
@@ -113,6 +113,4 @@ def with_options(settings: TrackerSettings, options: Iterable[str]) -> TrackerSe
     try:
         return TypeAdapter(TrackerSettings).validate_python(known | given)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"tracker: {where}: {first['msg']}, got {first['input']!r}") from error
+        raise ConfigError(f"tracker: {plain(error)}") from error

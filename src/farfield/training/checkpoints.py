@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from farfield.detectors import DETECTORS
-from farfield.errors import ConfigError, FarfieldError, FileFormatError
+from farfield.errors import ConfigError, FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes
 
 
@@ -94,7 +94,7 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         kept, average, optimizer = _module_states(state), state["average"], state["optimizer"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(
-            path, where="keys", expected="those of farfield train", found=str(error), mend="Remove it to begin anew."
+            path, where="keys", expected="those of farfield train", found=plain(error), mend="Remove it to begin anew."
         ) from error
     _check_same(path, theirs, provenance, step)
     if "network" in state:

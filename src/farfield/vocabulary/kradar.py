@@ -19,6 +19,26 @@ REGIONS_M: dict[str, Bounds] = {
 DESCRIPTION_ORDER = ("road", "time", "weather")
 """The order of the words in ``description.txt``."""
 
+DESCRIPTIONS = ("description.txt", "info_condition/description.txt")
+"""Where a sequence's description may stand below its folder."""
+
+UTC_OFFSET_H = 9
+"""Hours of Korea's time before UTC; the drives were there."""
+
+HOURS: dict[str, tuple[int, int]] = {"day": (6, 16), "night": (20, 4)}
+"""From which hour to which a drive counts as one by day or by night; between them it may be either (Table 8)."""
+
+MEAN_SPEEDS_KMH: dict[str, tuple[float, float]] = {
+    "urban": (0.0, 100.0),
+    "highway": (40.0, 160.0),
+    "alleyway": (0.0, 70.0),
+    "university": (0.0, 70.0),
+    "parking_lot": (0.0, 40.0),
+    "shoulder": (0.0, 40.0),
+}
+"""Mean speeds that do not contradict a road. Table 8 says about 60 km/h in town and about 100 km/h on a highway; the
+bounds are guesses wide enough for a jam in town and a slow lane, and of the other roads for what their words allow."""
+
 _SPELLINGS = {
     "road": {"suburban": "countryside", "parking_lot": "parkinglots"},
     "weather": {"light_snow": "lightsnow", "heavy_snow": "heavysnow"},

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.cirrus.mapping import Labels
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.frame import Annotation, Boxes
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
@@ -83,7 +83,7 @@ def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     if not isinstance(content, dict) or not isinstance(content.get(settings.root), list):
         raise FileFormatError(
             path,

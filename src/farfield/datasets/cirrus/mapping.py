@@ -16,7 +16,7 @@ from typing import Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, plain
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 
@@ -155,8 +155,6 @@ def read_mapping(path: Path | str) -> Mapping:
         content = yaml.safe_load(Path(path).read_text("utf-8"))
         return Mapping.model_validate({} if content is None else content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"]) or "the file"
-        raise ConfigError(f"{path}, {where}: {first['msg']}; got {first['input']!r}") from error
+        raise ConfigError(f"{path}: {plain(error)}") from error
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {error}") from error
+        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error

@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from farfield.errors import plain
 from farfield.frame import Key
 
 Cell = tuple[str, ...]
@@ -111,7 +112,7 @@ def decode(line: bytes) -> Record:
         fields = json.loads(text)
         return _record(fields)
     except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"a line that is no edit ({type(error).__name__}: {error})"[:160]) from None
+        raise ValueError(f"a line that is no edit ({plain(error)})"[:160]) from None
 
 
 def _record(fields: Mapping[str, Json]) -> Record:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, plain
 from farfield.files.kitti import KittiObjects
 from farfield.frame import Annotation, Boxes, Camera, CameraField
 
@@ -98,7 +98,7 @@ def sized_camera(
         with Image.open(image, formats=("JPEG", "PNG")) as picture:
             width, height = picture.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {error}") from error
+        raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {plain(error)}") from error
     return camera_of(calib, width_px=width, height_px=height)
 
 

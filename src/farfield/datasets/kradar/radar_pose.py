@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from farfield.datasets.kradar.index import Files
 from farfield.datasets.kradar.texts import numbers_of, read_radar_calibration
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.radar.axes import KRADAR_ORIGIN_M
@@ -107,9 +107,7 @@ def read_side_file(path: Path) -> dict[str, Any]:
         if not np.isfinite([*matrix.ravel(), yaw]).all():
             raise ValueError("numbers that are not finite")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise FileFormatError(
-            path, where="the file", expected="radar_T_lidar, yaw_rad", found=str(error)[:100]
-        ) from error
+        raise FileFormatError(path, where="the file", expected="radar_T_lidar, yaw_rad", found=plain(error)) from error
     text = path.with_name(RADAR_FILE)
     if text.exists():
         _, x, y = read_radar_calibration(text)
@@ -152,5 +150,5 @@ def read_os2_T_os1(files: Files, sequence: str) -> Float[np.ndarray, "4 4"] | No
         if not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) < 0:
             raise ValueError("no rigid motion")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise FileFormatError(path, where="os2_T_os1", expected="a rigid motion", found=str(error)[:100]) from error
+        raise FileFormatError(path, where="os2_T_os1", expected="a rigid motion", found=plain(error)) from error
     return matrix

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RADAR_PRODUCTS, label_stem
 from farfield.datasets.kradar.products import first_shot_ns
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Camera, Frame
 
@@ -123,5 +123,5 @@ def read_record(path: Path) -> FrameRecord:
         if missing:
             raise ValueError(f"no index of {sorted(missing)[0]}")
     except (ValidationError, ValueError) as error:
-        raise FileFormatError(path, where="the record", expected="a frame's record", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the record", expected="a frame's record", found=plain(error)) from error
     return record

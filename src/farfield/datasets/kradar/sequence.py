@@ -16,7 +16,7 @@ from farfield.datasets.kradar.video import find_video
 from farfield.files.description import read_description
 from farfield.frame import Camera, Lazy
 from farfield.frame.provenance import is_simulated
-from farfield.vocabulary.kradar import published_conditions
+from farfield.vocabulary.kradar import DESCRIPTIONS, published_conditions
 
 RELEASES = ("v2", "v1")
 """Releases of the camera calibrations: ``calib_seq_v2`` (April 2025), which changes 21 sequences (11 in every camera,
@@ -28,7 +28,6 @@ _FOLDERS = {
 }
 _UNNAMED = (Path("resources/cam_calib"), Path("cam_calib"))
 _COMMON = tuple(Path(place, "common") for place in ("resources/cam_calib", "cam_calib"))
-_DESCRIPTIONS = ("description.txt", "info_condition/description.txt")
 _READERS: Mapping[str, Callable[[Path], TimedTable]] = {
     "gps": read_gps,
     "gps_local": read_local,
@@ -101,7 +100,7 @@ def read_conditions(files: Files, sequence: str) -> tuple[dict[str, str], str]:
     Raises:
         FileFormatError: If the description is damaged.
     """
-    for name in _DESCRIPTIONS:
+    for name in DESCRIPTIONS:
         path = files.find(Path(sequence, name))
         if path is not None:
             return read_description(path), "description.txt"

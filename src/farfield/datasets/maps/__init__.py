@@ -12,7 +12,7 @@ from farfield.datasets.maps.move import Move
 from farfield.datasets.maps.placed import Placed
 from farfield.datasets.maps.posed import Posed
 from farfield.datasets.maps.sweeps import Sweeps
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, plain
 from farfield.registry import Registry
 
 __all__ = [
@@ -62,8 +62,7 @@ def make(name: str, settings: Mapping[str, Any]) -> FrameMap:
     try:
         given = kind.Settings.model_validate(dict(settings))
     except ValidationError as error:
-        lines = [f"{'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg']}" for item in error.errors()]
         known = ", ".join(kind.Settings.model_fields)
-        raise ConfigError(f"map {name!r}: {'; '.join(lines)}. It has the settings {known}.") from error
+        raise ConfigError(f"map {name!r}: {plain(error)}. It has the settings {known}.") from error
     made: FrameMap = kind(**given.model_dump())
     return made

@@ -19,7 +19,7 @@ from torch import Tensor
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
 from farfield.detectors.importing.layout import Rule, architecture, rules
-from farfield.errors import ConfigError, FarfieldError, FileFormatError
+from farfield.errors import ConfigError, FarfieldError, FileFormatError, fault_of
 
 Kind = Literal["pointpillars", "second"]
 
@@ -180,7 +180,7 @@ def _config(path: Path, kind: Kind, state: Mapping[str, Tensor], settings: Mappi
     try:
         return DETECTORS[kind].config_class.model_validate(derived)
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        lines = [f"  {'.'.join(map(str, item['loc']))}: {fault_of(item)}" for item in error.errors()]
         raise ConfigError(f"{path}: settings that do not fit {kind}:\n" + "\n".join(lines)) from error
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 
 SETTLED = "adaptation.json"
@@ -56,8 +56,7 @@ def choices_of(given: Mapping[str, Any]) -> Choices:
     try:
         return Choices.model_validate(dict(given))
     except ValidationError as error:
-        lines = [f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
-        raise ConfigError(f"adapt: {'; '.join(lines)}. It has: {', '.join(Choices.model_fields)}.") from error
+        raise ConfigError(f"adapt: {plain(error)}. It has: {', '.join(Choices.model_fields)}.") from error
 
 
 class Settled(BaseModel):
@@ -95,11 +94,11 @@ def load_settled(folder: Path, settings: Mapping[str, Any]) -> Settled | None:
             path,
             where="the file",
             expected="what farfield adapt settled",
-            found=str(error)[:200],
+            found=plain(error),
             mend="Begin anew with --overwrite.",
         ) from error
-    plain = json.loads(json.dumps(dict(settings)))
-    differ = sorted(name for name in {*plain, *found.settings} if plain.get(name) != found.settings.get(name))
+    today = json.loads(json.dumps(dict(settings)))
+    differ = sorted(name for name in {*today, *found.settings} if today.get(name) != found.settings.get(name))
     if differ:
         raise ConfigError(
             f"{folder}: expected what was begun there, found another adaptation: it differs in {', '.join(differ)}. "

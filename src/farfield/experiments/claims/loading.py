@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.experiments.claims.schema import Claim, Document, Metric, Run
 from farfield.files.atomic import read_bytes
 
@@ -77,9 +77,7 @@ def load(name_or_path: str | Path) -> Claims:
     try:
         document = Document.model_validate(yaml.safe_load(data.decode("utf-8")))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise FileFormatError(path, where=where, expected="declared claims", found=first["msg"]) from None
+        raise FileFormatError(path, where="keys", expected="declared claims", found=plain(error)) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="YAML", found=str(error)[:200]) from None
+        raise FileFormatError(path, where="the file", expected="YAML", found=plain(error)) from None
     return Claims(document=document, sha256=hashlib.sha256(data).hexdigest(), path=path)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.experiments.claims import CLAIMS
 from farfield.experiments.claims.schema import BUDGETS, Budget
 from farfield.files.atomic import read_bytes
@@ -205,11 +205,9 @@ def load_grid(name_or_path: str | Path) -> Grid:
     try:
         return Grid.model_validate(yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8")))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise FileFormatError(path, where=where, expected="a declared grid", found=first["msg"]) from None
+        raise FileFormatError(path, where="keys", expected="a declared grid", found=plain(error)) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="YAML", found=str(error)[:200]) from None
+        raise FileFormatError(path, where="the file", expected="YAML", found=plain(error)) from None
 
 
 def merged(*trees: Mapping[str, Any]) -> Tree:

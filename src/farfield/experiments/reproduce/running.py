@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.bulk import Bulk, Done, Journal, Unit, run
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.experiments.plan import Plan
 from farfield.experiments.reproduce.grid import Tree
 from farfield.experiments.reproduce.jobs import Job, waves
@@ -147,7 +147,7 @@ def scores_of(job: Job, folder: Path) -> Tree:
     try:
         found = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
     except ValueError as error:
-        raise FileFormatError(path, where="the file", expected="the scores of a run", found=str(error)[:200]) from None
+        raise FileFormatError(path, where="the file", expected="the scores of a run", found=plain(error)) from None
     return dict(found)
 
 

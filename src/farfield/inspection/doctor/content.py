@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.frame import Boxes, Cloud
@@ -65,7 +66,7 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             mend = "A detector trained with intensity will not work here: name the right column in the mapping."
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
         yield from _doubtful_columns(name, read)
-        yield from _units_of_points(name, reach)
+        yield from _units_of_points(name, points, reach)
 
 
 def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
@@ -94,8 +95,21 @@ def _scale_text(found: Survey, name: str) -> str:
     return f" of full scale {reader.intensity_scale[name]:g} ({decided})"
 
 
-def _units_of_points(name: str, reach_m: float) -> Iterator[Finding]:
-    unit = "millimetres" if reach_m > 20_000 else "centimetres" if reach_m > 1_500 else ""
+_UNITS = {"centimetres": 100.0, "millimetres": 1000.0}
+_MEDIAN_RANGE_M, _HEIGHTS_M = 20.0, 3.0
+"""Of a sweep of a road: the median of the points' ranges, and the height between their 5 % and 95 % quantiles."""
+
+
+def _small_unit(points: Float32[np.ndarray, "n 3"]) -> str:
+    """The unit in which a sweep looks most like one of a road: the farthest point alone cannot tell 250 m from 25 m."""
+    middle = float(np.median(np.hypot(points[:, 0], points[:, 1])))
+    low, high = np.quantile(points[:, 2], (0.05, 0.95))
+    seen = np.log([max(middle, 1e-6) / _MEDIAN_RANGE_M, max(float(high - low), 1e-6) / _HEIGHTS_M])
+    return min(_UNITS, key=lambda unit: float(np.abs(seen - np.log(_UNITS[unit])).sum()))
+
+
+def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: float) -> Iterator[Finding]:
+    unit = _small_unit(points) if reach_m > 1_500 else ""
     unit = "kilometres or another large unit" if reach_m < 1.0 else unit
     if unit:
         what = f"the farthest point lies at {reach_m:.3g}: the cloud seems to be in {unit}"

@@ -18,6 +18,7 @@ from farfield.inspection.doctor.evidence import (
     ballots,
     changes_asked_for,
     count_points,
+    misfit_is_clear,
     misfit_share,
 )
 from farfield.inspection.doctor.findings import Finding
@@ -195,7 +196,7 @@ def _heading(
             mend = "Add 90 degrees to the yaw, or set labels: {yaw_offset_deg: 90} in the mapping."
             yield Finding(severity="fail", topic="yaw", what="off by 90 degrees" + _votes(change), mend=mend)
             return
-    if share > 0.4 and elongated >= 8 and not changes:
+    if misfit_is_clear(share, elongated) and not changes:
         what = f"{share:.0%} of {elongated} long boxes with points would fit much better with another heading"
         mend = "Check the unit, sign and zero of the yaw against the points."
         yield Finding(severity="fail", topic="yaw", what=what, mend=mend)

@@ -5,6 +5,7 @@ reading: the same boxes, changed. Changed boxes have the same volume, so the rea
 is the better one. Each box votes; a reading replaces the one of the file only by a clear majority.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -180,6 +181,22 @@ def misfit_share(counts: Int[np.ndarray, "m k"], size_m: Float[np.ndarray, "m 3"
     if not valid.any():
         return 0.0, 0
     return float((best > 1.4 * counts[:, 0])[valid].mean()), int(valid.sum())
+
+
+def misfit_is_clear(share: float, boxes: int, *, expected: float = 0.4) -> bool:
+    """Whether more boxes misfit than ``expected``, by the lower end of Wilson's 95 % interval (Wilson 1927).
+
+    Args:
+        share: Share of boxes that another heading fits much better.
+        boxes: Number of boxes it rests on.
+        expected: Share that sound data may reach: partly seen and crowded objects misfit too.
+    """
+    if boxes < 8:
+        return False
+    z2 = 1.96**2
+    centre = share + z2 / (2 * boxes)
+    spread = 1.96 * math.sqrt(share * (1 - share) / boxes + z2 / (4 * boxes**2))
+    return (centre - spread) / (1 + z2 / boxes) > expected
 
 
 def changes_asked_for(

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from farfield.datasets.kradar.layout import (
 )
 from farfield.datasets.kradar.sequence import SequenceFacts
 from farfield.errors import FarfieldError
+from farfield.frame.provenance import is_simulated
+from farfield.inspection.doctor.conditions import against_labels
 from farfield.inspection.doctor.findings import Finding, Severity, counted
 from farfield.inspection.doctor.survey import Survey
 from farfield.vocabulary.kradar import SEQUENCES
@@ -43,6 +46,8 @@ def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     entries = [reader.entries[index] for index in dict.fromkeys(found.dataset.origins)]
     yield from _modalities(reader, Counter(found.dataset.sequences), names, known)
     yield from _sequence_files(reader, names, known)
+    if not is_simulated(reader.root):  # whose clock and speed mean nothing
+        yield from against_labels(found.dataset.drives(), _conditions(reader, names))
     yield from _versions(reader, entries, names, known)
     table = read_label_table(entries)
     if not len(table.stem):
@@ -50,6 +55,14 @@ def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield from _defects(table, known)
     yield from _published(reader, table, known)
     yield from _units(table, known)
+
+
+def _conditions(dataset: KRadar, names: Iterable[str]) -> dict[str, dict[str, str]]:
+    known: dict[str, dict[str, str]] = {}
+    for name in names:
+        with suppress(FarfieldError):  # damaged: told where the sequence's files are
+            known[name] = dataset.of_sequence(name).conditions
+    return known
 
 
 def _modalities(

@@ -10,7 +10,7 @@ from farfield.files.atomic import read_bytes
 from farfield.files.description import read_description
 from farfield.frame.drive import Key
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
-from farfield.vocabulary.kradar import DESCRIPTION_ORDER, published_conditions
+from farfield.vocabulary.kradar import DESCRIPTION_ORDER, DESCRIPTIONS, published_conditions
 
 PUBLISHED = "published"
 _MAX_BYTES = 1 << 24
@@ -38,9 +38,8 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
         return {key: known for key in keys if (known := published_conditions(key[0]))}
     path = Path(path)
     if path.is_dir():
-        found = {
-            name: read_description(path / name / "description.txt") for name in sequences if _is_folder(path, name)
-        }
+        described = {name: _description(path, name) for name in sequences}
+        found = {name: read_description(file) for name, file in described.items() if file is not None}
     elif path.is_file():
         found = _table(path)
     else:
@@ -53,8 +52,9 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
     return {key: found[key[0]] for key in keys if key[0] in found}
 
 
-def _is_folder(path: Path, name: str) -> bool:
-    return Path(name).name == name and (path / name / "description.txt").is_file()
+def _description(path: Path, name: str) -> Path | None:
+    places = [path / name / place for place in DESCRIPTIONS] if Path(name).name == name else []
+    return next((place for place in places if place.is_file()), None)
 
 
 def _table(path: Path) -> dict[str, dict[str, str]]:

@@ -20,7 +20,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.labels import Value
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, fault_of, plain
 from farfield.files.atomic import read_bytes, write_text
 
 SCHEMA = "classes.yaml"
@@ -116,9 +116,9 @@ def load_schema(folder: Path, default: Schema) -> Schema:
     try:
         return Schema.model_validate(yaml.safe_load(read_bytes(path, max_bytes=MAX_BYTES)))
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: expected YAML, got {str(error)[:200]}") from error
+        raise ConfigError(f"{path}: expected YAML, got {plain(error)}") from error
     except ValidationError as error:
-        lines = [f"{'.'.join(map(str, item['loc'])) or 'the file'}: {item['msg']}" for item in error.errors()[:5]]
+        lines = [f"{'.'.join(map(str, item['loc'])) or 'the file'}: {fault_of(item)}" for item in error.errors()[:5]]
         raise ConfigError(f"{path}: {'; '.join(lines)}. Delete it to begin with the defaults.") from error
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, fault_of
 from farfield.studio.messages.base import plain
 from farfield.studio.messages.requests import Request
 
@@ -30,7 +30,7 @@ def read_request(text: str | bytes) -> Any:
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "message"
-        raise ConfigError(f"message refused: {where}: {first['msg']}") from None
+        raise ConfigError(f"message refused: {where}: {fault_of(first)}") from None
 
 
 def write_reply(reply: Any) -> str:

@@ -5,7 +5,7 @@ import json
 import os
 from pathlib import Path
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.frame import Key
 from farfield.studio.messages.rows import Bookmark
@@ -43,7 +43,7 @@ class Bookmarks:
             return {(str(r["sequence"]), str(r["frame"])): (str(r["note"]), str(r["by"])) for r in rows}
         except (ValueError, KeyError, TypeError) as error:
             expected = "bookmarks"
-            raise FileFormatError(self.path, where="the file", expected=expected, found=str(error)[:100]) from error
+            raise FileFormatError(self.path, where="the file", expected=expected, found=plain(error)) from error
 
     def set(self, frame: int, note: str | None, by: str) -> None:
         """Set the bookmark of a frame; None takes it away. Written at once."""

@@ -5,6 +5,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from farfield.errors.extras import EXTRAS, advice
+from farfield.errors.wording import fault_of, plain
+
+__all__ = [
+    "EXTRAS",
+    "ConfigError",
+    "DatasetError",
+    "FarfieldError",
+    "FileFormatError",
+    "MissingCloudError",
+    "MissingExtraError",
+    "fault_of",
+    "plain",
+]
+
 
 class FarfieldError(Exception):
     """Base of all errors that Farfield raises on purpose."""
@@ -38,12 +53,30 @@ class ConfigError(FarfieldError):
     """An argument or a configuration value is not one of those possible."""
 
 
+class MissingCloudError(ConfigError, KeyError):
+    """A frame has no cloud of the name."""
+
+    def __str__(self) -> str:
+        return Exception.__str__(self)
+
+
 class MissingExtraError(FarfieldError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         self.known = (package, extra, purpose)
-        super().__init__(f'{purpose} needs {package}. Install it with: pip install "farfield[{extra}]"')
+        super().__init__(f"{purpose} needs {package}. Install it with: {advice(extra)}")
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return MissingExtraError, self.known
+
+    @classmethod
+    def of(cls, error: ImportError, purpose: str) -> "MissingExtraError | None":
+        """The same for a package that an ``import`` did not find; None if it belongs to no extra.
+
+        Args:
+            error: What the import raised.
+            purpose: Who needs it.
+        """
+        extra, package = EXTRAS.get((error.name or "").partition(".")[0], ("", ""))
+        return cls(package, extra, purpose) if extra else None
