@@ -1,4 +1,4 @@
-"""Posts beside a road, cast by a LiDAR, seen by a radar and by a camera: data sets whose calibration is known, or off."""
+"""Posts beside a road, seen by a LiDAR, a radar and a camera: data sets whose calibration is known, or off."""
 
 from pathlib import Path
 

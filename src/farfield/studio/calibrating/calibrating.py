@@ -3,13 +3,15 @@
 from dataclasses import replace
 from pathlib import Path
 
+from farfield.calibration.jobs import KRADAR_NODE_M
+from farfield.calibration.radar_lidar import RadarPose
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.studio.calibrating.camera_task import CameraTask
 from farfield.studio.calibrating.radar_task import RadarTask
 from farfield.studio.calibrating.task import Pick, Snapshot, Solved, Task
-from farfield.studio.calibrating.values import Values
+from farfield.studio.calibrating.values import Values, radar_values
 from farfield.studio.messages.calibration import MOST_PICKS, CalibState, CameraValues, PickRow, RadarValues
 from farfield.studio.settings import CalibrationSettings
 from farfield.studio.showing.layers import camera_model
@@ -57,6 +59,7 @@ class Calibrating:
         self._saved: Values = self._steps[0].values
         self._written: list[Path] = []
         self._stored = self.task.stored
+        self._read = _placing(self._stored) if isinstance(self._stored, RadarPose) else None
         self.seq = 0
         self.ready = False
         self.job: str | None = None
@@ -215,6 +218,7 @@ class Calibrating:
             radar=values if isinstance(values, RadarValues) else None,
             camera=values if isinstance(values, CameraValues) else None,
             before=task.before,
+            stored=self._read,
             start=None if task.start is None else camera_model(task.start),
             sensor=task.sensor,
             lidar=task.lidar,
@@ -247,3 +251,8 @@ class Calibrating:
             )
             for pick, off in rows
         )
+
+
+def _placing(stored: RadarPose) -> RadarValues:
+    """What takes the reader's radar points back to the nodes that were measured, in the radar's coordinates."""
+    return radar_values(replace(stored, x_m=stored.x_m + KRADAR_NODE_M, y_m=stored.y_m + KRADAR_NODE_M))

@@ -122,9 +122,9 @@ class CameraTask:
         off = np.array([each for each, pick in zip(self.off_px(now), now.picks, strict=True) if each and pick.used])
         figures = (
             Figure(name="edges", value=float(len(away)), unit=""),
-            Figure(name="edges, median", value=float(np.median(np.abs(away))) if len(away) else None, unit="px"),
-            Figure(name="strength under edges", value=float(edge_score(camera, views).mean()), unit="x usual"),
-            Figure(name="picked pairs", value=float(len(off)), unit=""),
+            Figure(name="off, median", value=float(np.median(np.abs(away))) if len(away) else None, unit="px"),
+            Figure(name="strength", value=float(edge_score(camera, views).mean()), unit="x"),
+            Figure(name="pairs", value=float(len(off)), unit=""),
             Figure(name="pairs, rms", value=float(np.sqrt((off**2).mean())) if len(off) else None, unit="px"),
         )
         known, notes = ((), ()) if not full else edge_spread(camera, views)

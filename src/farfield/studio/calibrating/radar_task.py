@@ -190,13 +190,13 @@ def _pose(values: Values) -> RadarPose:
 def _figures(found: RadarCalibration, here: int) -> tuple[Figure, ...]:
     rows = found.residual
     return (
-        Figure(name="matched objects", value=rows["matches"], unit=""),
-        Figure(name="in this frame", value=float(here), unit=""),
+        Figure(name="matched", value=rows["matches"], unit=""),
+        Figure(name="this frame", value=float(here), unit=""),
         Figure(name="range", value=rows["range_cm"], unit="cm"),
-        Figure(name="range in cells", value=rows["range_cells"], unit="cells"),
+        Figure(name="range", value=rows["range_cells"], unit="cells"),
         Figure(name="azimuth", value=rows["azimuth_deg"], unit="deg"),
-        Figure(name="azimuth in cells", value=rows["azimuth_cells"], unit="cells"),
-        Figure(name="echoes lie higher by", value=found.echoes_above_m, unit="m"),
+        Figure(name="azimuth", value=rows["azimuth_cells"], unit="cells"),
+        Figure(name="echoes above", value=found.echoes_above_m, unit="m"),
     )
 
 

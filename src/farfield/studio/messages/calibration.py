@@ -240,7 +240,8 @@ class CalibState:
     ready: bool
     radar: RadarValues | None
     camera: CameraValues | None
-    before: RadarValues | CameraValues  # as it was read
+    before: RadarValues | CameraValues  # at the start
+    stored: RadarValues | None  # takes the radar's points, as they are sent, back into the radar's coordinates
     start: CameraModel | None  # from which the camera's moves are counted
     sensor: Word
     lidar: Word
