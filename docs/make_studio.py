@@ -35,6 +35,16 @@ NAMES = {
     "Escape": "Esc",
 }
 
+WHILE = {
+    ("view",): "viewing",
+    ("annotate",): "annotating",
+    ("calibrate",): "calibrating",
+    ("view", "annotate"): "both",
+    ("annotate", "calibrate"): "annotating, calibrating",
+    ("view", "annotate", "calibrate"): "all",
+}
+"""Modes in words."""
+
 
 def key_name(key: dict) -> str:
     """How a key is called on a keyboard of the United States."""
@@ -54,7 +64,7 @@ def key_map() -> str:
             digits = key["id"] == "class.1"
             name = "1 to 9" if digits else key_name(key)
             name = f"`` {name} ``" if "`" in name else f"`{name}`"
-            modes = "both" if len(key["modes"]) == 2 else {"view": "viewing", "annotate": "annotating"}[key["modes"][0]]
+            modes = WHILE[tuple(key["modes"])]
             title = re.sub(" 1$", "", key["title"]) if digits else key["title"]
             lines.append(f"| {name} | {modes} | {title} |")
         lines.append("")

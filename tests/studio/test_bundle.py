@@ -5,6 +5,8 @@ import json
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "src" / "farfield" / "studio" / "static"
 
@@ -15,17 +17,18 @@ def test_the_bundle_is_small():
     assert sum(packed for _, packed in sizes) <= 300_000
 
 
-def test_the_page_has_no_inline_code_and_fetches_nothing_from_elsewhere():
-    page = (STATIC / "index.html").read_text()
+@pytest.mark.parametrize(("name", "own"), [("index", "studio"), ("calibrate", "calibrate")])
+def test_the_page_has_no_inline_code_and_fetches_nothing_from_elsewhere(name: str, own: str):
+    page = (STATIC / f"{name}.html").read_text()
     assert re.findall(r"<script(?![^>]*\bsrc=)", page) == []
     assert "<style" not in page
     assert not re.search(r"\s(style|on[a-z]+)=", page)
-    assert re.findall(r'(?:src|href)="([^"]+)"', page) == ["data:,", "./studio.js", "./studio.css"]
-    assert "url(http" not in (STATIC / "studio.css").read_text()
+    assert re.findall(r'(?:src|href)="([^"]+)"', page) == ["data:,", f"./{own}.js", f"./{own}.css"]
+    assert "url(http" not in (STATIC / f"{own}.css").read_text()
 
 
 def test_the_bundle_has_what_the_sources_have():
-    script = (STATIC / "studio.js").read_text()
+    script = (STATIC / "studio.js").read_text() + (STATIC / "calibrate.js").read_text()
     keys = json.loads((ROOT / "web" / "src" / "keys.json").read_text())
     assert all(key["title"] in script for key in keys)
     words = set()

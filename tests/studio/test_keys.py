@@ -23,7 +23,7 @@ def chords(key: dict) -> list[str]:
 
 
 def test_no_key_has_two_meanings_in_a_mode():
-    for mode in ("view", "annotate"):
+    for mode in ("view", "annotate", "calibrate"):
         bound = [(chord, key["id"]) for key in KEYS if mode in key["modes"] for chord in chords(key)]
         assert len(dict(bound)) == len(bound), [pair for pair in bound if [c for c, _ in bound].count(pair[0]) > 1]
 

@@ -1,9 +1,10 @@
 // Camera pictures below the main view, with the points and boxes projected into them.
 
-import { corners, EDGES, type Vec3 } from "./boxes";
+import { corners, EDGES } from "./boxes";
 import type { PointSet } from "./cloud";
 import { sample } from "./colours";
 import { byId, fill, h } from "./dom";
+import { toPixel } from "./lens";
 import { load } from "./loader";
 import type { CameraModel, Layer } from "./protocol";
 import type { Stage } from "./stage";
@@ -11,24 +12,6 @@ import type { Numbers } from "./wire";
 import { boxOf, colourOf, lookOf, on, shownBoxes, shownPredictions, state } from "./state";
 
 const POINTS = 5000; // drawn at most in a picture
-
-/** A point of the frame in pixels of the picture, or null behind the camera (k1 k2 p1 p2 k3 as OpenCV has them). */
-export function toPixel(camera: CameraModel, p: Vec3): [number, number, number] | null {
-  const m = camera.camera_T_frame;
-  const along = (row: number): number => m[row * 4]! * p[0] + m[row * 4 + 1]! * p[1] + m[row * 4 + 2]! * p[2] + m[row * 4 + 3]!;
-  const depth = along(2);
-  if (depth < 0.3) return null;
-  let [x, y] = [along(0) / depth, along(1) / depth];
-  const [k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0] = camera.distortion;
-  if (k1 || k2 || p1 || p2 || k3) {
-    const r2 = x * x + y * y;
-    if (r2 > 4) return null;
-    const radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
-    [x, y] = [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y];
-  }
-  const k = camera.matrix;
-  return [k[0]! * x + k[1]! * y + k[2]!, k[4]! * y + k[5]!, depth];
-}
 
 interface Strip {
   layer: Layer;

@@ -232,6 +232,103 @@ export interface MatchList {
   threshold?: number;
 }
 
+/** Ask for the calibration as it stands; the first one begins to read the frames. */
+export interface CalibOpen {
+  op: "calib.open";
+  id: string;
+}
+
+/** ``p_radar = R(yaw) p_lidar + (x, y, z)``; the radar runs ``frames`` frames and ``time_offset_s`` ahead. */
+export interface RadarValues {
+  x_m: number;
+  y_m: number;
+  z_m: number;
+  yaw_rad: number;
+  frames: number;
+  time_offset_s: number;
+}
+
+/** Intrinsics in pixels, k1 k2 p1 p2 k3, and turns in rad about, shifts in m along the axes (right, down, ahead). */
+export interface CameraValues {
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  distortion: number[];
+  moved: number[];
+}
+
+/** Ask for the residuals of some values, while they move; nothing is kept. */
+export interface CalibMatch {
+  op: "calib.match";
+  id: string;
+  frame: number;
+  radar?: RadarValues | null;
+  camera?: CameraValues | null;
+  full?: boolean;
+}
+
+/** Take values: one step of undo. ``base`` is the state's ``seq`` from which they come. */
+export interface CalibSet {
+  op: "calib.set";
+  id: string;
+  base: number;
+  radar?: RadarValues | null;
+  camera?: CameraValues | null;
+}
+
+/** Add a pair: a point of a frame, in the LiDAR's coordinates, and its pixel. */
+export interface CalibPick {
+  op: "calib.pick";
+  id: string;
+  frame: number;
+  point_m: number[];
+  pixel: number[];
+}
+
+/** Take a pair away, or leave it out (``used``) or take it in again. */
+export interface CalibUnpick {
+  op: "calib.unpick";
+  id: string;
+  pick: number;
+  used?: boolean | null;
+}
+
+/** Solve from the present values: by matched objects, by picked pairs, or by edges. */
+export interface CalibSolve {
+  op: "calib.solve";
+  id: string;
+  how: "objects" | "pairs" | "edges";
+  focal?: boolean;
+}
+
+/** Stop a job. */
+export interface CalibCancel {
+  op: "calib.cancel";
+  id: string;
+  job: string;
+}
+
+/** Take the last change back, or do it again. */
+export interface CalibUndo {
+  op: "calib.undo";
+  id: string;
+  what: "undo" | "redo";
+}
+
+/** Write the calibration: where the data set's reader finds it, or into the folder of results. */
+export interface CalibSave {
+  op: "calib.save";
+  id: string;
+  to: "data" | "folder";
+}
+
+/** Put back what the last save replaced. */
+export interface CalibRestore {
+  op: "calib.restore";
+  id: string;
+}
+
 /** A drive: which frames of the data set, in time order. */
 export interface DriveRow {
   name: string;
@@ -299,7 +396,7 @@ export interface Welcome {
   op: "welcome";
   version: number;
   farfield: string;
-  mode: "view" | "annotate";
+  mode: "view" | "annotate" | "calibrate";
   data: string;
   title: string;
   frames: number;
@@ -575,7 +672,7 @@ export interface Job {
   op: "job";
   id: string;
   job: string;
-  kind: "infer" | "export" | "save";
+  kind: "infer" | "export" | "save" | "calibrate";
   state: "queued" | "running" | "done" | "cancelled" | "failed";
   done: number;
   total: number;
@@ -628,6 +725,125 @@ export interface Bye {
   reason: string;
 }
 
+/** A frame that serves. */
+export interface CalibFrame {
+  index: number;
+  name: string;
+  number: number;
+}
+
+/** A picked pair and how far its point falls from its pixel. */
+export interface PickRow {
+  pick: number;
+  frame: number;
+  point_m: number[];
+  pixel: number[];
+  used: boolean;
+  residual_px: number | null;
+  range_m: number;
+}
+
+/** By how many standard errors a frame offset explains the objects worse than the chosen one. */
+export interface OffsetScore {
+  frames: number;
+  worse: number;
+}
+
+/** The calibration as it stands. */
+export interface CalibState {
+  op: "calib.state";
+  kind: "radar-lidar" | "lidar-camera";
+  seq: number;
+  ready: boolean;
+  radar: RadarValues | null;
+  camera: CameraValues | null;
+  before: RadarValues | CameraValues;
+  stored: RadarValues | null;
+  start: CameraModel | null;
+  sensor: string;
+  lidar: string;
+  frames: CalibFrame[];
+  numbers: Record<string, number>;
+  picks: PickRow[];
+  solved: string;
+  offsets: OffsetScore[];
+  notes: string[];
+  undo: boolean;
+  redo: boolean;
+  unsaved: boolean;
+  restorable: boolean;
+  saves_to: string[];
+  not_saved: string;
+  folder: string;
+}
+
+/** A number to show. */
+export interface Figure {
+  name: string;
+  value: number | null;
+  unit: string;
+}
+
+/** A histogram: ``limits`` has one number more than ``counts``. */
+export interface Bars {
+  limits: number[];
+  counts: number[];
+  unit: string;
+}
+
+/** How well a parameter is known: ``observed`` is the data's share of what is known, 0 to 1. */
+export interface Known {
+  name: string;
+  unit: string;
+  sigma: number | null;
+  prior: number;
+  observed: number;
+}
+
+/** The residual of one matched object, with what it may depend on. */
+export interface ResidualPoint {
+  range_m: number;
+  azimuth_rad: number;
+  speed_m_s: number;
+  off_m: number;
+  off_rad: number;
+}
+
+/** An object of both sensors in the frame that is shown, in the radar's coordinates. */
+export interface MatchedPair {
+  lidar_m: number[];
+  radar_m: number[];
+}
+
+/** What the data say of some values. */
+export interface Residuals {
+  figures: Figure[];
+  histogram: Bars | null;
+  known: Known[];
+  notes: string[];
+  objects: ResidualPoint[];
+  pairs: MatchedPair[];
+  lacking: string;
+}
+
+/** Residuals of the values that were asked for. */
+export interface CalibResidual {
+  op: "calib.residual";
+  id: string;
+  frame: number;
+  residuals: Residuals;
+  milliseconds: number;
+}
+
+/** Files were written or put back. */
+export interface CalibSaved {
+  op: "calib.saved";
+  id: string;
+  files: string[];
+  copies: string[];
+  restored: boolean;
+}
+
 export type Request =
   | Hello
   | FrameOpen
@@ -652,7 +868,17 @@ export type Request =
   | Export
   | PolicySet
   | Timing
-  | MatchList;
+  | MatchList
+  | CalibOpen
+  | CalibMatch
+  | CalibSet
+  | CalibPick
+  | CalibUnpick
+  | CalibSolve
+  | CalibCancel
+  | CalibUndo
+  | CalibSave
+  | CalibRestore;
 
 export type Reply =
   | Welcome
@@ -672,4 +898,7 @@ export type Reply =
   | Windows
   | PolicyIs
   | Failure
-  | Bye;
+  | Bye
+  | CalibState
+  | CalibResidual
+  | CalibSaved;

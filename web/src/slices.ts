@@ -4,7 +4,7 @@ import { sample } from "./colours";
 import { byId, fill, h } from "./dom";
 import { load } from "./loader";
 import type { Layer } from "./protocol";
-import { edges } from "./radarmap";
+import { edges } from "./radarlevels";
 import { boxOf, on, selected, state } from "./state";
 import type { Payload } from "./wire";
 

@@ -23,7 +23,7 @@ export interface Filters {
 
 export const state = {
   welcome: null as Welcome | null,
-  mode: "view" as "view" | "annotate",
+  mode: "view" as Welcome["mode"],
   frame: 0,
   shown: null as FrameState | null,
   boxes: [] as BoxRow[],

@@ -13,6 +13,7 @@ from jaxtyping import Complex64, Float
 from scipy import fft, ndimage
 
 from farfield.calibration.moments import Moment
+from farfield.calibration.problems import Told, untold
 
 CELL_M = 0.4
 _SHAPE = (192, 160)  # 76.8 m ahead, 32 m to each side
@@ -46,6 +47,7 @@ def correlate(
     frames: int = 4,
     yaw_rad: float = np.radians(4.0),
     step_rad: float = np.radians(0.5),
+    told: Told = untold,
 ) -> list[Start]:
     """Best explanation of each frame offset, best first.
 
@@ -56,11 +58,14 @@ def correlate(
         frames: How many frames the offset may be off.
         yaw_rad: How far the yaw may be off.
         step_rad: Step of the yaw.
+        told: Is told the share that is done; may raise to end it.
     """
     radar = {each.number: _spectrum(each.echoes_m, each.power_db) for each in moments}
     best: dict[int, Start] = {}
     count = round(yaw_rad / step_rad)
-    for yaw in guess.yaw_rad + step_rad * np.arange(-count, count + 1):
+    for step in range(-count, count + 1):
+        told((step + count) / (2 * count + 1))
+        yaw = guess.yaw_rad + step_rad * step
         lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments}
         for offset in range(guess.frames - frames, guess.frames + frames + 1):
             found = _peak(lidar, radar, offset, reach_m)

@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.problems import Parameter, unobserved
+from farfield.calibration.problems import Parameter, Told, unobserved, untold
 from farfield.geometry.cameras import Camera
 
 SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
@@ -193,11 +193,21 @@ def views_of(
         margin_px: How near.
         most: Edges kept of each frame, evenly.
     """
-    rows = [_rows(each, replace(camera, width_px=0, height_px=0), pictures[0].shape, margin_px, most) for each in edges]
+    levels = tuple(np.stack([image_edges(each, sigma) for each in pictures]) for sigma in SIGMAS_PX)
+    nothing = np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0)
+    empty = Views(points_m=nothing[0], frame=nothing[1], axis=nothing[2], weight=nothing[3], levels=levels)
+    return seen_by(empty, edges, camera, margin_px=margin_px, most=most)
+
+
+def seen_by(
+    views: Views, edges: Sequence[LidarEdges], camera: Camera, *, margin_px: float = 60.0, most: int = 1500
+) -> Views:
+    """The same pictures with the edges that another guess of the camera sees; arguments as of :func:`views_of`."""
+    shape = views.levels[-1].shape[2:]
+    rows = [_rows(each, replace(camera, width_px=0, height_px=0), shape, margin_px, most) for each in edges]
     points, axis, weight = (np.concatenate(column) for column in zip(*rows, strict=True))
     frame = np.repeat(np.arange(len(rows)), [len(row[0]) for row in rows])
-    levels = tuple(np.stack([image_edges(each, sigma) for each in pictures]) for sigma in SIGMAS_PX)
-    return Views(points_m=points, frame=frame, axis=axis, weight=weight, levels=levels)
+    return replace(views, points_m=points, frame=frame, axis=axis, weight=weight)
 
 
 def _rows(
@@ -247,20 +257,24 @@ def _sloped(
     return inside * (upper + (lower - upper) * down), inside[:, None] * slope
 
 
-def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None = None) -> Camera:
+def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None = None, told: Told = untold) -> Camera:
     """Move the camera so that edges meet, from coarse to fine; a soft prior keeps what the edges do not tell.
 
     Args:
         camera: The start: +-1 degree, +-10 cm.
         views: Frames.
         sigma: How far the start may be off: turns in rad and shifts in m, of :data:`PARAMETERS` unless given.
+        told: Is told the share that is done; may raise to end it.
     """
     scale = np.array([each.scale for each in PARAMETERS])
     prior = np.array([each.prior_sigma for each in PARAMETERS] if sigma is None else sigma) / scale
     shape = partial(_Level, camera=camera, views=views, scale=scale, prior=prior, turns=np.zeros(0))
     x, _ = _descended(shape, np.zeros(6), range(len(SIGMAS_PX)))
     around = [x, *(x + sign * valley for valley in _VALLEYS for sign in (-1, 1))]
-    found = [_descended(shape, each, (-2, -1)) for each in around]
+    found = []
+    for place, each in enumerate(around):
+        told((1 + place) / (1 + len(around)))
+        found.append(_descended(shape, each, (-2, -1)))
     return moved(camera, found[int(np.argmin([lacking for _, lacking in found]))][0] * scale)
 
 

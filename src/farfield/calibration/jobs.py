@@ -24,10 +24,11 @@ from farfield.calibration.radar_lidar import Evidence, RadarCalibration, RadarPo
 from farfield.calibration.registration import Registration, register
 from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
 from farfield.datasets.base import Dataset
-from farfield.errors import DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.table import parse_table
 from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert
 
 _MAX_PAIRS_BYTES = 1 << 20
 _PAIRS_HEADER = "x_m,y_m,z_m,u_px,v_px"
@@ -81,6 +82,27 @@ class RadarJob:
         }
 
 
+def radar_start(
+    data: Dataset, index: int, *, x_m: float | None = None, y_m: float | None = None, yaw_rad: float | None = None
+) -> RadarPose:
+    """The radar's pose as the data set has it, with what is given instead.
+
+    Raises:
+        ConfigError: If the data set is no K-Radar with a radar's calibration.
+    """
+    sensor = data[index].sensors.get("radar")
+    if sensor is None or sensor.frame_T_sensor is None or not hasattr(data, "frame_difference"):
+        raise ConfigError("calibrate radar-lidar: expected a K-Radar with a radar, LiDAR sweeps and their calibration")
+    known = invert(sensor.frame_T_sensor)
+    x, y, z = (float(value) for value in known[:3, 3])
+    return RadarPose(
+        x_m=x if x_m is None else x_m,
+        y_m=y if y_m is None else y_m,
+        z_m=z,
+        yaw_rad=float(np.arctan2(known[1, 0], known[0, 0])) if yaw_rad is None else yaw_rad,
+    )
+
+
 def radar_job(data: Dataset, indices: Sequence[int], guess: RadarPose) -> RadarJob:
     """Calibrate a K-Radar sequence's radar."""
     moments = read_moments((data[index] for index in indices), node_m=KRADAR_NODE_M)
@@ -124,7 +146,7 @@ class CameraJob:
                 name: float(value) if np.isfinite(value) else None
                 for name, value in zip(names, sigma * units, strict=True)
             },
-            "notes": [*sentences, *_skew_note(self.skewed, len(self.keys)), *_distance_note(self.distances)],
+            "notes": [*sentences, *skew_note(self.skewed, len(self.keys)), *distance_note(self.distances)],
             "information_distance": None if self.distances is None else list(self.distances),
             "residual_before": _residual(self.before, self.views),
             "residual_after": _residual(self.after, self.views),
@@ -132,14 +154,16 @@ class CameraJob:
         }
 
 
-def _skew_note(skewed: int, frames: int) -> list[str]:
+def skew_note(skewed: int, frames: int) -> list[str]:
+    """A sentence where frames hold the car's own motion; nothing otherwise."""
     if not skewed:
         return []
     what = "the car's own motion during the sweep is not taken out, for times of points or poses are not known"
     return [f"in {skewed} of {frames} frames {what}: take frames below 2 m/s"]
 
 
-def _distance_note(distances: tuple[float, ...] | None) -> list[str]:
+def distance_note(distances: tuple[float, ...] | None) -> list[str]:
+    """A sentence where the information distance grew; nothing otherwise."""
     if distances is None or distances[1] <= distances[0]:
         return []
     grown = f"{distances[0]:.4f} to {distances[1]:.4f}"
@@ -184,11 +208,11 @@ def camera_job(
         picture=pictures[0],
         keys=[frames[i].key for i in alike],
         skewed=sum(not still for _, still in swept),
-        distances=_distances((before, after), data, [kept[i] for i in alike], camera, lidar),
+        distances=information_check((before, after), data, [kept[i] for i in alike], camera, lidar),
     )
 
 
-def _distances(
+def information_check(
     cameras: Sequence[Camera], data: Dataset, indices: Sequence[int], camera: str, lidar: str | None
 ) -> tuple[float, ...] | None:
     """Normalised information distance of each calibration; None with too few frames, or where intensity lacks."""

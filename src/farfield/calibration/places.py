@@ -32,6 +32,11 @@ _OWN_FILE = "calibration.json"
 _SAME = 1e-6
 
 
+def holds_intrinsics(data: Dataset) -> bool:
+    """Whether a camera's focal length and distortion are written too; KITTI's files take the pose alone."""
+    return isinstance(data.unwrapped, KRadar | Cirrus | Folder)
+
+
 def camera_files(data: Dataset, index: int, name: str, before: Camera | None) -> list[Path]:
     """Files from which a camera's calibration is read.
 

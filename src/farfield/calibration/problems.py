@@ -1,7 +1,7 @@
 """A calibration as whitened residuals: robust least squares, sigma from blocks of frames, and what is not observed."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,12 @@ from farfield.errors import ConfigError
 _HUBER = 1.345
 _NAMED = 0.35  # share of a direction from which a parameter is named
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
+Told = Callable[[float], None]
+"""Is told the share of a solver's work that is done, 0 to 1; it may raise to end the work."""
+
+
+def untold(share: float) -> None:
+    """Where nobody waits for progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,20 +122,55 @@ def solve(
         if converged:
             break
     value = start + x * scale
+    found = appraise(residuals, value, parameters, group=group, share=share, huber=huber, weight=weight)
+    return replace(found, before=np.linalg.norm(first, axis=1), converged=converged)
+
+
+def appraise(
+    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    value: Float[np.ndarray, " k"],
+    parameters: Sequence[Parameter],
+    *,
+    group: Int[np.ndarray, " n"] | None = None,
+    share: Float[np.ndarray, " n"] | None = None,
+    huber: float = _HUBER,
+    weight: Float[np.ndarray, " n"] | None = None,
+) -> Solution:
+    """What the data tell at some values, without a step: sigma, information and what is not observed.
+
+    Args:
+        residuals: As of :func:`solve`.
+        value: Where, shape (k,).
+        parameters: What each value is.
+        group: As of :func:`solve`.
+        share: As of :func:`solve`.
+        huber: As of :func:`solve`.
+        weight: Of each residual, shape (n,); from its length and ``share`` unless given.
+
+    Raises:
+        ConfigError: If there are no residuals, or they are not finite.
+    """
     last = residuals(value)
+    if not last.size or not np.isfinite(last).all():
+        raise ConfigError("calibration: expected finite residuals, got none")
+    own = np.ones(len(last)) if share is None else share
+    weight = own * _weights(last, huber) if weight is None else weight
+    scale = np.array([each.scale for each in parameters])
+    prior = np.array([each.prior_sigma for each in parameters]) / scale
     jacobian = _jacobian(residuals, value, scale)
     numbers = np.arange(len(last)) if group is None else group
     spare = max(float(own.sum()) * last.shape[1] - len(prior), 1.0)
     factor = max(float((weight[:, None] * last**2).sum()) / spare, 1e-12)
     covariance, unobserved, information = _spread(jacobian, last, weight, prior, numbers, parameters, factor)
+    length = np.linalg.norm(last, axis=1)
     return Solution(
         parameters=tuple(parameters),
         value=value,
         covariance=covariance * np.outer(scale, scale),
         unobserved=unobserved,
-        before=np.linalg.norm(first, axis=1),
-        after=np.linalg.norm(last, axis=1),
-        converged=converged,
+        before=length,
+        after=length,
+        converged=False,
         information=information,
     )
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from farfield.calibration.bird import Start, correlate
 from farfield.calibration.moments import Moment
-from farfield.calibration.problems import Parameter, Solution, solve
+from farfield.calibration.problems import Parameter, Solution, Told, solve, untold
 from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
 from farfield.errors import DatasetError
 
@@ -24,8 +24,9 @@ AZIMUTH_CELL_RAD = np.radians(1.0)
 _SIGMA_RANGE_M = 0.2
 _SIGMA_AZIMUTH_RAD = np.radians(0.45)
 _SIGMA_FACE_M = 0.12
-_GATES_M = (1.6, 1.0, 0.8, 0.8)
-_LEAST_MATCHES = 12
+GATES_M = (1.6, 1.0, 0.8, 0.8)
+"""How far matched objects may be from one another, round by round."""
+LEAST_MATCHES = 12
 _GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
 _ALIKE = 0.5  # correlation of what an object's matches err by
 _UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
@@ -33,7 +34,8 @@ _BLOCK = 4  # neighbouring frames see the same objects
 _CLEAR = 2.0
 _LOOSE_S = 0.3
 _SAME_M = 0.25  # a frame
-_SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
+_MAPS_SHARE = 0.5  # of the time
+SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
 
@@ -131,7 +133,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Pairs:
+class Pairs:
     """Matched objects: LiDAR place, width, velocity in m/s and whether it is known, lag, radar place, object."""
 
     lidar_m: Float[np.ndarray, "n 3"]
@@ -143,7 +145,9 @@ class _Pairs:
     tracked: Bool[np.ndarray, " n"]
 
 
-def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4) -> RadarCalibration:
+def calibrate_radar(
+    evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
+) -> RadarCalibration:
     """Find the radar's pose and time from a rough start.
 
     Args:
@@ -151,16 +155,23 @@ def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.
         guess: About right: +-2 m, +-3 degrees, +-3 frames.
         reach_m: How far x and y are searched.
         frames: How many frame offsets to each side are tried.
+        told: Is told the share that is done; may raise to end it.
 
     Raises:
         DatasetError: If too few objects match.
     """
     around = Start(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
-    starts = correlate(evidence.moments, around, reach_m=reach_m, frames=frames)
-    tried = [found for start in starts if (found := _refined(evidence, start, guess)) is not None]
+    starts = correlate(
+        evidence.moments, around, reach_m=reach_m, frames=frames, told=lambda done: told(_MAPS_SHARE * done)
+    )
+    tried: list[_Tried] = []
+    for place, start in enumerate(starts):
+        told(_MAPS_SHARE + (1 - _MAPS_SHARE) * place / len(starts))
+        if (refined := _refined(evidence, start, guess)) is not None:
+            tried.append(refined)
     if not tried:
         raise DatasetError(
-            f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer in "
+            f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer in "
             f"{len(evidence.moments)} frames. Take more frames, a busier road, or a nearer start."
         )
     most = max(len(pairs.track) for _, pairs, _ in tried)
@@ -174,20 +185,20 @@ def calibrate_radar(evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.
         if tried[i][0].frames != pose.frames:
             rivals.setdefault(tried[i][0].frames, _standing(costs[i], costs[best]))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
-    solution = replace(solution, covariance=solution.covariance + np.diag(_SYSTEMATIC**2))
-    residual = _polar(solution.value, pairs)
+    solution = replace(solution, covariance=solution.covariance + np.diag(SYSTEMATIC**2))
+    residual = polar(solution.value, pairs)
     return RadarCalibration(
         pose=pose,
         solution=solution,
         echoes_above_m=above,
-        notes=_notes(pose, solution, rivals, pairs, above),
+        notes=notes_of(pose, solution, rivals, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals=rivals,
     )
 
 
-_Tried = tuple[RadarPose, _Pairs, Solution]
+_Tried = tuple[RadarPose, Pairs, Solution]
 
 
 def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | None:
@@ -197,12 +208,12 @@ def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | Non
     """
     value, frames = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s]), start.frames
     loose = (*PARAMETERS[:3], replace(PARAMETERS[3], prior_sigma=_LOOSE_S))
-    first = _solved(evidence, value, frames, guess, loose, _GATES_M)
+    first = _solved(evidence, value, frames, guess, loose, GATES_M)
     if first is None:
         return None
     late = round(float(first[1].value[3] / evidence.period_s))
     value = first[1].value - [0.0, 0.0, 0.0, late * evidence.period_s]
-    found = _solved(evidence, value, frames - late, guess, PARAMETERS, _GATES_M[-2:])
+    found = _solved(evidence, value, frames - late, guess, PARAMETERS, GATES_M[-2:])
     if found is None:
         return None
     x, y, yaw, time_s = (float(each) for each in found[1].value)
@@ -217,20 +228,20 @@ def _solved(
     guess: RadarPose,
     parameters: tuple[Parameter, ...],
     gates_m: tuple[float, ...],
-) -> tuple[_Pairs, Solution] | None:
+) -> tuple[Pairs, Solution] | None:
     """Match and solve in turn, with a narrower gate each time."""
     found = None
     for gate_m in gates_m:
-        pairs = _match(evidence, value, frames, gate_m)
-        if len(pairs.track) < _LEAST_MATCHES:
+        pairs = match_objects(evidence, value, frames, gate_m)
+        if len(pairs.track) < LEAST_MATCHES:
             return None
-        rows = partial(_whitened, pairs=pairs)
-        solution = solve(rows, guess.vector, parameters, group=pairs.track, share=_shares(pairs, value))
+        rows = partial(whitened, pairs=pairs)
+        solution = solve(rows, guess.vector, parameters, group=pairs.track, share=shares(pairs, value))
         value, found = solution.value, (pairs, solution)
     return found
 
 
-def _shares(pairs: _Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+def shares(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
     """For how many observations each match counts: an object's echo errs alike in all of its frames.
 
     One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed.
@@ -240,7 +251,7 @@ def _shares(pairs: _Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, 
     return np.asarray(1.0 / ((1.0 + _ALIKE * (count[which] - 1.0)) * (1.0 + (moved_m / _SIGMA_RANGE_M) ** 2)))
 
 
-def _place(
+def placed(
     value: Float[np.ndarray, " 4"],
     lidar_m: Float[np.ndarray, "n 3"],
     velocity_m_s: Float[np.ndarray, "n 2"],
@@ -264,16 +275,16 @@ def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
     return np.where((known & own)[:, None], targets.velocity, usual) / period_s
 
 
-def _match(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> _Pairs:
+def match_objects(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> Pairs:
     """Pairs that are each other's nearest."""
-    rows = [_matched(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
+    rows = [match_frame(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
     lidar, width, speed, lag, tracked, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return _Pairs(
+    return Pairs(
         lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track, tracked=tracked
     )
 
 
-def _matched(
+def match_frame(
     evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
 ) -> tuple[np.ndarray, ...]:
     """Columns of the pairs of one LiDAR frame and one radar frame."""
@@ -282,7 +293,7 @@ def _matched(
     kept, partner = np.zeros(len(targets.place_m), dtype=bool), np.zeros(len(targets.place_m), dtype=int)
     speed = _speeds(targets, evidence.period_s)
     if len(kept) and len(peaks):
-        at = _place(value, targets.place_m, speed, targets.lag_s)
+        at = placed(value, targets.place_m, speed, targets.lag_s)
         distance, partner = (np.asarray(each) for each in cKDTree(peaks[:, :2]).query(at))
         back = np.asarray(cKDTree(at).query(peaks[:, :2])[1])
         kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
@@ -291,18 +302,19 @@ def _matched(
     return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
 
 
-def _polar(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+def polar(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
     """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
-    at = _place(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
+    at = placed(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
     seen = pairs.radar_m[:, :2]
     turn = np.arctan2(at[:, 1], at[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
     return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
 
 
-def _whitened(value: Float[np.ndarray, " 4"], pairs: _Pairs) -> Float[np.ndarray, "n 2"]:
+def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
+    """:func:`polar` divided by sigma."""
     reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
     across = np.hypot(_SIGMA_AZIMUTH_RAD, np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m) / np.maximum(reach, 1.0))
-    return _polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
+    return polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
 
 
 def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
@@ -316,7 +328,7 @@ def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.nd
         targets = evidence.targets.get(other - pose.frames)
         if targets is None or not len(targets.place_m) or not len(peaks.place_m):
             continue
-        at = _place(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
+        at = placed(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
         distance, _ = cKDTree(at).query(peaks.place_m[:, :2])
         near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
         sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
@@ -332,9 +344,10 @@ def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " fra
     return float(np.sum(blocks)) / max(spread, 1e-9)
 
 
-def _notes(
-    pose: RadarPose, solution: Solution, rivals: dict[int, float], pairs: _Pairs, above_m: float
+def notes_of(
+    pose: RadarPose, solution: Solution, rivals: dict[int, float], pairs: Pairs, above_m: float
 ) -> tuple[str, ...]:
+    """What the data cannot tell, as sentences."""
     notes = [*solution.unobserved, "x includes the mean range bias of the radar's echoes"]
     notes.append(
         f"z is not observed: kept as given (one cell of elevation is 0.7 m at 40 m; echoes lie {above_m:+.1f} m off)"
@@ -362,7 +375,7 @@ def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:
     Raises:
         DatasetError: If fewer than twelve objects match.
     """
-    found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, _GATES_M)
+    found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, GATES_M)
     if found is None:
-        raise DatasetError(f"radar-lidar: expected {_LEAST_MATCHES} objects that both sensors see, found fewer")
-    return replace(found[1], covariance=found[1].covariance + np.diag(_SYSTEMATIC**2))
+        raise DatasetError(f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer")
+    return replace(found[1], covariance=found[1].covariance + np.diag(SYSTEMATIC**2))

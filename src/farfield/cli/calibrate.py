@@ -1,6 +1,8 @@
 """``farfield calibrate``: where a sensor stands against the LiDAR, and a camera's intrinsics, with residuals."""
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +36,9 @@ def run(
     mapping: Path | None = None,
     save: Path | None = None,
     out: Path | None = None,
+    page: bool = False,
+    port: int | None = None,
+    browser: bool = True,
 ) -> int:
     """Solve where a sensor stands against the LiDAR, with residuals and what the data cannot tell.
 
@@ -47,6 +52,7 @@ def run(
       farfield calibrate board PICTURES --charuco --save intrinsics.json
       farfield calibrate lidar-camera Cirrus_dataset1 --guess-focal 1000 --pairs picks.csv --save Cirrus_dataset1
       farfield calibrate lidar-camera kitti --intrinsics intrinsics.json --car clicked.csv
+      farfield calibrate radar-lidar K-Radar --page --no-browser
 
     Writes calibration.json and a picture before and after. Nothing of the data set is changed unless --save says so;
     what was there is copied beside it first.
@@ -77,6 +83,9 @@ def run(
         save: File to write the result into: calib_radar_lidar.txt, cam_N.yml, KITTI's calibration, or JSON; or the data
             set's own folder: then the files from which its reader reads.
         out: Folder to write into; runs/calibrate-NAME unless given.
+        page: Calibrate radar-lidar or lidar-camera by hand and by the solvers on a page in the browser.
+        port: Port of the page; the first free one from 8877 on unless given.
+        browser: Open the browser; never over SSH.
     """
     from farfield.calibration.from_nothing import Beginning
     from farfield.calibration.jobs import chosen
@@ -90,23 +99,48 @@ def run(
         return _draw(board, draw)
     folder = out or Path("runs") / f"calibrate-{path.resolve().name}"
     result: dict[str, Any]
+    if page and (save is not None or kind in ("lidar-lidar", "board")):
+        raise ConfigError("--page: expected radar-lidar or lidar-camera, without --save: the page saves")
     if kind == "board":
         result = _board(path, board, camera, save)
         return _write(folder, result)
     given: dict[str, Any] = {} if mapping is None else {"mapping": mapping}
+    beginning = Beginning(focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car)
+    if page:
+        from farfield.studio.settings import CalibrationSettings
+
+        assert kind in ("radar-lidar", "lidar-camera")
+        settings = CalibrationSettings(
+            kind=kind,
+            sequence=sequence,
+            frames=frames,
+            camera=camera,
+            radar=(x, y, None if yaw is None else math.radians(yaw), frame_offset),
+            beginning=beginning,
+            pairs=pairs,
+            folder=folder,
+        )
+        return _page(path, given, settings, port=port, browser=browser)
     data = open_dataset(path, **given)
     indices = chosen(data, sequence, frames, runs=kind == "radar-lidar")
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "radar-lidar":
         result = _radar(data, indices, (x, y, yaw, frame_offset), save, folder)
     elif kind == "lidar-camera":
-        beginning = Beginning(
-            focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car
-        )
         result = _camera(data, indices, camera, (pairs, focal), beginning, save, folder)
     else:
         result = _lidars(data, indices, lidars, save)
     return _write(folder, result)
+
+
+def _page(path: Path, given: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
+    from farfield.studio.serving.run import serve
+    from farfield.studio.settings import StudioSettings
+    from farfield.studio.starting import Opening
+
+    opening = Opening(path, **given)
+    settings = StudioSettings(mode="calibrate", title=opening.title, calibration=calibration)
+    return serve(opening, settings, port=port, browser=browser)
 
 
 def _write(folder: Path, result: dict[str, Any]) -> int:
@@ -121,25 +155,15 @@ def _write(folder: Path, result: dict[str, Any]) -> int:
 
 
 def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | None, folder: Path) -> dict[str, Any]:
-    import numpy as np
-
-    from farfield.calibration.jobs import radar_job
+    from farfield.calibration.jobs import radar_job, radar_start
     from farfield.calibration.places import save_radar_where_read
-    from farfield.calibration.radar_lidar import RadarPose
     from farfield.calibration.saving import save_radar
-    from farfield.errors import ConfigError
     from farfield.files.images import write_image
-    from farfield.geometry.poses import invert
     from farfield.reports.calibration_pictures import radar_picture
 
-    sensor = data[indices[0]].sensors.get("radar")
-    if sensor is None or sensor.frame_T_sensor is None or not hasattr(data, "frame_difference"):
-        raise ConfigError("calibrate radar-lidar: expected a K-Radar with a radar, LiDAR sweeps and their calibration")
-    known = invert(sensor.frame_T_sensor)
-    x, y, z = (float(value) for value in known[:3, 3])
-    turn = float(np.arctan2(known[1, 0], known[0, 0])) if start[2] is None else float(np.radians(start[2]))
-    x, y = (own if given is None else given for own, given in zip((x, y), start[:2], strict=True))
-    guess = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=turn, frames=start[3])
+    x, y, yaw, offset = start
+    turn = None if yaw is None else math.radians(yaw)
+    guess = replace(radar_start(data, indices[0], x_m=x, y_m=y, yaw_rad=turn), frames=offset)
     job = radar_job(data, indices, guess)
     write_image(folder / "before-after.png", radar_picture(job))
     if save is not None:

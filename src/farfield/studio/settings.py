@@ -2,7 +2,35 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from farfield.calibration.from_nothing import Beginning
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationSettings:
+    """What a calibration page works on.
+
+    Args:
+        kind: What against what.
+        sequence: Which one; the first unless given.
+        frames: How many frames serve.
+        camera: Name of the image; the first calibrated one unless given.
+        radar: Start of x and y in metres, yaw in radians, and radar frames; the data set's own where None.
+        beginning: What a camera without a calibration begins from.
+        pairs: Picked pairs to begin with.
+        folder: Folder of results.
+    """
+
+    kind: Literal["radar-lidar", "lidar-camera"]
+    sequence: str | None = None
+    frames: int = 20
+    camera: str | None = None
+    radar: tuple[float | None, float | None, float | None, int] = (None, None, None, 0)
+    beginning: "Beginning | None" = None
+    pairs: Path | None = None
+    folder: Path = Path("runs/calibrate")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +54,10 @@ class StudioSettings:
         to: Format of the saved labels; the data set's own unless given.
         write: Whether saves go into the data set's own label files.
         notes: Folder for bookmarks; the user's data folder unless given.
+        calibration: Of a calibration page.
     """
 
-    mode: Literal["view", "annotate"] = "view"
+    mode: Literal["view", "annotate", "calibrate"] = "view"
     title: str = ""
     annotator: str = ""
     protocol: str = ""
@@ -44,3 +73,4 @@ class StudioSettings:
     to: str = ""
     write: bool = False
     notes: Path | None = None
+    calibration: CalibrationSettings | None = None

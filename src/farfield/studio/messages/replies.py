@@ -3,6 +3,7 @@
 from typing import Literal
 
 from farfield.studio.messages.base import AnyBox, Nanoseconds, message
+from farfield.studio.messages.calibration import CalibReply
 from farfield.studio.messages.rows import (
     Bookmark,
     BoxRow,
@@ -32,7 +33,7 @@ class Welcome:
     op: Literal["welcome"] = "welcome"
     version: int = VERSION
     farfield: str
-    mode: Literal["view", "annotate"]
+    mode: Literal["view", "annotate", "calibrate"]
     data: str  # name of the data set
     title: str
     frames: int
@@ -195,7 +196,7 @@ class Job:
     op: Literal["job"] = "job"
     id: str
     job: str
-    kind: Literal["infer", "export", "save"]
+    kind: Literal["infer", "export", "save", "calibrate"]
     state: Literal["queued", "running", "done", "cancelled", "failed"]
     done: int = 0
     total: int = 0
@@ -279,5 +280,6 @@ Reply = (
     | PolicyIs
     | Failure
     | Bye
+    | CalibReply
 )
 """Whatever the server sends."""

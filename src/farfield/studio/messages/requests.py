@@ -18,6 +18,7 @@ from farfield.studio.messages.base import (
     Word,
     message,
 )
+from farfield.studio.messages.calibration import CalibRequest
 from farfield.studio.messages.rows import BoxValue
 
 
@@ -321,7 +322,8 @@ Request = Annotated[
     | Export
     | PolicySet
     | Timing
-    | MatchList,
+    | MatchList
+    | CalibRequest,
     Field(discriminator="op"),
 ]
 """Whatever the page sends."""

@@ -29,6 +29,7 @@ _KINDS = {
     ".json": "application/json",
     ".woff2": "font/woff2",
 }
+_PAGES = ("index.html", "calibrate.html")
 _NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
 
 
@@ -68,11 +69,13 @@ async def _health(request: Request) -> Response:
 
 async def _static(request: Request) -> Response:
     name = request.path_params.get("name", "index.html")
+    if name == "index.html" and request.app.state.desk.settings.mode == "calibrate":
+        name = "calibrate.html"
     if name == "index.html" and request.query_params.get("frame", "0").rpartition("/")[1]:
         return _numbered(request)
     path = request.app.state.files.get(name)
     if path is None:
-        return PlainTextResponse(_NO_PAGE if name == "index.html" else "There is nothing of this name.", 404)
+        return PlainTextResponse(_NO_PAGE if name in _PAGES else "There is nothing of this name.", 404)
     kind = _KINDS[path.suffix]
     return await in_thread(request, lambda: _answer(request, Payload.of(path.read_bytes(), kind)))
 

@@ -18,6 +18,7 @@ from farfield.studio.threads import Threads
 
 if TYPE_CHECKING:
     from farfield.studio.annotating.annotation import Annotating
+    from farfield.studio.calibrating.calibrating import Calibrating
     from farfield.studio.inferring.jobs import Jobs
 
 T = TypeVar("T")
@@ -41,6 +42,7 @@ class Desk:
         self.data: Dataset | None = None
         self.annotating: Annotating | None = None
         self.jobs: Jobs | None = None
+        self.calibrating: Calibrating | None = None
         self.checking: dict[int, float] = {}  # frames to be checked, and when each was edited last
         self._ready = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -70,6 +72,10 @@ class Desk:
         edited = self.annotating
         given = () if edited is None else (edited.rows, edited.centres)
         self.book = Book(opened, self.settings, *given)
+        if self.settings.calibration is not None:
+            from farfield.studio.calibrating.calibrating import Calibrating
+
+            self.calibrating = Calibrating(data, self.settings.calibration)
 
     def let_in(self) -> None:
         """Let the windows in that wait."""
@@ -149,6 +155,8 @@ class Desk:
 
     async def close(self) -> None:
         """End what still works for the windows."""
+        if self.calibrating is not None:
+            self.calibrating.cancel()
         for task in list(self._tasks):
             task.cancel()
         if self.jobs is not None:

@@ -1,7 +1,7 @@
 """Which function answers which message."""
 
 from farfield.studio.messages import requests as asked
-from farfield.studio.session import detecting, editing, exporting, looking, marking
+from farfield.studio.session import calibrating, detecting, editing, exporting, looking, marking
 from farfield.studio.session.desk import Handler
 
 HANDLERS: dict[type, Handler] = {
@@ -28,4 +28,5 @@ HANDLERS: dict[type, Handler] = {
     asked.PolicySet: editing.policy,
     asked.Timing: editing.timing,
     asked.MatchList: marking.match_list,
+    **calibrating.HANDLERS,
 }

@@ -1,0 +1,230 @@
+"""Radar to LiDAR, as the page asks for it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from farfield.calibration.jobs import KRADAR_NODE_M, chosen, radar_start
+from farfield.calibration.moments import Moment, read_moments
+from farfield.calibration.places import save_radar_where_read
+from farfield.calibration.problems import Solution, Told
+from farfield.calibration.radar_appraising import appraise_radar, matches_of
+from farfield.calibration.radar_lidar import (
+    PARAMETERS,
+    Evidence,
+    Pairs,
+    RadarCalibration,
+    RadarPose,
+    calibrate_radar,
+    polar,
+)
+from farfield.calibration.saving import save_radar
+from farfield.datasets.base import Dataset
+from farfield.datasets.kradar.radar_pose import RADAR_FILE, SIDE_FILE
+from farfield.errors import ConfigError, DatasetError
+from farfield.geometry.cameras import Camera
+from farfield.studio.calibrating.task import Pick, Snapshot, Solved, bars, known_of
+from farfield.studio.calibrating.values import Values, pose_of, radar_values
+from farfield.studio.messages.calibration import (
+    CalibFrame,
+    CalibrationKind,
+    Figure,
+    MatchedPair,
+    OffsetScore,
+    RadarValues,
+    ResidualPoint,
+    Residuals,
+)
+from farfield.studio.settings import CalibrationSettings
+
+_LIMITS_CM = np.arange(-160.0, 161.0, 10.0)
+_MOST_POINTS = 2000
+_READ = 0.8  # of the time of preparing
+
+
+class RadarTask:
+    """K-Radar's radar against its os2-64.
+
+    Args:
+        data: The data set.
+        settings: Which frames, and the start.
+
+    Raises:
+        FarfieldError: If it is no K-Radar, or there is no such sequence.
+    """
+
+    kind: CalibrationKind = "radar-lidar"
+
+    def __init__(self, data: Dataset, settings: CalibrationSettings) -> None:
+        self.data = data
+        self.indices = chosen(data, settings.sequence, settings.frames, runs=True)
+        x_m, y_m, yaw_rad, frames = settings.radar
+        self.stored = radar_start(data, self.indices[0])
+        given = radar_start(data, self.indices[0], x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+        self._begin = replace(given, frames=frames)
+        self.sensor, self.lidar = "radar", "os2-64"
+        self.frames = tuple(
+            CalibFrame(index=index, name="/".join(data.keys[index]), number=place)
+            for place, index in enumerate(self.indices)
+        )
+        self.numbers: dict[str, int] = {}
+        self.evidence: Evidence | None = None
+
+    @property
+    def before(self) -> RadarValues:
+        """The values at the start."""
+        return radar_values(self._begin)
+
+    @property
+    def start(self) -> Camera | None:
+        """No camera."""
+        return None
+
+    def prepare(self, told: Told) -> None:
+        """Read the frames and find the objects that both sensors see."""
+        moments: list[Moment] = []
+        for place, index in enumerate(self.indices):
+            told(_READ * place / len(self.indices))
+            moment = read_moments([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
+            numbered = self.lidar in self.data[index].indices
+            moments.append(moment if numbered else replace(moment, number=place))
+        told(_READ)
+        self.evidence = Evidence.of(moments)
+        rows = zip(self.frames, moments, strict=True)
+        self.frames = tuple(replace(frame, number=moment.number) for frame, moment in rows)
+        members = [i for i, name in enumerate(self.data.sequences) if name == self.data.sequences[self.indices[0]]]
+        known = {self.data[index].indices.get(self.lidar): index for index in members}
+        known |= {frame.number: frame.index for frame in self.frames}
+        self.numbers = {str(number): index for number, index in known.items() if number is not None}
+
+    def picks(self) -> tuple[Pick, ...]:
+        """None are picked here."""
+        return ()
+
+    def residuals(self, now: Snapshot, frame: int, *, full: bool) -> Residuals:
+        """Matched objects in range and azimuth; ``full`` makes no difference."""
+        del full
+        pose, evidence = _pose(now.values), self._found()
+        number = next((each.number for each in self.frames if each.index == frame), -1)
+        lidar, radar = matches_of(evidence, pose, number)
+        here = tuple(
+            MatchedPair(lidar_m=(a, b), radar_m=(c, d))
+            for (a, b), (c, d) in zip(lidar.tolist(), radar.tolist(), strict=True)
+        )
+        try:
+            found, pairs = appraise_radar(evidence, pose)
+        except DatasetError as error:
+            return Residuals(pairs=here, lacking=str(error))
+        return Residuals(
+            figures=_figures(found, len(here)),
+            histogram=bars(100 * found.range_m, _LIMITS_CM, "cm"),
+            known=known_of(PARAMETERS, found.solution.sigma),
+            notes=found.notes,
+            objects=_points(pose, pairs),
+            pairs=here,
+        )
+
+    def off_px(self, now: Snapshot) -> list[float | None]:
+        """None are picked here."""
+        return [None for _ in now.picks]
+
+    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> Solved:
+        """Solve from matched objects and maps, from the present values."""
+        del focal
+        if how != "objects":
+            raise ConfigError(f"calib.solve: a radar is solved by objects, got {how}")
+        found = calibrate_radar(self._found(), _pose(now.values), told=told)
+        offsets = {found.pose.frames: 0.0} | found.rivals
+        matches = int(found.residual["matches"])
+        return Solved(
+            values=radar_values(found.pose),
+            words=f"solved from {matches} matched objects in {len(self.indices)} frames",
+            notes=found.notes,
+            offsets=tuple(OffsetScore(frames=k, worse=float(v)) for k, v in sorted(offsets.items())),
+            detail=found,
+        )
+
+    def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
+        """Write K-Radar's text file, its side file and, into the data set, ``info_matching``."""
+        solved = now.solved.detail if now.solved is not None else None
+        found = solved if solved is not None else self._by_hand(_pose(now.values))
+        index = self.indices[0]
+        if folder is None:
+            return save_radar_where_read(self.data, index, found)
+        difference: int = getattr(self.data, "frame_difference")(self.data.sequences[index])  # noqa: B009
+        folder.mkdir(parents=True, exist_ok=True)
+        return save_radar(folder / RADAR_FILE, found, difference=difference)
+
+    def saves_to(self) -> tuple[list[Path], str]:
+        """The text file and its side file; ``info_matching`` comes with them."""
+        folder = self.data.root / self.data.sequences[self.indices[0]] / "info_calib"
+        return [folder / RADAR_FILE, folder / SIDE_FILE], ""
+
+    def lost(self, values: Values) -> str:
+        """Z has no place in K-Radar's files."""
+        if abs(_pose(values).z_m - self.stored.z_m) < 1e-6:
+            return ""
+        return f"z is not saved: K-Radar's files have no place for it, and its reader takes {self.stored.z_m:g} m"
+
+    def _found(self) -> Evidence:
+        if self.evidence is None:
+            raise ConfigError("the frames are still being read")
+        return self.evidence
+
+    def _by_hand(self, pose: RadarPose) -> RadarCalibration:
+        """Values set by hand, with the sigma that matched objects give, or else the one assumed before."""
+        try:
+            found, _ = appraise_radar(self._found(), pose)
+        except DatasetError as error:
+            return _unsupported(pose, str(error))
+        return replace(found, notes=("set by hand", *found.notes))
+
+
+def _pose(values: Values) -> RadarPose:
+    if not isinstance(values, RadarValues):
+        raise ConfigError("radar: expected values of a radar")
+    return pose_of(values)
+
+
+def _figures(found: RadarCalibration, here: int) -> tuple[Figure, ...]:
+    rows = found.residual
+    return (
+        Figure(name="matched", value=rows["matches"], unit=""),
+        Figure(name="this frame", value=float(here), unit=""),
+        Figure(name="range", value=rows["range_cm"], unit="cm"),
+        Figure(name="range", value=rows["range_cells"], unit="cells"),
+        Figure(name="azimuth", value=rows["azimuth_deg"], unit="deg"),
+        Figure(name="azimuth", value=rows["azimuth_cells"], unit="cells"),
+        Figure(name="echoes above", value=found.echoes_above_m, unit="m"),
+    )
+
+
+def _points(pose: RadarPose, pairs: Pairs) -> tuple[ResidualPoint, ...]:
+    off = polar(pose.vector, pairs)
+    x, y = pairs.radar_m[:, 0], pairs.radar_m[:, 1]
+    table = np.column_stack([np.hypot(x, y), np.arctan2(y, x), pairs.velocity_m_s[:, 0], off])
+    step = max(1, len(table) // _MOST_POINTS)
+    return tuple(
+        ResidualPoint(range_m=a, azimuth_rad=b, speed_m_s=c, off_m=d, off_rad=e)
+        for a, b, c, d, e in table[::step].round(4).tolist()
+    )
+
+
+def _unsupported(pose: RadarPose, reason: str) -> RadarCalibration:
+    prior = np.array([each.prior_sigma for each in PARAMETERS])
+    nothing = np.zeros(0)
+    solution = Solution(
+        parameters=PARAMETERS,
+        value=pose.vector,
+        covariance=np.diag(prior**2),
+        unobserved=tuple(f"{each.name} is not observed" for each in PARAMETERS),
+        before=nothing,
+        after=nothing,
+        converged=False,
+        information=np.zeros(len(PARAMETERS)),
+    )
+    notes = ("set by hand", reason, *solution.unobserved)
+    return RadarCalibration(
+        pose=pose, solution=solution, echoes_above_m=0.0, notes=notes, range_m=nothing, azimuth_rad=nothing, rivals={}
+    )

@@ -1,0 +1,134 @@
+"""What both calibrations have in common: a task reads frames once, tells residuals of any values, solves and saves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.calibration.problems import Parameter, Told
+from farfield.datasets.base import Dataset
+from farfield.geometry.cameras import Camera
+from farfield.studio.calibrating.values import Values
+from farfield.studio.messages.calibration import Bars, CalibFrame, CalibrationKind, Known, OffsetScore, Residuals
+
+_UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0)}
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A picked pair.
+
+    Args:
+        number: Its name among the picks.
+        frame: In which frame it was picked.
+        point_m: The point in the LiDAR's coordinates.
+        pixel: The pixel.
+        used: Whether it counts.
+    """
+
+    number: int
+    frame: int
+    point_m: tuple[float, float, float]
+    pixel: tuple[float, float]
+    used: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What a solver found.
+
+    Args:
+        values: The values.
+        words: What was solved and from what.
+        notes: What the data cannot tell, a sentence each.
+        offsets: How much worse other frame offsets are.
+        detail: The room's own result, for saving.
+    """
+
+    values: Values
+    words: str
+    notes: tuple[str, ...]
+    offsets: tuple[OffsetScore, ...] = ()
+    detail: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The calibration at one moment: what undo goes back to.
+
+    Args:
+        values: The values.
+        picks: The picked pairs.
+        solved: What was solved last, where the values are still its.
+    """
+
+    values: Values
+    picks: tuple[Pick, ...] = ()
+    solved: Solved | None = None
+
+
+class Task(Protocol):
+    """One kind of calibration of one data set."""
+
+    kind: CalibrationKind
+    data: Dataset
+    sensor: str
+    lidar: str
+    stored: Any  # the calibration that the files hold
+    frames: tuple[CalibFrame, ...]
+    numbers: dict[str, int]
+
+    @property
+    def before(self) -> Values:
+        """The values at the start."""
+
+    @property
+    def start(self) -> Camera | None:
+        """The camera from which moves are counted."""
+
+    def prepare(self, told: Told) -> None:
+        """Read the frames; takes seconds."""
+
+    def picks(self) -> tuple[Pick, ...]:
+        """Pairs to begin with."""
+
+    def residuals(self, now: Snapshot, frame: int, *, full: bool) -> Residuals:
+        """What the data say of some values."""
+
+    def off_px(self, now: Snapshot) -> list[float | None]:
+        """How far each pick falls from its pixel."""
+
+    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> Solved:
+        """Solve from the present values."""
+
+    def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
+        """Write where the reader finds it, or into a folder; the files written and copies of what was there."""
+
+    def saves_to(self) -> tuple[list[Path], str]:
+        """The files that a save writes, and what they have no place for."""
+
+    def lost(self, values: Values) -> str:
+        """What of these values the files have no place for."""
+
+
+def known_of(
+    parameters: Sequence[Parameter], sigma: Float[np.ndarray, " k"], prior: Float[np.ndarray, " k"] | None = None
+) -> tuple[Known, ...]:
+    """How well each parameter is known against what was assumed before: 1 - (sigma / prior sigma)^2 is observed."""
+    assumed = np.array([each.prior_sigma for each in parameters]) if prior is None else prior
+    rows = []
+    for each, own, before in zip(parameters, sigma.tolist(), assumed.tolist(), strict=True):
+        unit, factor = _UNITS.get(each.unit, (each.unit, 1.0))
+        share = 0.0 if not np.isfinite(own) else max(0.0, 1.0 - (own / before) ** 2)
+        told = float(own * factor) if np.isfinite(own) else None
+        rows.append(Known(name=each.name, unit=unit, sigma=told, prior=float(before * factor), observed=share))
+    return tuple(rows)
+
+
+def bars(values: Float[np.ndarray, " n"], limits: Float[np.ndarray, " m"], unit: str) -> Bars:
+    """A histogram; what lies outside counts in the outermost bars."""
+    counts, _ = np.histogram(np.clip(values, limits[0], limits[-1]), bins=limits)
+    return Bars(limits=tuple(map(float, limits)), counts=tuple(map(int, counts)), unit=unit)
