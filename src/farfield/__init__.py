@@ -16,7 +16,7 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 if TYPE_CHECKING:
-    from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show
+    from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show, transfer
     from farfield.datasets.formats import dataset
     from farfield.detectors.kinds import detector
     from farfield.errors import FarfieldError
@@ -44,6 +44,7 @@ _HOMES = {
     "protocol": "farfield.metrics.protocol",
     "show": "farfield.api",
     "track": "farfield.tracking",
+    "transfer": "farfield.api",
 }
 __all__ = [
     "Annotation",
@@ -64,6 +65,7 @@ __all__ = [
     "protocol",
     "show",
     "track",
+    "transfer",
 ]
 
 

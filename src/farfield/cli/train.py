@@ -17,6 +17,7 @@ def run(
     experiment: tyro.conf.Positional[str],
     override: Annotated[tyro.conf.UseAppendAction[list[str]], tyro.conf.arg(aliases=["-o"])],
     out: Path = Path("runs"),
+    dry_run: bool = False,
 ) -> int:
     """Train a detector from one experiment; run the same command again to resume.
 
@@ -24,6 +25,7 @@ def run(
       farfield train pointpillars-cirrus-sim
       farfield train pointpillars-cirrus-sim -o training.steps=500 -o name=short
       farfield train my-experiment.yaml -o data.path=/data/Cirrus_dataset1
+      farfield train my-experiment.yaml -o training.start_from=runs/other --dry-run
       torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
@@ -34,6 +36,7 @@ def run(
         experiment: A shipped experiment's name, as `farfield experiments` lists them, or a YAML file.
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
+        dry_run: Say what would be taken of the weights to start from, which parts learn how fast, and stop.
     """
     from rich.console import Console
 
@@ -42,6 +45,10 @@ def run(
     from farfield.experiments.schema import load_experiment
 
     settings = load_experiment(find(experiment), override)
+    if dry_run:
+        for line in Plan(settings, out / settings.name).rehearse():
+            print(line)
+        return 0
     console = Console(stderr=True)
     training = settings.training
     kind = BarReport if console.is_terminal else LineReport
