@@ -75,7 +75,7 @@ def test_a_new_column_by_name_changes_no_bit(tmp_path):
     for one, other in zip(*(tensors_of(maps(network, scene())) for network in (ours, theirs)), strict=True):
         assert torch.equal(one, other)
     back = small_detector("rtnh", seed=9)
-    again = ff.transfer(back, {name: value for name, value in ours.state_dict().items()})
+    again = ff.transfer(back, dict(ours.state_dict()))
     assert "the mean of 5 columns" in again.adapted["encoder.linear.weight"]
 
 

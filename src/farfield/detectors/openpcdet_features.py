@@ -13,13 +13,8 @@ from farfield.detectors.grid import GridConfig
 from farfield.detectors.norm import normalise_rows
 from farfield.detectors.voxels import first_points
 
-_DESCRIBED = (
-    "x_m",
-    "y_m",
-    "z_m",
-    "intensity",
-    *(f"d{axis}_m of {where}" for where in ("mean", "centre") for axis in "xyz"),
-)
+_OFFSETS = tuple(f"d{axis}_m of {where}" for where in ("mean", "centre") for axis in "xyz")
+_DESCRIBED = ("x_m", "y_m", "z_m", "intensity", *_OFFSETS)
 _MOMENTUM = 0.01  # of batch normalisation, as OpenPCDet trains
 
 
