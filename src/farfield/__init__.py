@@ -16,7 +16,7 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 if TYPE_CHECKING:
-    from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show, train
+    from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show, train, transfer
     from farfield.datasets.formats import dataset
     from farfield.detectors.kinds import detector
     from farfield.errors import FarfieldError
@@ -45,6 +45,7 @@ _HOMES = {
     "show": "farfield.api",
     "track": "farfield.tracking",
     "train": "farfield.api",
+    "transfer": "farfield.api",
 }
 __all__ = [
     "Annotation",
@@ -66,6 +67,7 @@ __all__ = [
     "show",
     "track",
     "train",
+    "transfer",
 ]
 
 

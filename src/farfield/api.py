@@ -4,7 +4,7 @@ import json
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from farfield.errors import DatasetError
 from farfield.vocabulary.scores import SHOWN_SCORE
@@ -12,9 +12,11 @@ from farfield.vocabulary.scores import SHOWN_SCORE
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
+    from torch import Tensor
 
     from farfield.bulk import Bulk
     from farfield.datasets.base import Dataset
+    from farfield.detectors.contract import Network
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import Adapted
     from farfield.frame import Cloud, Frame
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
     from farfield.training.report import Report
+    from farfield.training.starting import TransferReport
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -98,6 +101,44 @@ def detect(
     from farfield.detection import detect as detect_all
 
     return detect_all(detector, data, cloud=cloud, progress=progress)
+
+
+def transfer(
+    network: "Network",
+    weights: "Path | str | Mapping[str, Tensor]",
+    *,
+    rename: Mapping[str, str] | None = None,
+    inputs: Literal["match", "average", "fresh"] = "match",
+    head: Literal["by-class", "fresh"] = "by-class",
+    skip: Iterable[str] = (),
+    least_taken: float = 0.1,
+) -> "TransferReport":
+    """Give a network what fits of trained weights, as ``training.start`` of an experiment does.
+
+    Args:
+        network: Such as ``build_detector(config)`` makes; it is changed.
+        weights: A bundled detector's name, a run's folder, a weights file, or tensors by name.
+        rename: Beginnings of names in the weights, and what they are called in the network.
+        inputs: Where the columns that are read differ: ``"match"`` takes them by name (a new one starts at zero),
+            ``"average"`` the mean of theirs in each of ours, ``"fresh"`` none.
+        head: ``"by-class"`` takes the rows of classes that both know, ``"fresh"`` nothing of the head.
+        skip: Parts or patterns that stay fresh.
+        least_taken: Taking a smaller share of the parameters is an error.
+
+    Returns:
+        What was taken, adapted and by class, what stays fresh and what was not used; ``print`` shows it.
+
+    Raises:
+        FarfieldError: If there are no such weights.
+        ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
+    """
+    from farfield.training.config import TakingConfig
+    from farfield.training.starting import start_network
+
+    chosen = TakingConfig(
+        rename=dict(rename or {}), inputs=inputs, head=head, skip=tuple(skip), least_taken=least_taken
+    )
+    return start_network(network, weights if isinstance(weights, Mapping) else str(weights), chosen)
 
 
 def evaluate(

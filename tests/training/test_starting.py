@@ -20,7 +20,8 @@ from farfield.detectors.weights import load_weights, resolve_weights, save_weigh
 from farfield.errors import ConfigError
 from farfield.experiments.schema import load_experiment
 from farfield.training.checkpoints import load_checkpoint
-from farfield.training.starting import frozen_modules, frozen_names, start_network
+from farfield.training.freezing import frozen_modules, frozen_names
+from farfield.training.starting import start_network
 
 SHIPPED = "pointpillars-cirrus-sim"
 OTHER_CLASSES = {
@@ -191,7 +192,7 @@ def test_a_resumed_run_needs_its_start_no_more(fine, tmp_path, capsys):
     network, path = stored(tmp_path, "pointpillars")
     del network
     fine.write_text(fine.read_text().replace("start_from: pointpillars-cirrus-sim", ""))
-    start = json.dumps({"weights": str(path), "freeze": []})
+    start = json.dumps({"weights": str(path), "freeze": [], "least_taken": 0.0})
     words = words_of_train(fine, tmp_path, f"training.start={start}", "training.steps=2")
     assert main(words) == 0
     path.unlink()

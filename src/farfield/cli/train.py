@@ -25,6 +25,7 @@ def run(
       farfield train pointpillars-cirrus-sim --dry-run
       farfield train pointpillars-cirrus-sim -o training.steps=500 -o name=short
       farfield train my-experiment.yaml -o data.path=/data/Cirrus_dataset1
+      farfield train my-experiment.yaml -o training.start_from=runs/other --dry-run
       torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
@@ -36,7 +37,8 @@ def run(
         experiment: A shipped experiment's name, as `farfield experiments` lists them, or a YAML file.
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
-        dry_run: Say what would be done, and do nothing.
+        dry_run: Say what would be learnt from, what would be taken of the weights to start from, which parts learn how
+            fast, and stop.
     """
     from rich.console import Console
 
@@ -51,7 +53,12 @@ def run(
     folder = out / settings.name
     plan = Plan(settings, folder)
     report = kind(console, folder, training.log_every_steps, _following(folder, settings))
-    plan.announce(report) if dry_run else plan.run(report)
+    if not dry_run:
+        plan.run(report)
+        return 0
+    plan.announce(report)
+    for line in plan.rehearse():
+        report.say(line)
     return 0
 
 

@@ -31,6 +31,9 @@ ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
 """By names of tensors: along which axis rows belong to classes, and what each row is, such as (class, heading, number);
 equal in two networks where they mean the same."""
 
+InputColumns = Mapping[str, tuple[int, Sequence[str]]]
+"""By names of tensors that meet a network's input: along which axis its columns lie, and what each is."""
+
 
 def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
     """Weight of each box in the loss, shape (n,): 1, and ``far_weight`` more per 100 m of range on the ground."""
@@ -164,6 +167,10 @@ class Network(nn.Module, ABC):
 
     def class_rows(self) -> ClassRows:
         """Which rows of which tensors are of which class: what loading weights with other classes goes by."""
+        return {}
+
+    def input_columns(self) -> InputColumns:
+        """Which columns of the input the first tensors read: what loading weights of other columns goes by."""
         return {}
 
     @final

@@ -13,6 +13,8 @@ from farfield.detectors.grid import GridConfig
 from farfield.detectors.norm import normalise_rows
 from farfield.detectors.voxels import first_points
 
+_OFFSETS = tuple(f"d{axis}_m of {where}" for where in ("mean", "centre") for axis in "xyz")
+_DESCRIBED = ("x_m", "y_m", "z_m", "intensity", *_OFFSETS)
 _MOMENTUM = 0.01  # of batch normalisation, as OpenPCDet trains
 
 
@@ -44,6 +46,7 @@ class OpenPCDetPillarEncoder(nn.Module):
         super().__init__()
         self.grid, self.channels, self.max_points = grid, channels, max_points
         self.intensity = columns.index("intensity")
+        self.features = _DESCRIBED
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
         self.linear = nn.Linear(10, channels, bias=False)

@@ -19,12 +19,14 @@ from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.recording import ensure
+from farfield.training.freezing import frozen_names, frozen_now
 from farfield.training.launching import launch
 from farfield.training.loop import CHECKPOINT_NAME, Training
 from farfield.training.method import DETECTOR, METHODS, Method, Stream
+from farfield.training.rates import described
 from farfield.training.report import Report
 from farfield.training.samples import TrainingSamples
-from farfield.training.starting import Start, start_network
+from farfield.training.starting import TransferReport, start_network
 from farfield.training.validating import Validation, spread
 
 START_NAME = "start.json"
@@ -146,7 +148,25 @@ class Plan:
         validation.check(self.experiment.detector.class_names)
         return data, validation
 
-    def _started(self, start: Start | None) -> dict[str, Any]:
+    def rehearse(self) -> list[str]:
+        """What would be taken of the weights to start from, and what each part of the network would do; reads no data.
+
+        Returns:
+            Lines for the user.
+
+        Raises:
+            ConfigError: As :meth:`run` would before its first step.
+        """
+        method, start = _method(self.experiment, fresh=True)
+        lines = [] if start is None else list(start.lines())
+        network, training = method.modules[DETECTOR], self.experiment.training
+        until = {} if training.start is None else training.start.frozen_until
+        held = frozen_names(network, frozen_now(until, 0, training.steps))
+        trained = sum(p.numel() for name, p in network.named_parameters() if name not in held)
+        lines.append(f"{training.steps} steps; the first trains {trained} parameters of the detector")
+        return [*lines, *(f"  {line}" for line in described(network, training))]
+
+    def _started(self, start: TransferReport | None) -> dict[str, Any]:
         """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
         if start is not None:
             return {"start": start.brief()}
@@ -191,11 +211,11 @@ def _groups(experiment: Experiment) -> dict[str, DataConfig]:
     return {"": experiment.data} if isinstance(experiment.data, DataConfig) else dict(experiment.data)
 
 
-def _method(experiment: Experiment, *, fresh: bool) -> tuple[Method, Start | None]:
+def _method(experiment: Experiment, *, fresh: bool) -> tuple[Method, TransferReport | None]:
     """The method with its network; a fresh run's network takes the weights to start from."""
     network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes, with it
     kind, start = METHODS[experiment.method.name], experiment.training.start
-    found = start_network(network, start.weights) if start is not None and fresh else None
+    found = start_network(network, start.weights, start) if start is not None and fresh else None
     try:
         return kind(network, **experiment.method.settings), found
     except TypeError as error:

@@ -118,13 +118,60 @@ UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0
 """No random change."""
 
 
-class StartConfig(_Settings):
+class TakingConfig(_Settings):
+    """What of other weights a network takes; :mod:`farfield.training.starting` has the rules in their order."""
+
+    rename: dict[str, str] = Field(
+        default_factory=dict, description="beginnings of names in the weights and what they are called here"
+    )
+    inputs: Literal["match", "average", "fresh"] = Field(
+        "match", description="where the columns read differ: match takes them by name, average the mean of theirs"
+    )
+    head: Literal["by-class", "fresh"] = Field("by-class", description="fresh: nothing of the head is taken")
+    skip: tuple[str, ...] = Field((), description="parts or patterns that stay fresh, such as head or *.bias")
+    least_taken: float = Field(0.1, ge=0, le=1, description="taking a smaller share of the parameters is an error")
+
+
+class StatisticsConfig(_Settings):
+    """Batch statistics taken anew on the target's frames, before the first step."""
+
+    reestimate_batches: int = Field(200, ge=1)
+
+
+class StartConfig(TakingConfig):
     """Where a training starts instead of at random."""
 
     weights: str = Field(min_length=1, description="a bundled detector's name, a run's folder or a weights file")
-    freeze: tuple[str, ...] = Field(
-        (), description="parts of the network that stay as they are: names such as encoder, or patterns such as *.norm"
+    statistics: StatisticsConfig | None = Field(None, description="batch statistics taken anew on the target's frames")
+    freeze: tuple[str, ...] | dict[str, _Share] = Field(
+        (),
+        description="parts of the network that stay as they are: names such as encoder, or patterns such as *.norm; "
+        "with shares of the steps, such as {backbone: 0.5}, they stay until then",
     )
+    rates: dict[str, _Positive] = Field(
+        default_factory=dict, description="learning rates of parts over that of the training, such as {encoder: 0.1}"
+    )
+    layer_decay: _Share | None = Field(
+        None, description="instead of rates: each part of the network learns so much slower than the one after it"
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_say_rates(self) -> "StartConfig":
+        if self.rates and self.layer_decay is not None:
+            raise ValueError("expected rates or layer_decay, got both")
+        return self
+
+    @property
+    def frozen_until(self) -> dict[str, float]:
+        """Share of the steps until which each of the frozen parts stays."""
+        return dict(self.freeze) if isinstance(self.freeze, dict) else dict.fromkeys(self.freeze, 1.0)
+
+    @model_serializer(mode="wrap")
+    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; what stands at its default only where it always was said, so that runs are known as before."""
+        said, usual = others(self), type(self).model_fields
+        kept = {name for name in said if getattr(self, name) != usual[name].get_default(call_default_factory=True)}
+        return {name: value for name, value in said.items() if name in kept | {"weights", "freeze"}}
 
 
 class ValidationConfig(_Settings):

@@ -23,11 +23,13 @@ from farfield.errors import ConfigError
 from farfield.training.checkpoints import Run, load_run, prolonged, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
+from farfield.training.freezing import frozen_now, hold, is_within
 from farfield.training.launching import launch, precision_of
 from farfield.training.method import DETECTOR, Batch, Method, Pace
+from farfield.training.rates import always_frozen, groups_of, rates_of, set_rates
+from farfield.training.reestimating import reestimate
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
-from farfield.training.starting import frozen_modules, frozen_names
 from farfield.training.stopping import Stop, stopping
 from farfield.training.streams import batch_shares, batches
 from farfield.training.validating import BEST, Best, Validation, forget
@@ -88,6 +90,8 @@ class Training:
     fabric: Fabric | None = None
     held: Mapping[str, TrainingSamples] = field(default_factory=dict)
     validation: Validation | None = None
+    _held_now: tuple[str, ...] | None = field(default=None, init=False)
+    _learning: list[nn.Parameter] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         if set(self.samples) != set(self.method.streams):
@@ -118,6 +122,7 @@ class Training:
         self._resume(optimizer, average)
         for name, samples in self.samples.items():
             samples.prepare(self.step * counts[name], partial(report.reading, what="reading frames"))
+        self._take_statistics(counts, fabric, average, report)
         report.begins(self.step, self.config.steps)
         try:
             with stopping() as stop:
@@ -143,13 +148,14 @@ class Training:
     ) -> None:
         """The steps that are left; asked to stop, it keeps what is done and ends."""
         saved_at = time.monotonic()
-        self._train_mode()
+        self._hold()
         for batch in self._batches(counts, fabric):
             with fitting(_TOO_LARGE):
                 losses = self._update(fabric, optimizer, batch)
             self._average(average)
             self.method.after_step(self.step)
             self.step += 1
+            self._hold()
             stopped = stop.asked(fabric.device)
             held = {} if stopped else self._inspected(fabric)
             if fabric.is_global_zero:
@@ -184,9 +190,7 @@ class Training:
         self.modules.to(fabric.device, memory_format=torch.channels_last)
         for name in self.method.frozen():
             self.modules[name].requires_grad_(False)
-        frozen = frozen_names(self.modules[DETECTOR], self._frozen)
-        for name, parameter in self.modules[DETECTOR].named_parameters():
-            parameter.requires_grad_(parameter.requires_grad and name not in frozen)
+        self._learning = [p for p in self.modules.parameters() if p.requires_grad]
         synchronise_norms(self.modules)
         spread_state(self.modules)
         self.method.begins(self.config.steps, self.config.seed)
@@ -194,24 +198,45 @@ class Training:
 
     @property
     def _frozen(self) -> tuple[str, ...]:
-        """Parts of the detector that stay as they started."""
-        return () if self.config.start is None else self.config.start.freeze
+        """Parts of the detector that stay as they are at this step."""
+        start = self.config.start
+        return () if start is None else frozen_now(start.frozen_until, self.step, self.config.steps)
 
-    def _train_mode(self) -> None:
-        """Training mode, but for the frozen parts: there batch normalisation keeps its statistics."""
+    def _hold(self) -> None:
+        """Training mode and gradients, but for what is frozen now: there batch normalisation keeps its statistics."""
+        if self._held_now == self._frozen:
+            return
+        self._held_now = self._frozen
         self.modules.train()
-        for module in frozen_modules(self.modules[DETECTOR], self._frozen):
-            module.training = False
+        for parameter in self._learning:
+            parameter.requires_grad_(True)
+        hold(self.modules[DETECTOR], self._held_now)
+
+    def _take_statistics(
+        self, counts: Mapping[str, int], fabric: Fabric, average: dict[str, Tensor], report: Report
+    ) -> None:
+        """Before the first step, batch statistics of the frames that are learnt from, if asked for."""
+        wanted = self.config.start.statistics if self.config.start is not None else None
+        if wanted is None or self.step:
+            return
+        self._seed_torch(fabric.global_rank)
+        drawn = self._batches(counts, fabric, wanted.reestimate_batches)
+        with fabric.autocast():
+            each = ({name: _batch(part, fabric) for name, part in batch.items()} for batch in drawn)
+            count = reestimate(self.modules[DETECTOR], each)
+        report.say(f"batch statistics taken anew from {count} batches")
+        for name, value in self.modules.state_dict().items():
+            average[name].copy_(value)
 
     def _optimizer(self) -> torch.optim.Optimizer:
+        network, start = self.modules[DETECTOR], self.config.start
+        rates, never = rates_of(network, start), always_frozen(network, start)
+        own = {id(p): rates[name] for name, p in network.named_parameters()}
+        left_out = {id(p) for name, p in network.named_parameters() if name in never}
         groups = []
-        for trained, pace in self._parties(tuple(self.modules)):
-            decayed = [p for p in trained if p.ndim > 1]
-            plain = [p for p in trained if p.ndim <= 1]
-            groups += [
-                {"params": decayed, "weight_decay": self.config.weight_decay, "rate": pace.rate},
-                {"params": plain, "weight_decay": 0.0, "rate": pace.rate},
-            ]
+        for party, pace in self._parties(tuple(self.modules)):
+            trained = [parameter for parameter in party if id(parameter) not in left_out]
+            groups += groups_of(trained, own, weight_decay=self.config.weight_decay, rate=pace.rate)
         return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True)
 
     def _parties(self, names: Collection[str]) -> list[tuple[list[nn.Parameter], Pace]]:
@@ -228,12 +253,14 @@ class Training:
         every = [p for name in names for p in self.modules[name].parameters() if p.requires_grad]
         return list({id(parameter): parameter for parameter in every}.values())
 
-    def _batches(self, counts: Mapping[str, int], fabric: Fabric) -> Iterable[dict[str, list[Sample]]]:
+    def _batches(
+        self, counts: Mapping[str, int], fabric: Fabric, steps: int | None = None
+    ) -> Iterable[dict[str, list[Sample]]]:
         return batches(
             self.samples,
             counts,
             first_step=self.step,
-            steps=self.config.steps,
+            steps=steps or self.config.steps,
             workers=self.config.workers,
             rank=fabric.global_rank,
             world=fabric.world_size,
@@ -241,8 +268,7 @@ class Training:
         )
 
     def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:
-        for group in optimizer.param_groups:
-            group["lr"] = one_cycle(self.step, self.config) * group.get("rate", 1.0)
+        set_rates(optimizer, one_cycle(self.step, self.config))
         self._seed_torch(fabric.global_rank)
         batch = {name: _batch(each, fabric) for name, each in samples.items()}
         with fabric.autocast():
@@ -280,8 +306,12 @@ class Training:
     def _average(self, average: dict[str, Tensor]) -> None:
         """Exponential average of weights and statistics; it follows closely at first and slowly later."""
         decay = min(self.config.average_decay, (1 + self.step) / (10 + self.step))
+        frozen = {f"{DETECTOR}.{part}" for part in self._held_now or ()}
         with torch.no_grad():
             for name, value in self.modules.state_dict().items():
+                if any(is_within(name, part) for part in frozen):
+                    average[name].copy_(value)
+                    continue
                 average[name].lerp_(value.to(average[name].device, torch.float32), 1 - decay)
 
     def _export(self, average: Mapping[str, Tensor], best: Best | None = None) -> None:

@@ -1,38 +1,48 @@
-"""Start a training from other weights: tensors are taken by name and shape, rows of classes by the class' name.
+"""Start a training from other weights: what of them fits is taken, made to fit, or left; all of it is reported.
 
-What did not match keeps its own first values, and all of it is reported: a file of which little fits must not pass in
-silence.
+For each tensor of the network, in this order: the same name (after ``rename``) and shape, taken; rows of classes, by
+the class' name; columns of the input, by theirs; the mean over columns where nobody names them; another odd kernel, or
+one of two dimensions, into the middle; else the network's own first values. A file of which little fits must not pass
+in silence: taking less than ``least_taken`` of the parameters is an error.
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from fnmatch import fnmatchcase
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from farfield.detectors.contract import Network
+from farfield.detectors.contract import ClassRows, InputColumns, Network
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
+from farfield.training.config import TakingConfig
+from farfield.training.freezing import is_within
+from farfield.training.tensors import by_average, by_columns, by_kernel
 
 _SHAPELESS = ("score_threshold", "nms_iou", "max_boxes", "far_weight")  # settings that no weight depends on
+_SHOWN = 12
+_OTHER = "of other classes"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class TransferReport:
     """What a network took of other weights.
 
     Args:
         weights: Which ones, as asked for.
-        sha256: Of their file.
+        sha256: Of their file; empty for tensors in memory.
         share: Share of the network's parameters that were taken.
+        shares: The same by what was done: ``taken`` whole, ``adapted``, ``by_class``; and ``fresh``.
         taken: Names of tensors that were taken whole.
+        adapted: Of tensors that were made to fit, how.
         by_class: Of tensors that were taken by rows of classes, how many rows of how many.
         fresh: Of tensors that were not taken, why.
         unused: Names of tensors of the weights that found no place.
+        shapes: Shape of every tensor that is named, of the network and, if unused, of the weights.
         classes: The network's classes that are ``shared`` with the weights, and those that are ``fresh``.
         settings: Settings in which the two differ, one sentence each.
     """
@@ -40,16 +50,20 @@ class Start:
     weights: str
     sha256: str
     share: float
+    shares: Mapping[str, float]
     taken: Sequence[str]
+    adapted: Mapping[str, str]
     by_class: Mapping[str, str]
     fresh: Mapping[str, str]
     unused: Sequence[str]
+    shapes: Mapping[str, Sequence[int]]
     classes: Mapping[str, Sequence[str]]
     settings: Sequence[str]
 
     def to_json(self) -> dict[str, Any]:
         """Everything, as JSON values."""
-        return {**asdict(self), "share": round(self.share, 6)}
+        shares = {name: round(share, 6) for name, share in self.shares.items()}
+        return {**asdict(self), "share": round(self.share, 6), "shares": shares}
 
     def brief(self) -> dict[str, Any]:
         """What travels with the trained weights."""
@@ -57,84 +71,219 @@ class Start:
 
     def lines(self) -> Iterator[str]:
         """The same for the user."""
-        tensors = len(self.taken) + len(self.by_class) + len(self.fresh)
+        changed = {**self.adapted, **self.by_class}
+        tensors = len(self.taken) + len(changed) + len(self.fresh)
         yield (
             f"starts from {self.weights}: {100 * self.share:.1f} % of the parameters; of {tensors} tensors "
-            f"{len(self.taken)} taken whole, {len(self.by_class)} by class, {len(self.fresh)} fresh, "
-            f"{len(self.unused)} of theirs unused"
+            f"{len(self.taken)} taken whole, {len(self.adapted)} adapted, {len(self.by_class)} by class, "
+            f"{len(self.fresh)} fresh, {len(self.unused)} of theirs unused"
         )
         groups = [f"{word}: {', '.join(names)}" for word, names in self.classes.items() if names]
-        yield f"  classes {'; '.join(groups)}"
-        for name, why in [*self.by_class.items(), *self.fresh.items()][:_SHOWN]:
-            yield f"  {name}: {why}"
-        hidden = len(self.by_class) + len(self.fresh) - _SHOWN
-        if hidden > 0:
-            yield f"  and {hidden} more in start.json"
+        yield from [f"  classes {'; '.join(groups)}"] if groups else []
+        told = [*changed.items(), *self.fresh.items(), *((name, "unused") for name in self.unused)]
+        for name, what in told[:_SHOWN]:
+            yield f"  {name} {_shape(self.shapes[name])}: {what}"
+        if len(told) > _SHOWN:
+            yield f"  and {len(told) - _SHOWN} more in start.json"
         for sentence in self.settings:
             yield f"  setting {sentence}"
 
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
 
-_SHOWN = 12
-_OTHER = "of other classes"
+
+@dataclass(frozen=True, kw_only=True)
+class _Theirs:
+    """Tensors to take from, under the names that they have here, and what is known of them."""
+
+    weights: str
+    sha256: str
+    tensors: Mapping[str, Tensor]
+    network: Network | None = None
+    rows: ClassRows = field(default_factory=dict)
+    columns: InputColumns = field(default_factory=dict)
+
+
+@dataclass
+class _Tally:
+    """What was done with each tensor so far."""
+
+    taken: list[str] = field(default_factory=list)
+    adapted: dict[str, str] = field(default_factory=dict)
+    by_class: dict[str, str] = field(default_factory=dict)
+    fresh: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("taken", "adapted", "by_class"), 0))
 
 
 @torch.no_grad()
-def start_network(network: Network, weights: str) -> Start:
-    """Give a network what fits of a trained detector's weights.
-
-    A tensor of the same name and shape is taken. Where the classes differ, tensors whose rows belong to classes
-    (:meth:`~farfield.detectors.contract.Network.class_rows`) take those of the classes that both know. All others keep
-    the values that they have.
+def start_network(
+    network: Network, weights: str | Mapping[str, Tensor], settings: TakingConfig | None = None
+) -> TransferReport:
+    """Give a network what fits of a trained detector's weights; the module's text says by which rules.
 
     Args:
         network: Is changed.
-        weights: A bundled detector's name, a run's folder or a weights file.
+        weights: A bundled detector's name, a run's folder, a weights file, or tensors by name. Of plain tensors nobody
+            knows classes nor columns: rows of classes are taken if the shape is the same.
+        settings: What to take; by default all that fits.
 
     Raises:
         FarfieldError: If there are no such weights.
-        ConfigError: If they are another detector's, or nothing fits.
+        ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
     """
+    chosen = settings or TakingConfig()
+    theirs = _theirs(weights, chosen.rename)
+    if theirs.network is not None:
+        _check_kind(network, theirs.network, theirs.weights)
+    _check_finite(theirs)
+    own, tally = network.state_dict(), _Tally()
+    parameters = {name for name, _ in network.named_parameters()}
+    unsaid = _unsaid(network, theirs.network)
+    for name, tensor in own.items():
+        done = _fit(name, tensor, theirs, network, chosen, name in unsaid)
+        if isinstance(done, str):
+            tally.fresh[name] = f"fresh: {done}"
+            continue
+        kind, count, words = done
+        if kind == "taken":
+            tally.taken.append(name)
+        else:
+            (tally.by_class if kind == "by_class" else tally.adapted)[name] = words
+        tally.counts[kind] += count if name in parameters else 0
+    total = sum(parameter.numel() for parameter in network.parameters())
+    _check_enough(sum(tally.counts.values()) / total, own, theirs, tally, chosen)
+    return _report(network, theirs, tally, total)
+
+
+def _report(network: Network, theirs: _Theirs, tally: _Tally, total: int) -> TransferReport:
+    own, unused = network.state_dict(), sorted(set(theirs.tensors) - set(network.state_dict()))
+    share = sum(tally.counts.values()) / total
+    trained = theirs.network.config if theirs.network is not None else None
+    names, others = network.config.class_names, set(trained.class_names) if trained is not None else set()
+    classes = {"shared": [n for n in names if n in others], "fresh": [n for n in names if n not in others]}
+    differences = () if trained is None else _differences(trained.model_dump(), network.config.model_dump())
+    return TransferReport(
+        weights=theirs.weights,
+        sha256=theirs.sha256,
+        share=share,
+        shares={**{kind: count / total for kind, count in tally.counts.items()}, "fresh": 1.0 - share},
+        taken=tally.taken,
+        adapted=tally.adapted,
+        by_class=tally.by_class,
+        fresh=tally.fresh,
+        unused=unused,
+        shapes={
+            **{name: list(theirs.tensors[name].shape) for name in unused},
+            **{name: list(tensor.shape) for name, tensor in own.items()},
+        },
+        classes=classes if trained is not None else {},
+        settings=list(differences),
+    )
+
+
+def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _Theirs:
+    """The weights' tensors under the names that they have here."""
+    if not isinstance(weights, str):
+        return _Theirs(weights="tensors in memory", sha256="", tensors=_renamed(weights, rename))
     path = resolve_weights(weights)
     with torch.random.fork_rng(devices=[]):  # what is drawn afterwards does not depend on what was loaded
         trained, _ = load_weights(path)
-    _check_kind(network, trained, weights)
-    theirs, rows, known = trained.state_dict(), network.class_rows(), trained.class_rows()
-    unsaid = _unsaid(network, trained)
-    taken, by_class, fresh, count = [], dict[str, str](), dict[str, str](), 0
-    parameters = {name for name, _ in network.named_parameters()}
-    for name, own in network.state_dict().items():
-        other = theirs.get(name)
-        if other is None:
-            fresh[name] = "fresh: the weights have no such tensor"
-            continue
-        pairs = _OTHER if name in unsaid else _pairs(rows.get(name), known.get(name), own, other)
-        if isinstance(pairs, str):
-            fresh[name] = f"fresh: {pairs}"
-            continue
-        if pairs is None:
-            own.copy_(other)
-            taken.append(name)
-        else:
-            axis, here, there = pairs
-            own.movedim(axis, 0)[here] = other.movedim(axis, 0)[there].to(own.dtype)
-            by_class[name] = f"{len(here)} of {own.shape[axis]} rows, by class"
-        whole = 1.0 if pairs is None else len(pairs[1]) / own.shape[pairs[0]]
-        count += round(whole * own.numel()) if name in parameters else 0
-    share = count / sum(parameter.numel() for parameter in network.parameters())
-    if not count:
-        raise ConfigError(f"training.start: nothing of {weights} fits; {next(iter(fresh.items()))}.")
-    names, others = network.config.class_names, set(trained.config.class_names)
-    return Start(
+    return _Theirs(
         weights=weights,
         sha256=hashlib.sha256(Path(path).read_bytes()).hexdigest(),
-        share=share,
-        taken=taken,
-        by_class=by_class,
-        fresh=fresh,
-        unused=sorted(set(theirs) - set(network.state_dict())),
-        classes={"shared": [n for n in names if n in others], "fresh": [n for n in names if n not in others]},
-        settings=list(_differences(trained.config.model_dump(), network.config.model_dump())),
+        tensors=_renamed(trained.state_dict(), rename),
+        network=trained,
+        rows=_renamed(trained.class_rows(), rename),
+        columns=_renamed(trained.input_columns(), rename),
     )
+
+
+def _renamed(tree: Mapping[str, Any], rename: Mapping[str, str]) -> dict[str, Any]:
+    """The longest beginning that fits counts; it ends where a word does."""
+    found = {}
+    for name, value in tree.items():
+        fitting = [old for old in rename if name == old or name.startswith(f"{old}.") or not old]
+        old = max(fitting, key=len, default=None)
+        found[name if old is None else (rename[old] + name[len(old) :]).removeprefix(".")] = value
+    return found
+
+
+def _fit(
+    name: str, own: Tensor, theirs: _Theirs, network: Network, chosen: TakingConfig, other_classes: bool
+) -> tuple[str, int, str] | str:
+    """Change a tensor in place: what was done, how many values were taken, in words; or why it stays fresh."""
+    other, rows, columns = theirs.tensors.get(name), network.class_rows(), network.input_columns()
+    if any(is_within(name, pattern) for pattern in chosen.skip):
+        return "left out by training.start.skip"
+    if chosen.head == "fresh" and (name.startswith("head.") or name in rows):
+        return "training.start.head is fresh"
+    if other is None:
+        return "the weights have no such tensor"
+    pairs = _OTHER if other_classes else _pairs(rows.get(name), theirs.rows.get(name), own, other)
+    if not isinstance(pairs, str) and pairs is not None:
+        axis, here, there = pairs
+        own.movedim(axis, 0)[here] = other.movedim(axis, 0)[there].to(own.dtype)
+        count = own.numel() // own.shape[axis] * len(here)
+        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class"
+    mine, known = columns.get(name), theirs.columns.get(name)
+    named_alike = mine is None or known is None or list(mine[1]) == list(known[1])
+    if pairs is None and own.shape == other.shape and named_alike:
+        own.copy_(other)
+        return "taken", own.numel(), ""
+    made = None
+    if pairs != _OTHER and name not in rows:
+        made = _made_to_fit(name, own, other, theirs, columns, chosen)
+    if made is None:
+        return pairs or f"{tuple(other.shape)} there, {tuple(own.shape)} here"
+    own.copy_(made[0])
+    return "adapted", made[1], made[2]
+
+
+def _made_to_fit(
+    name: str, own: Tensor, other: Tensor, theirs: _Theirs, columns: InputColumns, chosen: TakingConfig
+) -> tuple[Tensor, int, str] | None:
+    """A tensor of other columns or another kernel; None where there is no rule."""
+    reads = name in columns if columns else name == next((n for n, t in theirs.tensors.items() if t.ndim > 1), None)
+    if not reads or (own.shape == other.shape and chosen.inputs != "match"):
+        return by_kernel(own, other)
+    if chosen.inputs == "fresh":
+        return None
+    found = by_columns(own, other, columns.get(name), theirs.columns.get(name)) if chosen.inputs == "match" else None
+    unnamed = chosen.inputs == "average" or name not in theirs.columns or name not in columns
+    found = by_average(own, other) if found is None and unnamed else found
+    return found if found is not None else by_kernel(own, other)
+
+
+def _check_finite(theirs: _Theirs) -> None:
+    """Refuse weights of a training that went astray."""
+    for name, tensor in theirs.tensors.items():
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise ConfigError(
+                f"training.start: {theirs.weights} holds numbers that are not finite, the first in {name}: its "
+                "training went astray. Take weights of an earlier checkpoint."
+            )
+
+
+def _check_enough(
+    share: float, own: Mapping[str, Tensor], theirs: _Theirs, tally: _Tally, chosen: TakingConfig
+) -> None:
+    """Refuse weights of which too little fits, with the names that are nearest to what was looked for."""
+    if share > 0 and share >= chosen.least_taken:
+        return
+    largest = max(tally.fresh, key=lambda name: own[name].numel(), default=next(iter(own)))
+    why = tally.fresh.get(largest, "")
+    near = sorted(theirs.tensors, key=lambda name: -SequenceMatcher(None, largest, name, autojunk=False).ratio())[:3]
+    nearest = ", ".join(f"{name} {_shape(theirs.tensors[name].shape)}" for name in near)
+    amount = f"{100 * share:.1f} % of the parameters fit" if share else "nothing fits"
+    raise ConfigError(
+        f"training.start: of {theirs.weights} {amount}, expected at least {100 * chosen.least_taken:g} %. "
+        f"{largest} {_shape(own[largest].shape)} is {why}; nearest there: {nearest}. "
+        "Say what is called otherwise in training.start.rename, or lower training.start.least_taken."
+    )
+
+
+def _shape(sizes: Sequence[int]) -> str:
+    return f"({' x '.join(map(str, sizes))})" if len(sizes) else "(one number)"
 
 
 def _check_kind(network: Network, trained: Network, weights: str) -> None:
@@ -145,13 +294,13 @@ def _check_kind(network: Network, trained: Network, weights: str) -> None:
         )
 
 
-def _unsaid(network: Network, trained: Network) -> set[str]:
+def _unsaid(network: Network, trained: Network | None) -> set[str]:
     """Tensors that may be of other classes, where the detector does not say which rows belong to which: its head's.
 
     Raises:
         ConfigError: If it has no head by that name.
     """
-    if network.class_rows() or network.config.class_names == trained.config.class_names:
+    if trained is None or network.class_rows() or network.config.class_names == trained.config.class_names:
         return set()
     found = {name for name in network.state_dict() if name.startswith("head.")}
     if not found:
@@ -186,37 +335,3 @@ def _differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], where: str 
             yield from _differences(old, new, f"{place}.")
         elif old != new and place not in _SHAPELESS:
             yield f"{place}: {old}, now {new}"
-
-
-def frozen_names(network: nn.Module, patterns: Collection[str]) -> set[str]:
-    """Names of the parameters that lie in the named parts of a network, or whose name fits a pattern.
-
-    Raises:
-        ConfigError: If a part holds no parameter, or all of them would be frozen.
-    """
-    names = [name for name, _ in network.named_parameters()]
-    found: set[str] = set()
-    for pattern in patterns:
-        fitting = {name for name in names if _within(name, pattern)}
-        if not fitting:
-            parts = ", ".join(dict.fromkeys(name.partition(".")[0] for name in names))
-            raise ConfigError(f"training.start.freeze: {pattern} is no part of the network; its parts are {parts}.")
-        found |= fitting
-    if found and len(found) == len(names):
-        raise ConfigError("training.start.freeze: expected some part to train, got every one.")
-    return found
-
-
-def frozen_modules(network: nn.Module, patterns: Collection[str]) -> list[nn.Module]:
-    """The modules of the frozen parts, whose batch statistics stay as they are too."""
-    frozen = frozen_names(network, patterns)
-    found = []
-    for name, module in network.named_modules():
-        own = [f"{name}.{key}" if name else key for key, _ in module.named_parameters(recurse=False)]
-        if any(_within(name, pattern) for pattern in patterns) or (own and frozen.issuperset(own)):
-            found.append(module)
-    return found
-
-
-def _within(name: str, pattern: str) -> bool:
-    return name == pattern or name.startswith(f"{pattern}.") or fnmatchcase(name, pattern)

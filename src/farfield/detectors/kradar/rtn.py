@@ -13,7 +13,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from farfield.detectors.contract import Channels
+from farfield.detectors.contract import Channels, InputColumns
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import features_of
 from farfield.detectors.kradar.backbone import RadarNeck
@@ -77,6 +77,14 @@ class RTN(RadarDetector):
         self.multiple = max(self.trunk.strides)
         self.neck = RadarNeck(self.trunk.widths, self.trunk.strides, config.neck_width, overlap=False)
         self.add_head(self.neck.channels, self.multiple)
+
+    def input_columns(self) -> InputColumns:
+        """What the first convolution reads: each column at each height of the grid, or the mean over heights."""
+        config = self.config
+        depth, low, cell = config.grid.shape(1)[0], config.grid.z_min_m, config.grid.cell_m[2]
+        places = ["mean"] if config.height == "mean" else [f"z {low + (k + 0.5) * cell:.2f} m" for k in range(depth)]
+        said = [f"{config.columns[index]} at {place}" for index in self.read for place in places]
+        return {"trunk.stem.0.weight": (1, said)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Dense map of the cells, 2D dense convolution blocks and neck (appendix E.1 and E.3)."""

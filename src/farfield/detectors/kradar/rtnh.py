@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from torch import Tensor
 
-from farfield.detectors.contract import Channels
+from farfield.detectors.contract import Channels, InputColumns
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.kradar.backbone import RadarBackbone
 from farfield.detectors.kradar.cells import CellEncoder
@@ -61,6 +61,10 @@ class RTNH(RadarDetector):
             execution=config.execution,
         )
         self.add_head(self.backbone.channels, multiple)
+
+    def input_columns(self) -> InputColumns:
+        """What the encoder's linear layer reads of a cell."""
+        return {"encoder.linear.weight": (1, self.encoder.columns)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Occupied cells, 3D sparse convolution blocks and neck (appendix E.1 and E.2)."""

@@ -17,7 +17,7 @@ from torch import Tensor
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.contract import Channels, InputColumns, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.grid import GridConfig
 from farfield.detectors.inputs import POSITION, CloudInput, Positions, stacked
@@ -98,6 +98,10 @@ class PointPillars(MapDetector):
         self.assigner, self.channels = self.head.assigner, self.backbone.channels
         if config.features == "openpcdet":
             use_openpcdet_momentum(self)
+
+    def input_columns(self) -> InputColumns:
+        """What the encoder's linear layer reads of a point."""
+        return {"encoder.linear.weight": (1, self.encoder.features)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Pillars, their image, and the backbone's features (sections 2.1 and 2.2)."""

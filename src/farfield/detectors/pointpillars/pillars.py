@@ -14,6 +14,8 @@ from farfield.detectors.grid import GridConfig
 from farfield.detectors.inputs import Positions, features_of
 from farfield.detectors.norm import normalise_rows
 
+_DESCRIBED = ("x", "y", "z", "dx of mean", "dy of mean", "dz of mean", "dx of centre", "dy of centre", "log_count")
+
 
 class PillarEncoder(nn.Module):
     """Points of a batch to a dense image of pillar features.
@@ -39,6 +41,7 @@ class PillarEncoder(nn.Module):
         self.first = 0 if positions == "absolute" else 2  # of x, y and z
         self.grid, self.channels = grid, channels
         self.extra = features_of(columns)
+        self.features = (*_DESCRIBED[self.first :], *[columns[index] for index in self.extra])
         self.nx, self.ny = grid.shape(multiple)
         self.y_min_m = grid.y_min_m(multiple)
         self.linear = nn.Linear(9 - self.first + len(self.extra), channels, bias=False)

@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import Channels, ClassRows, DetectorConfig, Network
+from farfield.detectors.contract import Channels, ClassRows, DetectorConfig, InputColumns, Network
 from farfield.detectors.features import PointFeatures, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.losses import focal_loss
@@ -175,6 +175,18 @@ class PointRCNN(Network):
         names = self.config.class_names
         logits = {f"{part}.1.{kind}": (0, names) for part in _BY_CLASS for kind in ("weight", "bias")}
         return {**logits, "refinement.local.linears.0.weight": (1, (*range(7), *names))}
+
+    def input_columns(self) -> InputColumns:
+        """What the first level's perceptrons read, and the last propagation's, which meets the input again."""
+        said, last = tuple(self.config.inputs), len(self.backbone.propagations) - 1
+        if not said:
+            return {}
+        first = {
+            f"backbone.abstractions.0.mlps.{number}.linears.0.weight": (1, ("dx", "dy", "dz", *said))
+            for number in range(len(self.backbone.abstractions[0].mlps))
+        }
+        coarse = tuple(f"coarse {number}" for number in range(self.backbone.propagations[last].c_coarse))
+        return {**first, f"backbone.propagations.{last}.mlp.linears.0.weight": (1, (*coarse, *said))}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:
         """Chosen points and their features (section 3.1); ``aux`` holds the row of each in its cloud."""

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.contract import Channels, InputColumns, MapDetector
 from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.openpcdet_features import use_openpcdet_momentum
@@ -167,8 +167,16 @@ class Second(MapDetector):
             use_openpcdet_momentum(self)
 
     def _feature_count(self) -> int:
-        columns, means = len(self.config.columns), len(mean_features(self.config.positions))
-        return columns if self.config.features == "openpcdet" else means + columns - len(POSITION)
+        return len(self._features())
+
+    def _features(self) -> tuple[str, ...]:
+        """Names of a voxel's features."""
+        columns, means = self.config.columns, mean_features(self.config.positions)
+        return columns if self.config.features == "openpcdet" else (*means, *columns[len(POSITION) :])
+
+    def input_columns(self) -> InputColumns:
+        """What the first convolution reads of a voxel."""
+        return {"middle.0.conv.weight": (1, self._features())}
 
     def voxels(self, clouds: Sequence[Tensor]) -> SparseTensor:
         """The occupied voxels of a batch with their mean features (section 3.1.1, with the mean for the VFE)."""

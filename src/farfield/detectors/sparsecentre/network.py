@@ -15,7 +15,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.contract import Channels, InputColumns, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.sparse import SparseTensor, SubmanifoldConv
@@ -99,9 +99,9 @@ class SparseCentre(MapDetector):
         config = config or SparseCentreConfig()
         super().__init__(config)
         self.inputs = {"points": CloudInput(columns=config.columns)}
-        c_in = len(mean_features(config.positions)) + len(config.columns) - len(POSITION)
+        self.features = (*mean_features(config.positions), *config.columns[len(POSITION) :])
         width = config.pyramid_widths[0]
-        self.encoder = VoxelEncoder(c_in, config.widths, config.depths)
+        self.encoder = VoxelEncoder(len(self.features), config.widths, config.depths)
         self.to_map = normalised(SubmanifoldConv(config.widths[-1], width, (1, 1, 1)), width)
         self.pyramid = SparsePyramid(config.pyramid_widths, config.pyramid_depth)
         cell_m = config.grid.cell_m[0] * config.map_stride
@@ -117,6 +117,10 @@ class SparseCentre(MapDetector):
         shape, y_min_m = (nx // config.map_stride, ny // config.map_stride), config.grid.y_min_m(config.multiple)
         self.head = CentreHead(config, width, shape=shape, cell_m=cell_m, y_min_m=y_min_m)
         self.assigner, self.channels = self.head.assigner, width
+
+    def input_columns(self) -> InputColumns:
+        """What the first convolution reads of a voxel."""
+        return {"encoder.0.conv.weight": (1, self.features)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxels, sparse encoder, pyramid, diffusion and refinement; ``aux`` holds votes and heights for the head."""

@@ -252,8 +252,9 @@ def _shifted_relu(values: Tensor, ground: Tensor, place: Tensor, scale: Tensor, 
 def _update(norm: nn.BatchNorm3d, mean: Tensor, variance: Tensor, count: float) -> None:
     """Move the running statistics as ``nn.BatchNorm3d`` does."""
     norm.num_batches_tracked += 1
-    norm.running_mean.lerp_(mean, norm.momentum)
-    norm.running_var.lerp_(variance * (count / max(count - 1, 1)), norm.momentum)
+    share = 1 / float(norm.num_batches_tracked) if norm.momentum is None else norm.momentum
+    norm.running_mean.lerp_(mean, share)
+    norm.running_var.lerp_(variance * (count / max(count - 1, 1)), share)
 
 
 class _NormRelu(torch.autograd.Function):

@@ -16,7 +16,7 @@ from torch import Tensor
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
 from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.contract import Channels, InputColumns, MapDetector
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.voxelnet.middle import MiddleLayers, middle_depths
@@ -114,6 +114,10 @@ class VoxelNet(MapDetector):
         )
         self.head = AnchorHead(config, self.backbone.channels, anchors)
         self.assigner, self.channels = self.head.assigner, self.backbone.channels
+
+    def input_columns(self) -> InputColumns:
+        """What the first layer reads of a point."""
+        return {"encoder.layers.0.linear.weight": (1, self.encoder.features)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Voxel features, convolutional middle layers and the region proposal network's trunk (section 2.1)."""

@@ -15,6 +15,8 @@ from farfield.detectors.inputs import Positions, features_of, stacked
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import VoxelGridConfig, voxel_keys
 
+_POSITION = ("x", "y", "z")
+
 
 class PointLayer(nn.Module):
     """Fully connected layer, batch normalisation over the points, ReLU.
@@ -75,7 +77,9 @@ class VoxelFeatureEncoder(nn.Module):
         self.grid, self.multiple, self.max_points = grid, multiple, max_points
         self.extra = features_of(columns)
         self.first = 0 if positions == "absolute" else 2  # of x, y and z
-        c_in = 6 - self.first + len(self.extra)
+        extra = [columns[index] for index in self.extra]
+        self.features = (*_POSITION[self.first :], *extra, "dx of mean", "dy of mean", "dz of mean")
+        c_in = len(self.features)
         self.layers = nn.ModuleList()
         for width in widths:
             self.layers.append(PointLayer(c_in, width // 2))

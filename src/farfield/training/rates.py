@@ -1,0 +1,95 @@
+"""Learning rates by part of the network, which the schedule of the training scales and does not overwrite."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import nn
+
+from farfield.errors import ConfigError
+from farfield.training.config import StartConfig, TrainingConfig
+from farfield.training.freezing import frozen_names, frozen_now, within
+
+
+def rates_of(network: nn.Module, start: StartConfig | None) -> dict[str, float]:
+    """The rate of each parameter over the training's, by name; the longest name or pattern that fits counts.
+
+    With ``layer_decay`` the parts in the order in which the network has them, first to last, learn at
+    ``decay ** (number of parts after it)``.
+
+    Raises:
+        ConfigError: If a name or pattern fits no parameter.
+    """
+    names = [name for name, _ in network.named_parameters()]
+    rates = dict.fromkeys(names, 1.0)
+    for pattern, rate in sorted(_said(network, start).items(), key=lambda pair: len(pair[0])):
+        for name in within(names, pattern, "training.start.rates"):
+            rates[name] = rate
+    return rates
+
+
+def _said(network: nn.Module, start: StartConfig | None) -> Mapping[str, float]:
+    if start is None:
+        return {}
+    if start.layer_decay is None:
+        return start.rates
+    parts = [name for name, part in network.named_children() if any(True for _ in part.parameters())]
+    if len(parts) < 2:
+        raise ConfigError(f"training.start.layer_decay: expected a network of several parts, got {', '.join(parts)}.")
+    return {name: start.layer_decay ** (len(parts) - 1 - number) for number, name in enumerate(parts)}
+
+
+def always_frozen(network: nn.Module, start: StartConfig | None) -> set[str]:
+    """Names of the parameters that no step trains: they stay out of the optimiser."""
+    until = {} if start is None else start.frozen_until
+    return frozen_names(network, frozen_now(until, 1, 1))
+
+
+def groups_of(
+    trained: list[nn.Parameter], rates: Mapping[int, float], *, weight_decay: float, rate: float = 1.0
+) -> list[dict[str, Any]]:
+    """An optimiser's groups: by rate, and within each those with weight decay and those (norms, biases) without.
+
+    Args:
+        trained: The parameters.
+        rates: Rates of parameters, by ``id``, where they are not 1.
+        weight_decay: Of the matrices and kernels.
+        rate: Multiplies them all.
+    """
+    groups: list[dict[str, Any]] = []
+    for own in sorted({rates.get(id(parameter), 1.0) for parameter in trained} or {1.0}):
+        chosen = [parameter for parameter in trained if rates.get(id(parameter), 1.0) == own]
+        groups += [
+            {"params": [p for p in chosen if p.ndim > 1], "weight_decay": weight_decay, "rate": rate * own},
+            {"params": [p for p in chosen if p.ndim <= 1], "weight_decay": 0.0, "rate": rate * own},
+        ]
+    return groups
+
+
+def set_rates(optimizer: torch.optim.Optimizer, peak_now: float | int) -> None:
+    """Give each group the schedule's rate of this step times its own."""
+    for group in optimizer.param_groups:
+        group["lr"] = peak_now * group.get("rate", 1.0)
+
+
+def described(network: nn.Module, config: TrainingConfig) -> list[str]:
+    """A line for each part of the network: its parameters, its rate, and until which step it is frozen."""
+    start = config.start
+    rates, until = rates_of(network, start), {} if start is None else start.frozen_until
+    frozen = {name: round(share * config.steps) for name, share in until.items()}
+    lines, names = [], [name for name, _ in network.named_parameters()]
+    held = {pattern: within(names, pattern, "training.start.freeze") for pattern in frozen}
+    for part in dict.fromkeys(name.partition(".")[0] for name in names):
+        own = [(name, p) for name, p in network.named_parameters() if name.partition(".")[0] == part]
+        kinds: dict[tuple[float, int], list[int]] = {}
+        for name, parameter in own:
+            last = max((frozen[pattern] for pattern, inside in held.items() if name in inside), default=0)
+            kinds.setdefault((rates[name], last), []).append(parameter.numel())
+        for (rate, last), sizes in kinds.items():
+            if last >= config.steps:
+                words = "frozen, not in the optimiser"
+            else:
+                words = f"rate {rate * config.learning_rate:g} at its peak"
+                words += f", frozen for the first {last} of {config.steps} steps" if last else ""
+            lines.append(f"{part}: {len(sizes)} tensors, {sum(sizes)} parameters, {words}")
+    return lines
