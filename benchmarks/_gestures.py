@@ -8,6 +8,7 @@ import numpy as np
 from farfield.frame import Boxes, Frame
 from farfield.geometry.iou import paired_iou
 from farfield.geometry.points import box_coordinates_m, points_in_boxes
+from farfield.studio.annotating.fits import sensor_place
 from farfield.studio.fitting import Fit, Prior, fit_click, fit_drag, prior_of, refit
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
@@ -42,7 +43,7 @@ def subjects(frames: Iterable[tuple[str, Frame]]) -> Iterator[Subject]:
         for label, size in zip(frame.boxes.label, frame.boxes.size_m, strict=True):
             sizes.setdefault((source, str(label)), []).append(size)
     for source, frame in frames:
-        points = frame.cloud().points_m
+        points, (place, height) = frame.cloud().points_m, sensor_place(frame, "lidar")
         for index, own in enumerate(points_in_boxes(points, frame.boxes)):
             label = str(frame.boxes.label[index])
             if len(own) < LEAST_POINTS or label == "unknown":
@@ -54,8 +55,14 @@ def subjects(frames: Iterable[tuple[str, Frame]]) -> Iterator[Subject]:
                 points_m=points,
                 box=frame.boxes[index],
                 own_m=points[own],
-                prior=prior_of(label, size_m=median),
+                prior=replace(prior_of(label, size_m=median), ego_m=place, ego_z_m=height),
             )
+
+
+def seen_whole(subject: Subject, within_m: float = 0.15) -> bool:
+    """Whether points of an object lie within so much of both of its ends, so that they tell its length."""
+    along = box_coordinates_m(subject.own_m, subject.box, 0)[:, 0]
+    return bool(subject.box.size_m[0, 0] - np.ptp(along) <= 2 * within_m and len(along) > 1)
 
 
 def pressed(subject: Subject, rng: np.random.Generator, error_m: float = 0.0) -> np.ndarray:
@@ -112,10 +119,12 @@ def shrunk(subject: Subject, rng: np.random.Generator) -> Boxes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Errors:
-    """One row an object: overlap from above, distance of centres in the plane, turn, milliseconds."""
+    """One row an object: overlap from above, distance of centres and its parts along the heading and across, turn, ms."""
 
     iou: np.ndarray
     centre_m: np.ndarray
+    along_m: np.ndarray
+    across_m: np.ndarray
     yaw_deg: np.ndarray
     ms: np.ndarray
 
@@ -140,9 +149,13 @@ def measured(
 def compared(boxes: Boxes, truth: Boxes, ms: np.ndarray) -> Errors:
     """Errors of boxes, each beside its true one."""
     turn = np.rad2deg(np.abs(np.mod(boxes.yaw_rad - truth.yaw_rad + np.pi / 2, np.pi) - np.pi / 2))
+    x, y = (boxes.centre_m - truth.centre_m)[:, :2].T
+    cos, sin = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
     return Errors(
         iou=paired_iou(boxes, truth, kind="bev"),
-        centre_m=np.hypot(*(boxes.centre_m - truth.centre_m)[:, :2].T),
+        centre_m=np.hypot(x, y),
+        along_m=np.abs(x * cos + y * sin),
+        across_m=np.abs(y * cos - x * sin),
         yaw_deg=turn,
         ms=ms,
     )

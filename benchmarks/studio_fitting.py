@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from _gestures import Subject, click, click_lane, drag, drawn, measured, shrunk, snapped, subjects
+from _gestures import Subject, click, click_lane, drag, drawn, measured, seen_whole, shrunk, snapped, subjects
 from _report import SHARED_REAL, header, progress
 from scipy.ndimage import maximum_filter
 
@@ -99,6 +99,12 @@ def simulated_part() -> Iterator[str]:
         yield (
             f"  {title:<20} centre {np.median(found.centre_m):.3f} m, yaw {np.median(found.yaw_deg):.2f} degrees, "
             f"overlap {np.median(found.iou):.2f} (medians); missed {missed}"
+        )
+        whole = np.array([seen_whole(one) for one in chosen])
+        yield (
+            f"    along the heading {np.median(found.along_m):.3f} m, across {np.median(found.across_m):.3f} m; centre "
+            f"of the {whole.sum()} with points at both ends {np.median(found.centre_m[whole]):.3f} m, of the others "
+            f"{np.median(found.centre_m[~whole]):.3f} m"
         )
     yield "   targets: centre 0.10 m, yaw 2 degrees"
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _gestures import Subject, subjects
+from _gestures import Subject, seen_whole, subjects
 from _report import SHARED_REAL, header, progress
 from _studio_copies import Emptied, annotated, emptied, errors_of, written
 from _studio_hand import Hand, kind_of, usual_length_m, word_of
@@ -102,15 +102,23 @@ def draw_next(hand: Hand, source: Path, chosen: Sequence[tuple[int, Subject]]) -
     return made
 
 
-def scored(title: str, copy: Emptied, chosen: Sequence[tuple[int, Subject]], made: Sequence[Any]) -> tuple[str, bool]:
-    """A line with the medians over all objects, and whether they hold; an object without a box is infinitely far."""
+def scored(title: str, copy: Emptied, chosen: Sequence[tuple[int, Subject]], made: Sequence[Any]) -> Iterator[str]:
+    """Medians over all objects, and whether they hold; then what the centre's error is made of.
+
+    An object without a box is infinitely far.
+    """
     found, there = errors_of(copy, chosen, made)
     missed = int((~there).sum() + (found.iou < MISSED).sum())
     centre = float(np.median(np.append(found.centre_m, np.full(int((~there).sum()), np.inf))))
     yaw = float(np.median(found.yaw_deg))
     held = centre <= CENTRE_M and yaw <= YAW_DEG
     line = f"  {title:<32} centre {centre:.3f} m, yaw {yaw:.2f} degrees, overlap {np.median(found.iou):.2f} (medians); "
-    return f"{line}missed {missed} of {len(chosen)}  {'held' if held else 'MISSED'}", held
+    yield f"{line}missed {missed} of {len(chosen)}  {'held' if held else 'MISSED'}"
+    whole = np.array([seen_whole(one) for (_, one), given in zip(chosen, there, strict=True) if given])
+    yield f"   along the heading {np.median(found.along_m):.3f} m, across {np.median(found.across_m):.3f} m"
+    for words, which in (("points at both ends", whole), ("an end that no point shows", ~whole)):
+        if which.any():
+            yield f"   {words:<27} {which.sum():>2} objects, centre {np.median(found.centre_m[which]):.3f} m"
 
 
 def simulated_part(work: Path, chromium: Any) -> Iterator[str]:
@@ -122,7 +130,7 @@ def simulated_part(work: Path, chromium: Any) -> Iterator[str]:
     with annotated(new, chromium) as page:
         made = draw_new(Hand(page), chosen)
         classes = page.tell("state.welcome.classes")
-    yield scored("new objects, size of the class", new, chosen, made)[0]
+    yield from scored("new objects, size of the class", new, chosen, made)
     lengths = [(float(one.box.size_m[0, 0]), word_of(classes, str(one.box.label[0]))) for _, one in chosen]
     off = np.median([abs(length - usual_length_m(classes, name, length)) / 2 for length, name in lengths])
     yield f"   (half of what the usual length is off: {off:.3f} m in the median; so far off is the middle of a box"
@@ -130,7 +138,7 @@ def simulated_part(work: Path, chromium: Any) -> Iterator[str]:
     later = emptied(source, work / "next", sorted({frame for frame, _ in chosen}))
     with annotated(later, chromium) as page:
         made = draw_next(Hand(page), source, chosen)
-    yield scored("the next box of a track", later, chosen, made)[0]
+    yield from scored("the next box of a track", later, chosen, made)
     yield f"   targets: centre {CENTRE_M:.2f} m, yaw {YAW_DEG:g} degrees"
 
 

@@ -31,7 +31,7 @@ def test_new_objects_by_one_drag_each(chromium, drives, tmp_path):
         made = draw_new(Hand(page), chosen)
     found, there = errors_of(copy, chosen, made)
     assert there.sum() >= FEW - 1
-    assert np.median(found.centre_m) < 0.35  # the class's length is not the object's
+    assert np.median(found.centre_m) < 0.2  # of six, some of which hide an end
     assert np.median(found.yaw_deg) < 2
     assert len([label for frame in copy.boxes() for label in frame]) == there.sum()
     assert {label.track for frame in copy.boxes() for label in frame} == {str(row["track"]) for row in made if row}

@@ -1,5 +1,7 @@
 """A flat or sloping road with one car on it, of which a sensor at the origin sees the sides that face it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -46,3 +48,16 @@ def scene(
     return np.concatenate([road(rng, slope=slope), sides(centre, yaw_rad, size, step_m=step_m, base_m=base)]).astype(
         np.float32
     )
+
+
+def seen_past(points: Float[np.ndarray, "n 3"], box: Sequence[float]) -> Float[np.ndarray, "m 3"]:
+    """Points that a sensor at the origin sees past a box (x, y, z, length, width, height, yaw): not through it."""
+    x, y, z, length, width, height, yaw = box
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    start, end = -np.array([x, y, z]) @ turn, (points - [x, y, z]) @ turn
+    step, half = end - start, np.array([length, width, height]) / 2 - 1e-3
+    with np.errstate(divide="ignore"):
+        ways = np.sort(np.stack([(-half - start) / step, (half - start) / step]), axis=0)
+    enters, leaves = ways[0].max(axis=1), ways[1].min(axis=1)
+    return points[~((enters < leaves) & (enters < 0.999) & (leaves > 0))]

@@ -59,3 +59,6 @@ def test_forty_simulated_objects(gestures: ModuleType) -> None:
     assert np.median(found.centre_m) <= 0.10
     assert np.median(found.yaw_deg) <= 2.0
     assert (found.iou < 0.1).sum() <= 2
+    unknown = gestures.measured(near, partial(gestures.drag, error_m=0.35), seed=1)  # with the size of the class
+    assert np.median(unknown.centre_m) <= 0.12
+    assert (unknown.iou < 0.1).sum() <= 2

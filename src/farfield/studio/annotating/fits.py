@@ -92,8 +92,9 @@ class Fitter:
         known_name = name if name in VEHICLE_KINDS or name in SMALL_KINDS else our_class(request.class_name)
         prior = prior_of(known_name, size_m=size, extent=extent)  # type: ignore[arg-type]
         lane = 0.0 if prior.anchored else None  # most vehicles drive along the sensor's own way
-        ego = _ego(frame, "radar" if request.kind == "peak" else "lidar")
-        return Prior(**{**vars(prior), "yaw_rad": yaw, "lane_rad": lane, "fixed_size": locked, "ego_m": ego})
+        ego, height = sensor_place(frame, "radar" if request.kind == "peak" else "lidar")
+        known = {"yaw_rad": yaw, "lane_rad": lane, "fixed_size": locked, "ego_m": ego, "ego_z_m": height}
+        return Prior(**{**vars(prior), **known})
 
     def _track(self, index: int, name: str) -> tuple[float | None, tuple[float, float, float] | None, bool]:
         """Yaw of a track in a frame, from its nearest keyframe; its size; whether that is locked."""
@@ -143,12 +144,13 @@ def _points(frame: Frame) -> Float[np.ndarray, "n 3"]:
     return np.zeros((0, 3), dtype=np.float32) if name is None else frame.cloud(name).points_m
 
 
-def _ego(frame: Frame, kind: str) -> tuple[float, float]:
-    """Where the sensor stands, x and y."""
+def sensor_place(frame: Frame, kind: str) -> tuple[tuple[float, float], float | None]:
+    """Where the sensor of a kind stands: x and y, and z where that is known."""
     for sensor in frame.sensors.values():
         if sensor.kind == kind and sensor.frame_T_sensor is not None:
-            return float(sensor.frame_T_sensor[0, 3]), float(sensor.frame_T_sensor[1, 3])
-    return 0.0, 0.0
+            x, y, z = sensor.frame_T_sensor[:3, 3].tolist()
+            return (x, y), z
+    return (0.0, 0.0), None
 
 
 def _floats(box: Sequence[float]) -> tuple[float, float, float, float, float, float, float]:

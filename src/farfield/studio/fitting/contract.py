@@ -30,6 +30,7 @@ class Prior:
         lane_rad: Heading of the lane or of the ego vehicle, whose sign is a guess, or None.
         fixed_size: Whether the size is the track's and stays as it is.
         ego_m: x and y of the sensor in the points' coordinates.
+        ego_z_m: And its z, where all points are of that one sensor: rays that went past the object are followed then.
 
     Raises:
         ValueError: If a size is not positive and finite.
@@ -42,6 +43,7 @@ class Prior:
     lane_rad: float | None = None
     fixed_size: bool = False
     ego_m: tuple[float, float] = (0.0, 0.0)
+    ego_z_m: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.size_m) != 3 or not all(np.isfinite(size) and size > 0 for size in self.size_m):

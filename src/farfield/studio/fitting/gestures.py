@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.geometry.points import inside_box
-from farfield.studio.fitting.anchoring import along_length, footprint
+from farfield.studio.fitting.anchoring import along_length, axes, footprint
 from farfield.studio.fitting.clusters import cluster_at, link_radius_m
 from farfield.studio.fitting.contract import Box, Candidate, Fit, HeadingFrom, Prior, boxes_of
 from farfield.studio.fitting.finishing import headed, inside, stood_on
+from farfield.studio.fitting.freespace import ends_of
 from farfield.studio.fitting.ground import Ground, above, fit_ground, near
 from farfield.studio.fitting.lshape import CLOSENESS_BELOW, best_yaw, turned_yaw
+from farfield.studio.fitting.placing import placed
 from farfield.studio.fitting.searching import search
 
 XY = Sequence[float] | Float[np.ndarray, " 2"]
@@ -28,6 +30,8 @@ _POINTS_TO_REFIT = 8
 _LEAST_DRAG_M = 0.3
 _TRUSTED_M = 30.0
 _WIDER_M = 2.0
+_BESIDE_M = 1.0
+_LONGER, _LINK_M, _SAME_M = 0.25, 0.5, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +40,7 @@ class _Scene:
 
     ground: Ground
     points_m: Float[np.ndarray, "n 3"]
+    cloud_m: Float[np.ndarray, "m 3"]
 
     @property
     def xy_m(self) -> Float[np.ndarray, "n 2"]:
@@ -87,7 +92,7 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fi
         return _searched(scene, at, yaw, prior, criterion=criterion, drawn_rad=None, begun=begun)
     yaw, criterion = best_yaw(linked[:, :2])
     yaw, source = headed(along_length(linked[:, :2], yaw, prior), prior)
-    box = stood_on(footprint(linked[:, :2], yaw, prior), linked, scene.ground, prior)
+    box = stood_on(_whole(scene, linked, yaw, prior), linked, scene.ground, prior)
     if prior.lane_rad is None:
         return _fit(scene, box, (), criterion, source, begun)
     if prior.anchored and len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
@@ -124,7 +129,7 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
     moved = scene.points_m[inside(scene.xy_m, found, _WINDOW_M)]
     held = moved if len(moved) >= _POINTS_TO_REFIT else held
     yaw, criterion = _turned(held, float(drawn[4]), _SNAPPED_RAD)
-    made = stood_on(footprint(held[:, :2], yaw, prior), held, scene.ground, prior)
+    made = stood_on(_whole(scene, held, yaw, prior), held, scene.ground, prior)
     return _fit(scene, made, (), criterion, "drag", begun)
 
 
@@ -167,7 +172,7 @@ def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> 
     z = ground.z_m(x, y) + height / 2 if ground.cells else z
     made = (x, y, z, length, width, height, yaw)
     around = near(points_m, (x, y), float(np.hypot(length, width)))
-    return _fit(_Scene(ground, above(around, ground)), made, (), "drawn", "drag", begun, note)
+    return _fit(_Scene(ground, above(around, ground), points_m), made, (), "drawn", "drag", begun, note)
 
 
 def _drawn_size(drawn: Float[np.ndarray, " 5"], prior: Prior) -> Prior:
@@ -190,7 +195,7 @@ def _scene(
 ) -> _Scene:
     ground = fit_ground(points_m, at)
     reach_m = max(float(np.hypot(*prior.size_m[:2])), least_m) + _WIDER_M
-    return _Scene(ground, above(near(points_m, at, reach_m), ground))
+    return _Scene(ground, above(near(points_m, at, reach_m), ground), points_m)
 
 
 def _searched(
@@ -204,15 +209,17 @@ def _searched(
     begun: float,
 ) -> Fit:
     """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
-    rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
+    rectangles, score, held = _found(scene, at, yaw_rad, prior)
+    if len(held) == 0:
+        rectangles, score, held = _found(scene, _nearest(scene, at), yaw_rad, prior)
     rectangle, note = rectangles[0], ""
-    held = scene.points_m[inside(scene.xy_m, rectangle, _WINDOW_M)]
     if len(held) == 0:
         rectangle = np.array([*at, *prior.size_m[:2], yaw_rad])
         note = "no points over the ground here: the box has its usual size about the pointer"
     else:
         yaw, _ = _turned(held, yaw_rad, _REFINED_RAD)
-        rectangle = footprint(held[:, :2], yaw, prior)
+        held = _longer(scene, held, yaw, prior)
+        rectangle = _whole(scene, held, yaw, prior)
     yaw, source = headed(float(rectangle[4]), prior, drawn_rad)
     rectangle[4] = yaw
     others = tuple(
@@ -220,6 +227,52 @@ def _searched(
         for place in 1 + np.argsort(-score[1:], kind="stable")
     )
     return _fit(scene, stood_on(rectangle, held, scene.ground, prior), others, criterion, source, begun, note)
+
+
+def _found(
+    scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior
+) -> tuple[Float[np.ndarray, "k 5"], Float[np.ndarray, " k"], Float[np.ndarray, "m 3"]]:
+    """Boxes that hold a place, at a yaw and beside it, their scores, and the points of the first."""
+    rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
+    return rectangles, score, scene.points_m[inside(scene.xy_m, rectangles[0], _WINDOW_M)]
+
+
+def _nearest(scene: _Scene, at: tuple[float, float]) -> tuple[float, float]:
+    """The point next to a place that was missed by less than a metre, seen from above; else the place."""
+    apart = np.hypot(*(scene.xy_m - at).T)
+    if len(apart) == 0 or apart.min() > _BESIDE_M:
+        return at
+    return _pair(scene.xy_m[int(np.argmin(apart))])
+
+
+def _longer(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, "m 3"]:
+    """The points of an object and those that go on from them lengthwise, for one longer than usual."""
+    if not (prior.anchored and prior.grows) or prior.fixed_size:
+        return held_m
+    about = footprint(held_m[:, :2], yaw_rad, prior)
+    turn = axes(yaw_rad)
+    own, local = (held_m[:, :2] - about[:2]) @ turn.T, (scene.xy_m - about[:2]) @ turn.T
+    low, high = own.min(axis=0), own.max(axis=0)
+    beside = np.abs(local[:, 1]) <= about[3] / 2 + _WINDOW_M / 2
+    reach = _LONGER * prior.size_m[0]
+    along = np.sort(local[beside & (local[:, 0] > low[0] - reach) & (local[:, 0] < high[0] + reach), 0])
+    for value in along[along > high[0]]:
+        if value - high[0] > _LINK_M:
+            break
+        high[0] = value
+    for value in along[along < low[0]][::-1]:
+        if low[0] - value > _LINK_M:
+            break
+        low[0] = value
+    kept = beside & (local[:, 0] >= low[0] - _SAME_M) & (local[:, 0] <= high[0] + _SAME_M)
+    return scene.points_m[kept]
+
+
+def _whole(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, " 5"]:
+    """The rectangle of an object's points at a yaw, by what was seen of its ends."""
+    about = footprint(held_m[:, :2], yaw_rad, prior)
+    ends = ends_of(scene.cloud_m, held_m, about, scene.ground, prior)
+    return placed(ends, held_m[:, :2], yaw_rad, prior)
 
 
 def _along(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[Candidate, ...]:

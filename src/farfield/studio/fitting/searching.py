@@ -92,7 +92,7 @@ def _sums(local_m: Float[np.ndarray, "n 2"], size_m: Float[np.ndarray, " 2"]) ->
     cell = cell[((cell >= 0) & (cell < 2 * margin)).all(axis=1)]
     counts = np.zeros(tuple(2 * margin + 1))
     np.add.at(counts, (cell[:, 0] + 1, cell[:, 1] + 1), 1.0)
-    return counts.cumsum(axis=0).cumsum(axis=1)
+    return np.sqrt(counts).cumsum(axis=0).cumsum(axis=1)
 
 
 def _counted(
