@@ -86,9 +86,18 @@ def test_options_by_name_and_tracks_joined_afterwards(tmp_path: Path, capsys: py
         ([], "default, online: 2 tracks"),
         (["--join-s", "5"], "default, offline (joined): 1 tracks"),
         (["--join-s", "1"], "default, offline (joined): 2 tracks"),
+        (["--preset", "annotated", "--join-s", "30"], "annotated, offline (joined): 1 tracks"),
         (["-o", "max_age_s=3", "-o", "gate=4"], "default, online: 1 tracks"),
     ):
         assert cli.main(["track", str(found), "--out", str(out), *extra]) == 0
+        assert said in capsys.readouterr().out
+    longer = tmp_path / "longer.csv"
+    longer.write_text("\n".join([*lines[:21], *(line.replace(",0,0,4,", ",0,0,4.2,") for line in lines[21:])]) + "\n")
+    for extra, said in (
+        (["--join-s", "5"], "default, offline (joined): 1 tracks"),
+        (["--preset", "annotated", "--join-s", "30"], "annotated, offline (joined): 2 tracks"),
+    ):
+        assert cli.main(["track", str(longer), "--out", str(out), *extra]) == 0
         assert said in capsys.readouterr().out
     assert cli.main(["track", str(found), "--out", str(out), "-o", "age=3"]) == 1
     assert "expected options among" in capsys.readouterr().err
@@ -99,7 +108,7 @@ def test_what_cannot_be_is_said(drives: Path, capsys: pytest.CaptureFixture[str]
     assert "found nothing there" in capsys.readouterr().err
     arguments = [str(drives / "found"), "--format", "kitti-tracking", "--preset", "sort", "--out", str(drives / "x")]
     assert cli.main(["track", *arguments]) == 1
-    assert "preset: expected one of default, offline, unposed, ab3dmot" in capsys.readouterr().err
+    assert "preset: expected one of default, offline, unposed, annotated, ab3dmot" in capsys.readouterr().err
     scored = ["score", str(drives / "found"), str(drives / "label"), "--format", "kitti-tracking", "--label", "Car"]
     assert cli.main([*scored, "--protocol", "tracking"]) == 1
     assert "farfield track" in capsys.readouterr().err

@@ -9,7 +9,8 @@ from farfield.errors import ConfigError
 from farfield.frame import Drive
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
-from farfield.tracking.joining import Joining, joined
+from farfield.tracking import track
+from farfield.tracking.joining import ANNOTATED, Joining, joined
 
 FRAMES = 80
 
@@ -103,3 +104,50 @@ def test_impossible_settings_are_refused() -> None:
         Joining(longest_s=0.0)
     with pytest.raises(ConfigError, match="1 box or more"):
         Joining(boxes=0)
+    with pytest.raises(ConfigError, match="1 box or more"):
+        Joining(size_boxes=0)
+
+
+def changed(tracks: Detections, frames: range, **fields: object) -> Detections:
+    """The only track's box drawn otherwise in some frames."""
+    boxes = dict(tracks.boxes)
+    for frame in frames:
+        boxes["a", str(frame)] = boxes["a", str(frame)].replace(**fields)
+    return replace(tracks, boxes=boxes)
+
+
+def test_sizes_are_compared_at_the_ends() -> None:
+    """A car drawn longer while it was near: before and behind its absence it is the same to the millimetre."""
+    seen = drive(CAR, (range(60, 80), 0.0, 0.0, 10.0, 4.5, "car"))
+    exact = Joining(size=0.001, size_boxes=8)
+    grown = changed(seen, range(20), size_m=np.array([[5.2, 2.0, 1.5]]))
+    assert names(joined(grown, exact)) == [0]
+    assert names(joined(grown, replace(exact, size_boxes=None))) == [0, 1]
+    assert names(joined(changed(seen, range(22, 30), size_m=np.array([[4.6, 2.0, 1.5]])), exact)) == [0, 1]
+
+
+def test_classes_are_compared_at_the_ends() -> None:
+    """A van that was a car in its first frames is the van that comes back, and no car."""
+    back = (range(60, 80), 0.0, 0.0, 10.0, 4.5)
+    assert names(joined(changed(drive(CAR, (*back, "van")), range(10, 30), label=["van"]))) == [0]
+    assert names(joined(changed(drive(CAR, (*back, "car")), range(10, 30), label=["van"]))) == [0, 1]
+
+
+def test_boxes_that_people_drew_are_joined_by_their_size_over_long_absences() -> None:
+    """Away for 3 s and turned off: 14 m from where it would have come to, and of just the size of one of the two."""
+    seen = drive(CAR, (range(60, 80), 4.0, 14.0, 10.0, 4.5, "car"), (range(60, 80), 0.0, 2.0, 10.0, 4.55, "car"))
+    found = joined(seen, ANNOTATED).boxes["a", "60"]
+    assert found.track_id is not None
+    assert dict(zip(found.centre_m[:, 1], found.track_id.tolist(), strict=True)) == {14.0: 0, 2.0: 2}
+
+
+def test_the_preset_for_drawn_boxes_tracks_a_box_through_a_slip_of_its_class() -> None:
+    """One frame's class is wrong, two frames are missing: one object in the end; `unposed` makes a second one of it."""
+    seen = changed(drive((range(40), 0.0, 0.0, 10.0, 4.5, "car")), range(10, 11), label=["van"])
+    boxes = {key: part.replace(track_id=None) for key, part in seen.boxes.items()}
+    boxes |= {("a", str(frame)): boxes["a", "0"][:0] for frame in (20, 21)}
+    found = replace(seen, boxes=boxes)
+    assert len(names(joined(track(found, "unposed", min_hits=1), ANNOTATED))) > 1
+    online = track(found, "annotated")
+    assert len(names(online)) == 2
+    assert len(names(joined(online, ANNOTATED))) == 1

@@ -1,5 +1,6 @@
 """``farfield track``: give detections identities over time."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +16,7 @@ def run(
     format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
-        str, tyro.conf.arg(metavar="{default,offline,unposed,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
+        str, tyro.conf.arg(metavar="{default,offline,unposed,annotated,ab3dmot,ab3dmot-paper,centerpoint,simpletrack}")
     ] = "default",
     step_s: float | None = None,
     least_score: float | None = None,
@@ -47,7 +48,8 @@ def run(
         format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
         preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
-            offline, which --smooth takes instead of it, and unposed, for a moving car whose poses are not known.
+            offline, which --smooth takes instead of it, unposed, for a moving car whose poses are not known, and
+            annotated, for boxes that people drew.
         step_s: Seconds between frames where there are no stamps; 0.1 unless given.
         least_score: Detections of a lower score are left out.
         least_track_score: Tracks of a lower mean score are left out.
@@ -55,14 +57,15 @@ def run(
             unambiguous unless given.
         option: Change one option of the tracker (docs/tracking.md), as name=value; may be given several times.
         smooth: Look ahead too: smooth each track as a whole (Rauch-Tung-Striebel) and fill its gaps.
-        join_s: Look ahead too: join tracks of one size and class, at most so long apart, that go on as they moved.
+        join_s: Look ahead too: join tracks of one size and class, at most so long apart, that go on as they moved;
+            with --preset annotated by a size that is exactly the same, 30 suits.
         picture: SVG, PNG or JPEG of the tracks' trails from above to write.
     """
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.metrics.reading import read_predictions
     from farfield.reports.trails import check_picture, write_trails
-    from farfield.tracking import Joining, joined, track, with_options
+    from farfield.tracking import joined, joining_of, track, with_options
     from farfield.tracking import preset as preset_of
     from farfield.tracking.placing import with_drives
     from farfield.tracking.selecting import with_track_score
@@ -86,7 +89,7 @@ def run(
     settings = with_options(preset_of(preset).changed(**given), option)
     found = track(seen if data is None else with_drives(seen, open_dataset(data, poses=poses).drives()), settings)
     if join_s is not None:
-        found = joined(found, Joining(longest_s=join_s), step_s=settings.step_s)
+        found = joined(found, replace(joining_of(preset), longest_s=join_s), step_s=settings.step_s)
     if smooth:
         found = smoothed(found, step_s=settings.step_s)
     if least_track_score is not None:

@@ -35,12 +35,16 @@ _AB3DMOT: dict[str, Any] = {
     "report_coasted": True,
     "output": "filtered",
 }
+_UNPOSED: dict[str, Any] = {"gate_speed_m_s": 50.0, "gate_sigmas": None, "initial_speed_variance": 600.0}
 PRESETS: dict[str, TrackerSettings] = {
     "default": TrackerSettings(),
     # For smoothing, which sees whole tracks: they live longer, and scores are judged afterwards.
     "offline": TrackerSettings(max_age=5, min_hits=3, warm_up=3, sure_score=None),
     # For drives without poses: the car's own motion is in every track's speed.
-    "unposed": TrackerSettings(gate_speed_m_s=50.0, gate_sigmas=None, initial_speed_variance=600.0),
+    "unposed": TrackerSettings(**_UNPOSED),
+    # For boxes that people drew, of such drives, without identities: all are objects, but classes slip. A lost track
+    # ends soon, so that it takes no neighbour; `joining.ANNOTATED` finds it again by its size.
+    "annotated": TrackerSettings(**_UNPOSED, min_hits=1, max_age=2, same_class=False),
     "ab3dmot": TrackerSettings(**_AB3DMOT),
     "ab3dmot-paper": TrackerSettings(**_AB3DMOT | {"similarity": "iou", "gate": 0.01}),
     # Yin et al., CVPR 2021: greedy on distances, the last centre moved by the detection's velocity.
