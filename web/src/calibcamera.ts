@@ -302,7 +302,7 @@ export function cameraPage(): Drawer {
   const busy = (): boolean => !model.state?.ready || model.job !== null;
   const used = (): number => (model.state?.picks ?? []).filter((row) => row.used).length;
   fill(byId("right"),
-    h("h3", {}, "camera moved from its start: about and along right, down, ahead"),
+    h("h3", {}, "camera, from its start: about and along right, down, ahead"),
     ...CAMERA_FIELDS.map(valueRow), lensTable(),
     h("div", { class: "row" },
       button("Pick", "calib.pick", (one) => { one.disabled = busy(); one.classList.toggle("on", picking.on); }),

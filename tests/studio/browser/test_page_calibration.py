@@ -192,7 +192,7 @@ def chosen_points(page: Screen, kitti: Path) -> list[tuple[list[float], np.ndarr
     """Points of posts spread over the picture, and where the true camera sees them."""
     cloud = open_dataset(kitti, format="kitti")[0].cloud().points_m.astype(float)
     posts = cloud[(np.hypot(cloud[:, 0], cloud[:, 1]) < 60) & (cloud[:, 2] > -1.2)]
-    pixels, depth, seen = CAMERA.project(posts)
+    pixels, _, seen = CAMERA.project(posts)
     inside = seen & (pixels[:, 1] > 20) & (pixels[:, 1] < 350)
     posts, pixels = posts[inside], pixels[inside]
     order = np.argsort(pixels[:, 0])
