@@ -268,7 +268,7 @@ export function radarPage(): Drawer {
   const main = byId("main");
   const drawer = new Drawer(byId("gl") as HTMLCanvasElement);
   fill(byId("right"),
-    h("h3", { title: "p radar = R(yaw) p lidar + (x, y, z)" }, "LiDAR to radar: turned by yaw, then moved by x, y, z"),
+    h("h3", { title: "p radar = R(yaw) p lidar + (x, y, z)" }, "from LiDAR to radar: yaw, then x, y, z"),
     ...RADAR_FIELDS.map(valueRow),
     h("div", { class: "row" },
       button("Refine", "calib.refine", (one) => (one.disabled = !model.state?.ready || model.job !== null), "main"),

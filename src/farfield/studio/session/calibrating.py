@@ -42,7 +42,7 @@ def _ready(desk: Desk) -> Calibrating:
 async def opened(desk: Desk, window: Window, request: asked.CalibOpen) -> None:
     """Tell the calibration; the first time, read the frames as a job."""
     known = _known(desk)
-    window.send(known.state())
+    window.send(known.state(request.id))
     if known.ready or known.job is not None:
         return
     _start(desk, window, request.id, "reading the frames", partial(_prepared, known))
@@ -76,7 +76,7 @@ async def put(desk: Desk, window: Window, request: asked.CalibSet) -> None:
     del window
     known = _ready(desk)
     known.set(request.base, known.wanted(request.radar, request.camera))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
@@ -84,7 +84,7 @@ async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
     del window
     known = _ready(desk)
     known.pick(request.frame, request.point_m, request.pixel)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None:
@@ -92,7 +92,7 @@ async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None
     del window
     known = _ready(desk)
     known.unpick(request.pick, request.used)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
@@ -100,7 +100,7 @@ async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
     del window
     known = _ready(desk)
     known.undo(request.what)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def solve(desk: Desk, window: Window, request: asked.CalibSolve) -> None:
@@ -136,7 +136,7 @@ async def _saved(desk: Desk, known: Calibrating, request: asked.CalibSave) -> No
         known.end()
     names = tuple(tuple(known.shown(path) for path in paths) for paths in (files, copies))
     desk.tell(CalibSaved(id=request.id, files=names[0], copies=names[1]))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> None:
@@ -146,7 +146,7 @@ async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> No
     files = await desk.in_thread(known.restore)
     names = tuple(known.shown(path) for path in files)
     desk.tell(CalibSaved(id=request.id, files=names, copies=(), restored=True))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 Work = Callable[[Callable[[float], None]], Solved | None]
@@ -180,7 +180,7 @@ async def _run(desk: Desk, known: Calibrating, job: Job, work: Work) -> None:
     if found is not None:
         known.take(found)
     desk.tell(replace(job, state="done", done=_STEPS, message=found.words if found else ""))
-    desk.tell(known.state())
+    desk.tell(known.state(job.id))
 
 
 class _Progress:
