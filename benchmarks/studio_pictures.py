@@ -1,9 +1,9 @@
 """Take the pictures of docs/studio.md in a browser:  python benchmarks/studio_pictures.py [NAME[=DATA]] ...
 
-NAME is annotate, radar, patterns, camera, night, calibrate_radar or calibrate_camera; all unless given. DATA is a data set's folder, perhaps with the
-number of a frame (DATA:3); without it the frames are simulated. With DATA the picture goes to data/studio-pictures/,
-as real frames must not be shown in the docs: their licences do not allow it. Needs the studio extra, Playwright and a
-Chromium, see `make test-browser`.
+NAME is annotate, radar, patterns, camera, night, calibrate_radar or calibrate_camera; all unless given. DATA is a data
+set's folder, perhaps with the number of a frame (DATA:3); without it the frames are simulated. With DATA the picture
+goes to data/studio-pictures/, as real frames must not be shown in the docs: their licences do not allow it. Needs the
+studio extra, Playwright and a Chromium, see `make test-browser`.
 """
 
 import subprocess

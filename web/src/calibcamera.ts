@@ -152,7 +152,7 @@ function lines(lens: CameraModel | null): void {
   paper.font = "11px system-ui, sans-serif";
   const { strip, top } = rects();
   paper.fillStyle = "#8b98a7";
-  paper.fillText("the cloud as the LiDAR sees it: near is bright", 8, strip.y + 14);
+  paper.fillText("the cloud as the LiDAR sees it: near is bright", 8, strip.y + strip.height - 6);
   for (const pick of model.state?.picks ?? []) if (pick.frame === frameNow()) drawPick(paper, pick, lens, top);
   if (picking.pixel) cross(paper, pixelToScreen(picking.pixel), "#7fffd4", 9);
 }
@@ -315,7 +315,7 @@ export function cameraPage(): Drawer {
   const busy = (): boolean => !model.state?.ready || model.job !== null;
   const used = (): number => (model.state?.picks ?? []).filter((row) => row.used).length;
   fill(byId("right"),
-    h("h3", {}, "camera from its start: turns about, shifts along its axes"),
+    h("h3", {}, "camera: turns and shifts from its start"),
     ...CAMERA_FIELDS.map(valueRow), lensTable(),
     h("div", { class: "row" },
       button("Pick", "calib.pick", (one) => { one.disabled = busy(); one.classList.toggle("on", picking.on); }),
