@@ -1,9 +1,9 @@
 """Take the pictures of docs/studio.md in a browser:  python benchmarks/studio_pictures.py [NAME[=DATA]] ...
 
-NAME is annotate, radar, patterns, camera or night; all five unless given. DATA is a data set's folder, perhaps with the
-number of a frame (DATA:3); without it the frames are simulated. With DATA the picture goes to data/studio-pictures/,
-as real frames must not be shown in the docs: their licences do not allow it. Needs the studio extra, Playwright and a
-Chromium, see `make test-browser`.
+NAME is annotate, radar, patterns, camera, night, calibrate_radar or calibrate_camera; all unless given. DATA is a data
+set's folder, perhaps with the number of a frame (DATA:3); without it the frames are simulated. With DATA the picture
+goes to data/studio-pictures/, as real frames must not be shown in the docs: their licences do not allow it. Needs the
+studio extra, Playwright and a Chromium, see `make test-browser`.
 """
 
 import subprocess
@@ -53,7 +53,33 @@ def camera(page: Screen) -> None:
     page.tell("look([20, 0, 0], 38, false)")
 
 
+def calibrate_radar(page: Screen) -> None:
+    """The radar put elsewhere by typed numbers, then solved."""
+    for name, value in (("x_m", "-1.7"), ("y_m", "-0.3"), ("yaw_rad", "1.5")):
+        page.page.locator(f"input[name='{name}']").fill(value)
+        page.press("Enter")
+    page.page.get_by_role("button", name="Refine").click()
+    page.until("is(({ model }) => model.state.solved !== '' && model.fresh)", seconds=300)
+
+
+def calibrate_camera(page: Screen) -> None:
+    """Pairs picked in the picture and the cloud, then the camera turned away from them."""
+    page.press("n")
+    rows = page.tell("spread(9)")
+    for number, (point, pixel) in enumerate(rows, 1):
+        page.page.mouse.click(*page.tell(f"pixel({pixel})"))
+        page.page.mouse.click(*page.tell(f"strip({point})"))
+        page.until(f"is(({{ model }}) => model.state.picks.length === {number})")
+    page.press("Escape")
+    for name, value in (("moved0", "0.5"), ("moved1", "-0.6"), ("moved2", "0.4")):
+        page.page.locator(f"input[name='{name}']").fill(value)
+        page.press("Enter")
+    page.until("is(({ model }) => model.fresh)")
+
+
 SCENES = {"annotate": annotate, "radar": radar, "patterns": patterns, "camera": camera, "night": camera}
+CALIBRATIONS = {"calibrate_radar": "radar-lidar", "calibrate_camera": "lidar-camera"}
+SCENES |= {"calibrate_radar": calibrate_radar, "calibrate_camera": calibrate_camera}
 _RADAR = ("kradar-sim", "--frames", "1", "--sequences", "1", "--sensors", "os2-64,os1-128,cam-front,polar3d")
 SIMULATED = {
     "annotate": _RADAR,
@@ -61,6 +87,8 @@ SIMULATED = {
     "patterns": ("cirrus-sim", "--frames", "1", "--sequences", "1"),
     "camera": ("kitti-sim", "--frames", "1", "--sequences", "1"),
     "night": (*_RADAR, "--weather", "rain", "--time", "night"),
+    "calibrate_radar": ("kradar-sim-mini", "--frames", "20", "--sequences", "1", "--sensors", "os2-64,sparse,cells"),
+    "calibrate_camera": ("kitti-sim", "--frames", "8", "--sequences", "1"),
 }
 WORK = ROOT / "data" / "studio-pictures"
 
@@ -68,7 +96,7 @@ WORK = ROOT / "data" / "studio-pictures"
 def simulated(name: str) -> Path:
     """The frame of a picture; what is there already stays."""
     preset, *arguments = SIMULATED[name]
-    folder = WORK / ("-".join([preset, *arguments[6:]]).replace("--", ""))
+    folder = WORK / ("-".join([preset, *arguments[4 if name in CALIBRATIONS else 6 :]]).replace("--", ""))
     command = [sys.executable, "-m", "farfield.cli", "simulate", preset, str(folder), *arguments]
     subprocess.run([*command, "--workers", "1"], check=True, stdout=subprocess.DEVNULL)
     return folder
@@ -87,8 +115,10 @@ def take(name: str, source: str) -> Path:
         chromium = playwright.chromium.launch(executable_path=chromium_path())
         edits = str(WORK / f"{name}-{Path(folder).name}-edits")  # a journal is of one data set
         more = ("--extent", "full", "--edits", edits) if mode == "annotate" else ()
+        verb = ("calibrate", CALIBRATIONS[name]) if name in CALIBRATIONS else (mode,)
+        more = ("--page", "--frames", "20") if name in CALIBRATIONS else more
         with (
-            started(mode, *(() if folder == "samples" else (folder,)), *more) as live,
+            started(*verb, *(() if folder == "samples" else (folder,)), *more) as live,
             screen(chromium, live, frame=int(frame or 0)) as page,
         ):
             SCENES[name](page)

@@ -5,6 +5,7 @@ import pytest
 
 from farfield.calibration.bird import Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
+from farfield.calibration.radar_appraising import appraise_radar, matches_of
 from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
 from farfield.calibration.targets import find_peaks, find_targets
 from farfield.errors import DatasetError
@@ -145,3 +146,42 @@ def test_nothing_in_common_is_an_error() -> None:
     )
     with pytest.raises(DatasetError, match="both sensors see"):
         calibrate_radar(Evidence.of([empty]), TRUTH)
+
+
+def test_a_pose_is_appraised_as_it_stands() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(0), 20))
+    good, pairs = appraise_radar(evidence, TRUTH)
+    assert good.pose == TRUTH
+    assert good.residual["range_cm"] < 20
+    assert len(pairs.track) == len(good.range_m)
+    assert (good.solution.sigma[:2] < 0.1).all()
+    off = RadarPose(x_m=TRUTH.x_m + 0.6, y_m=TRUTH.y_m, z_m=0.7, yaw_rad=TRUTH.yaw_rad, frames=1, time_offset_s=0.02)
+    worse, _ = appraise_radar(evidence, off)
+    assert np.median(worse.range_m) == pytest.approx(0.6, abs=0.2)
+    lidar, radar = matches_of(evidence, TRUTH, 12)
+    assert len(lidar) > 10
+    assert np.median(np.linalg.norm(lidar - radar, axis=1)) < 0.3
+    assert len(matches_of(evidence, TRUTH, 999)[0]) == 0
+    with pytest.raises(DatasetError, match="move the cloud nearer"):
+        appraise_radar(evidence, RadarPose(x_m=90.0, y_m=60.0, z_m=0.7))
+
+
+class StopError(Exception):
+    pass
+
+
+def test_progress_grows_and_may_end_the_work() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    shares: list[float] = []
+    calibrate_radar(evidence, TRUTH, frames=1, told=shares.append)
+    assert shares == sorted(shares)
+    assert shares[0] < 0.1
+    assert 0.5 < shares[-1] < 1
+
+    with pytest.raises(StopError):
+        calibrate_radar(evidence, TRUTH, told=_stopped)
+
+
+def _stopped(share: float) -> None:
+    if share > 0.3:
+        raise StopError

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive import frame
+from street import write_street
 
 from farfield import cli
 from farfield.calibration.jobs import read_pairs
@@ -83,3 +84,23 @@ def test_pairs_are_read_and_other_tables_refused(tmp_path: Path) -> None:
     path.write_text("x,y\n1,2\n")
     with pytest.raises(FileFormatError, match="line 1"):
         read_pairs(path)
+
+
+@pytest.mark.parametrize(
+    "words", [["lidar-lidar"], ["board"], ["radar-lidar", "--save", "x.txt"], ["lidar-camera", "--save", "x.json"]]
+)
+def test_the_page_takes_two_kinds_and_saves_by_itself(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["calibrate", words[0], str(tmp_path), "--page", *words[1:]]) == 1
+    assert "expected radar-lidar or lidar-camera, without --save" in capsys.readouterr().err
+
+
+def test_the_page_of_a_data_set_without_a_radar_ends_with_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("starlette")
+    write_street(tmp_path, np.random.default_rng(0), frames=1)
+    words = ["radar-lidar", str(tmp_path / "Cirrus_dataset1"), "--page", "--no-browser", "--port", "0"]
+    assert cli.main(["calibrate", *words]) == 1
+    assert "expected a K-Radar" in capsys.readouterr().err

@@ -94,9 +94,7 @@ def write_kradar(folder: Path, *, count: int = 12, seed: int = 3) -> Path:
         points, ring = points[kept].astype(np.float32), ring[kept]
         extra = _columns(points, ring)
         cloud = Cloud(points, rng.random(len(points), dtype=np.float32), extra)
-        base = drive_frame(number)
-        clouds = {"os2-64": cloud, "os1-128": base.clouds["os1-128"]}
-        writer.write(drive_frame(number, clouds=clouds, radar={"sparse": _echoes(rng, there)}))
+        writer.write(drive_frame(number, clouds={"os2-64": cloud}, radar={"sparse": _echoes(rng, there)}))
     writer.finish()
     return writer.root
 

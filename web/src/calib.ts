@@ -2,7 +2,7 @@
 
 import "./calib.css";
 import { report } from "./bar";
-import { cameraLoaded, cameraPage, camera, directionToScreen, nearestPoint, picking, pixelToScreen, solvePairs, togglePoints } from "./calibcamera";
+import { cameraLoaded, cameraPage, camera, directionToScreen, nearestPoint, picking, spread, pixelToScreen, solvePairs, togglePoints } from "./calibcamera";
 import type { Drawer } from "./calibgl";
 import { changed, frameNow, go, isRadar, keep, listenToServer, model, onChange, type Values } from "./calibmodel";
 import { CAMERA_FIELDS, RADAR_FIELDS, type Field } from "./calibpanel";
@@ -125,6 +125,7 @@ function offerTest(): void {
       strip: (p: number[]) => at(directionToScreen(p)),
       projected: (p: number[]) => { const lens = camera(); return lens && toPixel(lens, p); },
       nearest: nearestPoint,
+      spread,
       frame: frameNow,
       is: (condition: (test: unknown) => boolean) => condition((window as unknown as { farfieldTest: unknown }).farfieldTest),
     },

@@ -16,6 +16,7 @@ const LOOK: Look = { colour: "range", size: 2, low: -1000, reach: 60, row: 0 };
 export const picking = { on: false, pixel: null as [number, number] | null, chosen: null as number | null };
 
 let cloud: { frame: number; places: Places } | null = null;
+let heights: [number, number] = [-0.3, 0.1]; // elevations between which most of the cloud lies
 let picture: { frame: number; image: ImageBitmap } | null = null;
 let wanted = "";
 let zoom = 0;
@@ -69,13 +70,24 @@ function directions(): [number, number, number, number] {
   const left = ahead + Math.atan2(cx, fx) + 0.06;
   const right = ahead - Math.atan2(found.width_px - cx, fx) - 0.06;
   const tall = ((left - right) * strip.height) / strip.width;
-  return [left, tall * 0.42, right, -tall * 0.58];
+  const [low, high] = heights;
+  return [left, high, right, Math.max(low, high - tall)];
 }
 
 export function directionToScreen([x, y, z]: readonly number[]): [number, number] {
   const { strip } = rects();
   const [left, top, right, bottom] = directions();
   return [strip.x + ((Math.atan2(y!, x!) - left) / (right - left)) * strip.width, strip.y + ((Math.atan2(z!, Math.hypot(x!, y!)) - top) / (bottom - top)) * strip.height];
+}
+
+function span({ rows, count, scale }: Places): [number, number] {
+  const found: number[] = [];
+  for (let i = 0; i < count; i += Math.max(1, Math.floor(count / 5000))) {
+    const [x, y, z] = [rows[i * 4]! * scale, rows[i * 4 + 1]! * scale, rows[i * 4 + 2]! * scale];
+    if (Math.hypot(x, y) > 4) found.push(Math.atan2(z, Math.hypot(x, y)));
+  }
+  found.sort((a, b) => a - b);
+  return [(found[0] ?? -0.3) - 0.01, (found[found.length - 1] ?? 0.1) + 0.02];
 }
 
 async function loaded(drawer: Drawer): Promise<void> {
@@ -93,6 +105,7 @@ async function loaded(drawer: Drawer): Promise<void> {
   if (other) {
     drawer.forget(cloud?.places ?? null);
     cloud = { frame, places: drawer.upload(decode(other)) };
+    heights = span(cloud.places);
   }
   changed();
 }
@@ -139,7 +152,7 @@ function lines(lens: CameraModel | null): void {
   paper.font = "11px system-ui, sans-serif";
   const { strip, top } = rects();
   paper.fillStyle = "#8b98a7";
-  paper.fillText("the cloud as the LiDAR sees it: near is bright", 8, strip.y + 14);
+  paper.fillText("the cloud as the LiDAR sees it: near is bright", 8, strip.y + strip.height - 6);
   for (const pick of model.state?.picks ?? []) if (pick.frame === frameNow()) drawPick(paper, pick, lens, top);
   if (picking.pixel) cross(paper, pixelToScreen(picking.pixel), "#7fffd4", 9);
 }
@@ -302,7 +315,7 @@ export function cameraPage(): Drawer {
   const busy = (): boolean => !model.state?.ready || model.job !== null;
   const used = (): number => (model.state?.picks ?? []).filter((row) => row.used).length;
   fill(byId("right"),
-    h("h3", {}, "camera moved from its start: about and along right, down, ahead"),
+    h("h3", {}, "camera: turns and shifts from its start"),
     ...CAMERA_FIELDS.map(valueRow), lensTable(),
     h("div", { class: "row" },
       button("Pick", "calib.pick", (one) => { one.disabled = busy(); one.classList.toggle("on", picking.on); }),
@@ -343,4 +356,19 @@ export const nearestPoint = (to: readonly number[]): number[] | null => {
     if (away < least) [best, least] = [p, away];
   }
   return best;
+};
+
+/** Some points that the picture shows, far apart in it, with their pixels. */
+export const spread = (most: number): [number[], number[]][] => {
+  const lens = camera();
+  if (!cloud || !lens) return [];
+  const { rows, count, scale } = cloud.places;
+  const out: [number[], number[]][] = [];
+  for (let i = 0; i < count && out.length < most; i += 7) {
+    const p = [rows[i * 4]! * scale, rows[i * 4 + 1]! * scale, rows[i * 4 + 2]! * scale];
+    const seen = toPixel(lens, p);
+    if (!seen || seen[2] > 40 || p[2]! < -1 || seen[0] < 40 || seen[1] < 20 || seen[0] > lens.width_px - 40 || seen[1] > lens.height_px - 20) continue;
+    if (out.every(([, pixel]) => Math.hypot(pixel[0]! - seen[0], pixel[1]! - seen[1]) > lens.width_px / (most + 2))) out.push([p, [seen[0], seen[1]]]);
+  }
+  return out;
 };

@@ -85,18 +85,33 @@ export function move(values: Values): void {
   changed();
 }
 
-/** Keep what was moved: one step of undo. */
+let sent = ""; // a change that is not yet acknowledged
+let next: Values | null = null; // the one after it
+
+/** Keep what was moved: one step of undo. A change waits for the one before, for it counts from the state that this makes. */
 export function keep(values: Values): void {
   Object.assign(model, { values, moving: false, blink: false });
-  if (model.state) send({ op: "calib.set", id: newId(), base: model.state.seq, ...as(values) });
+  if (sent) next = values;
+  else put(values);
   changed();
+}
+
+function put(values: Values): void {
+  const id = newId();
+  if (model.state && send({ op: "calib.set", id, base: model.state.seq, ...as(values) })) sent = id;
 }
 
 function told(message: CalibState): void {
   const first = !model.state?.ready && message.ready;
   const other = JSON.stringify([message.radar, message.camera, message.picks]) !== JSON.stringify([model.state?.radar, model.state?.camera, model.state?.picks]);
   model.state = message;
-  if (!model.moving) model.values = message.radar ?? message.camera;
+  if (message.answers === sent) sent = "";
+  if (!sent && next) {
+    const waiting = next;
+    next = null;
+    put(waiting);
+  }
+  if (!model.moving && !sent) model.values = message.radar ?? message.camera;
   model.place = Math.min(model.place, message.frames.length - 1);
   if (first || other) ask();
   changed();
@@ -151,6 +166,7 @@ export function listenToServer(): void {
   });
   onReply("refused", (message) => {
     if (message.id === asked) asked = null;
+    if (message.id === sent) [sent, next] = ["", null];
     if (model.state && !model.moving) model.values = model.state.radar ?? model.state.camera;
     report("warning", message.sentence, message.mend);
     changed();

@@ -151,7 +151,7 @@ export function chart(height: number, draw: (paper: CanvasRenderingContext2D, wi
 }
 
 export function histogram(): HTMLCanvasElement {
-  return chart(64, (paper, width, height) => {
+  return chart(56, (paper, width, height) => {
     const found = model.residuals?.histogram;
     if (found) bars(paper, found, width, height);
   }, "Residuals: how many lie how far off");
@@ -184,7 +184,7 @@ function bars(paper: CanvasRenderingContext2D, { limits, counts, unit }: Bars, w
 export function notes(): HTMLElement {
   const element = h("div", { class: "notes", "aria-label": "What the data cannot tell" });
   shows.push(() => {
-    const rows = [...new Set([...(model.residuals?.notes ?? []), ...(model.state?.notes ?? [])])];
+    const rows = [...new Set(model.state?.solved ? model.state.notes : (model.residuals?.notes ?? []))];
     fill(element, model.state?.solved ? h("p", { class: "solved" }, `${model.state.solved}`) : null, ...rows.map((row) => h("p", {}, row)));
   });
   return element;

@@ -224,7 +224,7 @@ const AGAINST = { range: "range, m", azimuth: "azimuth, °", speed: "speed, m/s"
 let against: keyof typeof AGAINST = "range";
 
 function scatter(): HTMLElement {
-  const canvas = chart(74, (paper, width, height) => {
+  const canvas = chart(62, (paper, width, height) => {
     const rows = model.residuals?.objects ?? [];
     const value = (row: (typeof rows)[number]): number => (against === "range" ? row.range_m : against === "azimuth" ? (row.azimuth_rad * 180) / Math.PI : row.speed_m_s);
     const all = rows.map(value);
@@ -268,7 +268,7 @@ export function radarPage(): Drawer {
   const main = byId("main");
   const drawer = new Drawer(byId("gl") as HTMLCanvasElement);
   fill(byId("right"),
-    h("h3", {}, "radar in the LiDAR's place: p radar = R(yaw) p lidar + (x, y, z)"),
+    h("h3", { title: "p radar = R(yaw) p lidar + (x, y, z)" }, "from LiDAR to radar: yaw, then x, y, z"),
     ...RADAR_FIELDS.map(valueRow),
     h("div", { class: "row" },
       button("Refine", "calib.refine", (one) => (one.disabled = !model.state?.ready || model.job !== null), "main"),

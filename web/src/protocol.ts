@@ -753,6 +753,7 @@ export interface OffsetScore {
 export interface CalibState {
   op: "calib.state";
   kind: "radar-lidar" | "lidar-camera";
+  answers: string;
   seq: number;
   ready: boolean;
   radar: RadarValues | null;

@@ -134,6 +134,21 @@ def test_slider_number_keys_and_ctrl_drag_move_values_and_the_residual_follows(r
     assert radar.tell("values()") == start
 
 
+def test_changes_in_quick_succession_are_all_kept(radar: Screen):
+    start = radar.tell("values()")
+    radar.page.locator("#main").focus()
+    radar.press("w", "w", "d", "w", "e")  # none waits for the answer to the one before
+    until(radar, f"Math.abs(model.state.radar.x_m - {start['x_m']} - 0.15) < 1e-6 && model.state.radar.yaw_rad < -1e-4")
+    assert radar.tell("values()")["y_m"] == pytest.approx(start["y_m"] - 0.05)
+    assert radar.page.locator(".bar.warning").count() == 0
+    while radar.tell("model.state.undo"):
+        seq = radar.tell("model.state.seq")
+        radar.press("Control+z")
+        until(radar, f"model.state.seq > {seq}")
+    until(radar, "model.fresh")
+    assert radar.tell("values()") == start
+
+
 def test_the_frame_is_stepped_and_the_radar_goes_with_it(radar: Screen):
     first = radar.tell("frame()")
     radar.press("ArrowRight")
@@ -192,7 +207,7 @@ def chosen_points(page: Screen, kitti: Path) -> list[tuple[list[float], np.ndarr
     """Points of posts spread over the picture, and where the true camera sees them."""
     cloud = open_dataset(kitti, format="kitti")[0].cloud().points_m.astype(float)
     posts = cloud[(np.hypot(cloud[:, 0], cloud[:, 1]) < 60) & (cloud[:, 2] > -1.2)]
-    pixels, depth, seen = CAMERA.project(posts)
+    pixels, _, seen = CAMERA.project(posts)
     inside = seen & (pixels[:, 1] > 20) & (pixels[:, 1] < 350)
     posts, pixels = posts[inside], pixels[inside]
     order = np.argsort(pixels[:, 0])

@@ -207,12 +207,13 @@ class Calibrating:
         """A file as the page may name it."""
         return plain_error(str(path), self.data)
 
-    def state(self) -> CalibState:
-        """As a message."""
+    def state(self, answers: str = "") -> CalibState:
+        """As a message that answers a request."""
         task, now = self.task, self.now
         values, files = now.values, task.saves_to()
         return CalibState(
             kind=task.kind,
+            answers=answers,
             seq=self.seq,
             ready=self.ready,
             radar=values if isinstance(values, RadarValues) else None,

@@ -127,11 +127,11 @@ class CameraTask:
             Figure(name="pairs", value=float(len(off)), unit=""),
             Figure(name="pairs, rms", value=float(np.sqrt((off**2).mean())) if len(off) else None, unit="px"),
         )
-        known, notes = ((), ()) if not full else edge_spread(camera, views)
+        sigma, notes = edge_spread(camera, views) if full else (None, ())
         return Residuals(
             figures=figures,
             histogram=bars(away, _LIMITS_PX, "px"),
-            known=known_of(PARAMETERS, known) if full else (),
+            known=() if sigma is None else known_of(PARAMETERS, sigma),
             notes=(*notes, *self._hints(now, camera)),
         )
 

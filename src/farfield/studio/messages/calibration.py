@@ -236,6 +236,7 @@ class CalibState:
 
     op: Literal["calib.state"] = "calib.state"
     kind: CalibrationKind
+    answers: str  # the request that made it so
     seq: int
     ready: bool
     radar: RadarValues | None

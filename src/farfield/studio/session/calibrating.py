@@ -1,5 +1,6 @@
 """What calibration pages ask: residuals while values move, changes with undo, solvers as jobs, saving."""
 
+import asyncio
 import itertools
 import time
 from collections.abc import Callable
@@ -41,11 +42,10 @@ def _ready(desk: Desk) -> Calibrating:
 async def opened(desk: Desk, window: Window, request: asked.CalibOpen) -> None:
     """Tell the calibration; the first time, read the frames as a job."""
     known = _known(desk)
-    window.send(known.state())
+    window.send(known.state(request.id))
     if known.ready or known.job is not None:
         return
-    work = partial(_prepared, known)
-    desk.aside(window, request.id, _run(desk, window, request.id, "reading the frames", work))
+    _start(desk, window, request.id, "reading the frames", partial(_prepared, known))
 
 
 def _prepared(known: Calibrating, told: Callable[[float], None]) -> None:
@@ -76,7 +76,7 @@ async def put(desk: Desk, window: Window, request: asked.CalibSet) -> None:
     del window
     known = _ready(desk)
     known.set(request.base, known.wanted(request.radar, request.camera))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
@@ -84,7 +84,7 @@ async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
     del window
     known = _ready(desk)
     known.pick(request.frame, request.point_m, request.pixel)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None:
@@ -92,7 +92,7 @@ async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None
     del window
     known = _ready(desk)
     known.unpick(request.pick, request.used)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
@@ -100,14 +100,13 @@ async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
     del window
     known = _ready(desk)
     known.undo(request.what)
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def solve(desk: Desk, window: Window, request: asked.CalibSolve) -> None:
     """Solve as a job."""
     known = _ready(desk)
-    work = partial(_solved, known, request)
-    desk.aside(window, request.id, _run(desk, window, request.id, "solving", work))
+    _start(desk, window, request.id, "solving", partial(_solved, known, request))
 
 
 def _solved(known: Calibrating, request: asked.CalibSolve, told: Callable[[float], None]) -> Solved:
@@ -137,7 +136,7 @@ async def _saved(desk: Desk, known: Calibrating, request: asked.CalibSave) -> No
         known.end()
     names = tuple(tuple(known.shown(path) for path in paths) for paths in (files, copies))
     desk.tell(CalibSaved(id=request.id, files=names[0], copies=names[1]))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
 async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> None:
@@ -147,52 +146,53 @@ async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> No
     files = await desk.in_thread(known.restore)
     names = tuple(known.shown(path) for path in files)
     desk.tell(CalibSaved(id=request.id, files=names, copies=(), restored=True))
-    desk.tell(known.state())
+    desk.tell(known.state(request.id))
 
 
-async def _run(
-    desk: Desk, window: Window, name: str, words: str, work: Callable[[Callable[[float], None]], Solved | None]
-) -> None:
-    """Run a job with progress, and take what it finds; all windows are told."""
+Work = Callable[[Callable[[float], None]], Solved | None]
+
+
+def _start(desk: Desk, window: Window, name: str, words: str, work: Work) -> None:
+    """Begin a job, if none runs."""
     known = _known(desk)
-    progress = _Progress(desk, known, Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running"))
-    known.begin(progress.job.job)
-    desk.tell(replace(progress.job, total=_STEPS, message=words))
+    job = Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running", total=_STEPS, message=words)
+    known.begin(job.job)
+    desk.tell(job)
+    desk.aside(window, name, _run(desk, known, replace(job, message=""), work))
+
+
+async def _run(desk: Desk, known: Calibrating, job: Job, work: Work) -> None:
+    """Run a job with progress, and take what it finds; all windows are told."""
+    progress = _Progress(desk, known, job)
     try:
-        found = await desk.in_thread(partial(work, progress.bound()))
+        found = await desk.in_thread(partial(work, progress.step))
     except CancelledError:
-        desk.tell(replace(progress.job, state="cancelled"))
+        desk.tell(replace(job, state="cancelled"))
         return
     except FarfieldError as error:
-        desk.tell(replace(progress.job, state="failed", message=plain_error(error, desk.data)))
+        desk.tell(replace(job, state="failed", message=plain_error(error, desk.data)))
         return
     except Exception:
-        desk.tell(replace(progress.job, state="failed", message="the studio met an error of its own"))
+        desk.tell(replace(job, state="failed", message="the studio met an error of its own"))
         raise
     finally:
         known.end()
     if found is not None:
         known.take(found)
-    desk.tell(replace(progress.job, state="done", done=_STEPS, total=_STEPS, message=found.words if found else ""))
-    desk.tell(known.state())
-    del window
+    desk.tell(replace(job, state="done", done=_STEPS, message=found.words if found else ""))
+    desk.tell(known.state(job.id))
 
 
 class _Progress:
     """Tells the windows how far a job is, from the thread in which it runs."""
 
     def __init__(self, desk: Desk, known: Calibrating, job: Job) -> None:
-        import asyncio
-
         self.desk, self.known, self.job = desk, known, job
         self._loop = asyncio.get_running_loop()
         self._told = self._began = time.monotonic()
 
-    def bound(self) -> Callable[[float], None]:
-        """What a solver calls."""
-        return self._step
-
-    def _step(self, share: float) -> None:
+    def step(self, share: float) -> None:
+        """What a solver calls with the share that is done."""
         self.known.go_on()
         now = time.monotonic()
         if now - self._told < _TOLD_S:
@@ -200,7 +200,7 @@ class _Progress:
         self._told = now
         left = (now - self._began) * (1 - share) / share if share > 0.02 else None
         done, eta = round(_STEPS * share), None if left is None else round(left, 1)
-        self._loop.call_soon_threadsafe(self.desk.tell, replace(self.job, done=done, total=_STEPS, eta_s=eta))
+        self._loop.call_soon_threadsafe(self.desk.tell, replace(self.job, done=done, eta_s=eta))
 
 
 HANDLERS: dict[type, Handler] = {
