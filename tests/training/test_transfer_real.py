@@ -33,9 +33,10 @@ FORMS = {
     "astyx": {"column": "magnitude_db", "unit": "db"},
 }
 STEPS = 50
+GRID = {"range_m": 64.0, "half_width_m": 16.0, "z_min_m": -6.0, "z_max_m": 8.0, "cell_m": [0.8, 0.8, 14.0]}
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     """What ends a training in the middle."""
 
 
@@ -53,7 +54,7 @@ class Stops(Report):
 
     def step(self, step: int, losses: dict[str, float]) -> None:
         if step == self.after:
-            raise Stopped
+            raise StoppedError
 
 
 def seen(root: Path, name: str) -> Dataset:
@@ -112,7 +113,7 @@ def test_two_real_radars_one_after_the_other(shared_real: Path, tmp_path: Path) 
     start = {"weights": str(tmp_path / "turns"), "freeze": {"trunk": 0.5}, "statistics": {"reestimate_batches": 5}}
     again = {"rates": {"trunk": 0.3}, **start}
     stops = Stops(30)
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         plan(frames, tmp_path / "frames", **again).run(stops)
     assert any("100.0 % of the parameters" in line for line in stops.said)
     goes_on = Stops(-1)
