@@ -108,9 +108,9 @@ def test_a_tiny_table_runs_and_is_not_done_again(tmp_path):
     assert any(line.startswith("T1 over none") for line in lines)
     stored = json.loads((tmp_path / "transfer.json").read_text())
     assert {(each["id"], each["share"]) for each in stored["comparisons"]} == {("T1", 0.5), ("T1", 1.0)}
-    start = json.loads((tmp_path / "runs" / "s0-radiate_from_kradar-050" / "start.json").read_text())
+    start = json.loads((transfer.runs_folder / "s0-radiate_from_kradar-050" / "start.json").read_text())
     assert start["share"] == 1.0, "one form, one network"
-    weights = tmp_path / "runs" / "s1-radiate-100" / "weights.safetensors"
+    weights = transfer.runs_folder / "s1-radiate-100" / "weights.safetensors"
     before = weights.stat().st_mtime_ns
     transfer.run()
     assert weights.stat().st_mtime_ns == before

@@ -35,10 +35,12 @@ class Sets:
     Args:
         table: The table.
         folder: Folder of the data.
+        floors: The file that keeps the worlds' floors.
     """
 
     table: Table
     folder: Path
+    floors: Path
 
     def path(self, world: str, part: str) -> Path:
         """Folder of a world's ``"train"`` or ``"val"`` set."""
@@ -53,11 +55,10 @@ class Sets:
         for name in self.table.worlds:
             if name not in kept:
                 kept[name] = dict(self._taken(name).settings())
-                write_text(self.folder / FLOORS, json.dumps(kept, indent=1) + "\n")
+                write_text(self.floors, json.dumps(kept, indent=1) + "\n")
 
     def _floors(self) -> dict[str, Any]:
-        path = self.folder / FLOORS
-        return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+        return dict(json.loads(self.floors.read_text(encoding="utf-8"))) if self.floors.is_file() else {}
 
     def _taken(self, name: str) -> CommonRadar:
         world = self.table.worlds[name]
@@ -153,24 +154,25 @@ class Transfer:
     @property
     def sets(self) -> Sets:
         """The data."""
-        return Sets(self.table, self.out / "data")
+        return Sets(self.table, self.out / "data", self.runs_folder / FLOORS)
 
     def run(self) -> None:
         """Simulate, then do all runs: first those that others start from."""
         self.sets.provide(workers=self.workers, progress=self._bar("simulating"), report=self.said)
         setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'detection', 'metrics'))}"
-        journal = Journal(self._runs / ".journal.jsonl", setting)
+        journal = Journal(self.runs_folder / ".journal.jsonl", setting)
         for wave in runs_of(self.table, self.seeds):
             units = [Unit(each.folder, parameters=each) for each in wave]
             left = sum(not journal.has(unit) for unit in units)
             if left and self.said is not None:
                 self.said(f"{left} of {len(units)} runs are left")
             bulk = Bulk(workers=self.workers, progress=self._bar("training"))
-            run(Doing(self.sets, self._runs), units, bulk, journal=journal)
+            run(Doing(self.sets, self.runs_folder), units, bulk, journal=journal)
 
     @property
-    def _runs(self) -> Path:
-        folder = self.out / "runs"
+    def runs_folder(self) -> Path:
+        """Folder of the floors and of all runs; a table that declares something else has another."""
+        folder = self.out / "runs" / self.table.digest[:8]
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
@@ -191,5 +193,5 @@ class Transfer:
     def scores(self) -> list[dict[str, Any]]:
         """What all finished runs scored."""
         runs = [each for wave in runs_of(self.table) for each in wave]
-        paths = [self.out / "runs" / each.folder / SCORES for each in runs]
+        paths = [self.runs_folder / each.folder / SCORES for each in runs]
         return [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.is_file()]
