@@ -118,6 +118,6 @@ def test_a_tiny_table_runs_and_is_not_done_again(tmp_path):
 
 def test_the_command_plans_and_knows_its_paper(capsys):
     assert main(["reproduce", "kradar", "--transfer", "--plan"]) == 0
-    assert "78 runs of 400 steps, 9 of them to start from" in capsys.readouterr().out
+    assert "78 runs of 300 steps, 9 of them to start from" in capsys.readouterr().out
     assert main(["reproduce", "cirrus", "--transfer", "--plan"]) == 1
     assert "kradar" in capsys.readouterr().err
