@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from _report import header
+from _report import SHARED_REAL, header
 
 from farfield.datasets.radiate import Radiate
 from farfield.files.atomic import write_text
@@ -64,8 +64,8 @@ def offsets(road: str, side: str, seed: int) -> np.ndarray:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path, help="a folder of RADIATE's sequences")
-    parser.add_argument("--frames", type=int, default=8, help="simulated turns, each of a drive of its own")
+    parser.add_argument("--data", type=Path, default=SHARED_REAL / "radiate", help="a folder of RADIATE's sequences")
+    parser.add_argument("--frames", type=int, default=4, help="simulated turns, each of a drive of its own")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     real = Radiate(options.data)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from farfield.errors import DatasetError
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from farfield.bulk import Bulk
     from farfield.datasets.base import Dataset
     from farfield.detectors.contract import Network
@@ -100,7 +98,7 @@ def detect(
 
 def transfer(
     network: "Network",
-    weights: "Path | str | Mapping[str, Tensor]",
+    weights: "Path | str | Mapping[str, Any]",
     *,
     rename: Mapping[str, str] | None = None,
     inputs: Literal["match", "average", "fresh"] = "match",

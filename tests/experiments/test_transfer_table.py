@@ -94,7 +94,6 @@ def tiny(out):
         "floor_frames": 2,
         "comparisons": [{"id": "T1", "words": "over none", "a": "radiate_from_kradar", "b": "radiate"}],
         "training": {**SHIPPED.training, "steps": 3, "batch_size": 1},
-        "network": {**SHIPPED.network, "planes": 8, "depths": [1, 1], "strides": [2, 2], "neck_width": 8},
     }
     return Transfer(table=load_table(changes=changes), out=out)
 
