@@ -1,6 +1,6 @@
 """The simulated turning radar beside the nine real pictures of RADIATE's sample, and left-hand traffic in all layouts.
 
-python benchmarks/turning_radar.py RADIATE [--frames 8] [--output benchmarks/results/turning_radar.txt]
+python benchmarks/turning_radar.py [--data RADIATE] [--frames 4] [--output benchmarks/results/turning_radar.txt]
 """
 
 import argparse
