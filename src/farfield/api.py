@@ -12,7 +12,6 @@ from farfield.vocabulary.scores import SHOWN_SCORE
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
-    from torch import Tensor
 
     from farfield.bulk import Bulk
     from farfield.datasets.base import Dataset
@@ -105,7 +104,7 @@ def detect(
 
 def transfer(
     network: "Network",
-    weights: "Path | str | Mapping[str, Tensor]",
+    weights: "Path | str | Mapping[str, Any]",
     *,
     rename: Mapping[str, str] | None = None,
     inputs: Literal["match", "average", "fresh"] = "match",

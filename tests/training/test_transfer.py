@@ -11,7 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from small import SMALL, cloud_of, small_detector
+from small import cloud_of, small_detector
 from test_processes import ENVIRONMENT
 from test_starting import stored
 from test_training import words_of_train
@@ -323,4 +323,3 @@ def test_a_dry_run_says_what_is_taken_and_who_learns(experiment, tmp_path, capsy
 def test_a_start_said_in_few_words_is_known_as_before(experiment):
     settings = load_experiment(experiment, ["training.start_from=pointpillars-cirrus-sim"])
     assert settings.training.model_dump()["start"] == {"weights": "pointpillars-cirrus-sim", "freeze": ()}
-    assert SMALL

@@ -8,6 +8,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from farfield.cli._progress import bar
+from farfield.errors import ConfigError
 
 
 def run(
@@ -17,6 +18,8 @@ def run(
     minutes: float | None = None,
     plan: bool = False,
     page: bool = False,
+    transfer: bool = False,
+    seeds: tuple[int, ...] | None = None,
     data: Path | None = None,
     source: Path | None = None,
     workers: int = 0,
@@ -29,6 +32,7 @@ def run(
       farfield reproduce cirrus
       farfield reproduce cirrus --budget workstation --plan
       farfield reproduce kradar --minutes 90
+      farfield reproduce kradar --transfer --workers 2
       farfield reproduce cirrus --data /data/Cirrus --source /data/kitti --budget gpu
 
     First some steps of each kind of run are measured, and what the whole will cost on this machine and which claims can
@@ -43,6 +47,10 @@ def run(
         minutes: Lower the steps until it fits; refused where fewer than 200 would be left. Seeds and rows stay.
         plan: Only measure, and print what it would cost.
         page: Only write the page of the runs that are done, such as while others are at work.
+        transfer: Instead K-Radar's table of transfer between radar data sets (appendix G), simulated: from none, from
+            the other radar, from the other side of the road, by share of the target's frames. OUT is
+            runs/reproduce-kradar-transfer unless given and holds transfer.txt, transfer.json, data and runs.
+        seeds: With --transfer, only these seeds.
         data: The real data set; without one all is simulated.
         source: Real data of the other device for Table IV, such as KITTI; simulated unless given.
         workers: Processes, one thread each; 0 takes as many as there are cores.
@@ -50,6 +58,9 @@ def run(
     """
     from farfield.experiments.reproduce import Reproduction, described
 
+    if transfer or seeds is not None:
+        wanted = out or Path("runs") / "reproduce-kradar-transfer"
+        return _transfer(paper, wanted, seeds, workers, plan=plan, page=page)
     reproduction = Reproduction.of(
         paper,
         budget=budget,
@@ -72,3 +83,24 @@ def run(
 
 def _shown(what: str) -> Callable[[Iterable[int]], Iterable[int]]:
     return partial(bar, what=what, transient=True)
+
+
+def _transfer(paper: str, out: Path, seeds: tuple[int, ...] | None, workers: int, *, plan: bool, page: bool) -> int:
+    """K-Radar's table of transfer."""
+    from farfield.experiments.reproduce.transfer import Transfer, load_table, runs_of
+
+    if paper != "kradar":
+        raise ConfigError("--transfer and --seeds: expected the paper kradar, whose appendix G they put to the test")
+    table = load_table()
+    transfer = Transfer(
+        table=table, out=out, seeds=seeds, workers=workers or 1, progress=_shown, said=partial(print, flush=True)
+    )
+    if plan:
+        waves = runs_of(table, seeds)
+        print(f"{sum(map(len, waves))} runs of {table.training['steps']} steps, {len(waves[0])} of them to start from")
+        return 0
+    if not page:
+        transfer.run()
+    for line in transfer.write():
+        print(line)
+    return 0

@@ -1,4 +1,4 @@
-"""``farfield simulate``: write a simulated data set in the layout of Cirrus, of K-Radar or of KITTI."""
+"""``farfield simulate``: write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE."""
 
 from functools import partial
 from pathlib import Path
@@ -7,7 +7,7 @@ import tyro
 
 from farfield.cli._progress import bar
 from farfield.errors import ConfigError
-from farfield.vocabulary.conditions import Time, Weather
+from farfield.vocabulary.conditions import Side, Time, Weather
 
 
 def run(
@@ -23,12 +23,13 @@ def run(
     seed: int | None = None,
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,
+    traffic: Side | None = None,
     workers: int = 0,
     engine: str = "local",
     cache: bool = False,
     recording: bool = False,
 ) -> int:
-    """Write a simulated data set in the layout of Cirrus, of K-Radar or of KITTI.
+    """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE.
 
     examples:
       farfield simulate cirrus-sim data/sim --frames 100
@@ -36,6 +37,7 @@ def run(
       farfield simulate cirrus-sim-highway data/highway --frames 200 --sequences 40 --seed 3 --workers 4 --cache
       farfield simulate kradar-sim data/kradar --frames 116 --sensors os2-64,sparse,cam-front
       farfield simulate kradar-sim-mini data/mini
+      farfield simulate radiate-sim data/radiate --frames 160 --traffic right
       farfield simulate cirrus-sim-val-v2 data/val
       farfield simulate cirrus-sim data/raw --recording --frames 600 --sequences 1
 
@@ -48,18 +50,20 @@ def run(
             at the same moment), cirrus-sim-highway, cirrus-sim-urban, cirrus-sim-varied (many roads, sensor mountings
             and size priors, to train on), cirrus-sim-val-v2 (frozen), kradar-sim (58 sequences in seven weathers: two
             Ousters, 4D radar, stereo cameras), kitti-sim (64 beams, full bodies, annotated in the camera's field),
-            cirrus-sim-mini, kradar-sim-mini, kitti-sim-mini.
+            radiate-sim (a turning radar, four pictures a second, traffic on the left), cirrus-sim-mini,
+            kradar-sim-mini, kitti-sim-mini, radiate-sim-mini.
         out: Folder to write into; made if absent. Cirrus frames go to Cirrus_dataset1 below it, K-Radar's to 1, 2, ...
         frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
         sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
         sensors: What to write, separated by commas. Cirrus: gaussian, uniform, camera. K-Radar: os2-64, os1-128,
             cam-front, cam-left, cam-right, cam-rear, cells (the radar's cells in the wide region, to train on), sparse,
-            polar3d, cube, tesseract (260 MB a frame).
+            polar3d, cube, tesseract (260 MB a frame). RADIATE: polar, cartesian.
         weather: Put every sequence into this weather.
         time: Put every sequence into this time of day.
         seed: Another seed gives another world; the preset's own unless given.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own unless given.
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
+        traffic: On which side it keeps; the left is the mirror image of the right. The preset's own unless given.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are simulated.
         cache: Also write the binary cache that makes reading fast (Cirrus).
@@ -68,9 +72,9 @@ def run(
             each with a clock of its own, and SEQUENCE_truth.json beside. --frames counts sweeps, 10 a second.
     """
     if recording:
-        if stride_s is not None or cache:
+        if stride_s is not None or cache or traffic is not None:
             raise ConfigError(
-                "--recording: expected neither --stride-s nor --cache; the sensors run at their own rates"
+                "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
             )
         from farfield.recording.raw import record_streams
 
@@ -103,6 +107,7 @@ def run(
         seed=seed,
         stride_s=stride_s,
         uniform_offset_ms=uniform_offset_ms,
+        traffic=traffic,
         workers=workers,
         engine=engine,
         cache=cache,

@@ -23,12 +23,10 @@ from farfield.files.radiate import RadiateTracks, read_times, read_tracks
 from farfield.files.xyz import read_xyz
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.poses import pose
+from farfield.radar.turning import CARTESIAN_SHAPE, CELL_M, CENTRE_PX, POLAR_SHAPE, TURN_S, strongest_cells
 from farfield.vocabulary.classes import normalised_class
 
-CELL_M = 100.0 / 576  # of the polar picture along range, and of the Cartesian one along both axes
-POLAR_SHAPE, CARTESIAN_SHAPE = (576, 400), (1152, 1152)
-CENTRE_PX = 575.5
-STAMP_LAG_S = 0.25
+STAMP_LAG_S = TURN_S
 """A radar picture is stamped a whole turn after the moment that it fits in lidar and cameras (the SDK's ``sync``)."""
 RADAR_T_LIDAR_M = (-0.120102, -0.6003, 0.250012)  # the SDK's calibration, in our axes: x forward, y left, z up
 GROUND_Z_M = -1.8  # the SDK's height of the sensors
@@ -242,14 +240,8 @@ def radar_cloud(path: Path, share: float) -> Cloud:
     Their column ``strength`` is the picture's, 0 to 1: decibels without a known scale. Cell (i, j) lies ``i`` cells
     away, in the middle of the j-th of 400 sectors, counted clockwise from forward.
     """
-    picture = read_picture(path, "polar")
-    count = int(share * picture.size)
-    rest = picture.size - count
-    weakest = np.partition(picture, rest - 1, axis=None)[rest - 1] if rest else -1.0
-    row, column = np.nonzero(picture > weakest)
-    range_m, azimuth_rad = row * CELL_M, -(column + 0.5) * (2 * np.pi / POLAR_SHAPE[1])
-    points = np.column_stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), np.zeros(len(row))])
-    return Cloud(points.astype(np.float32), None, {"strength": picture[row, column]})
+    points, strength = strongest_cells(read_picture(path, "polar"), share)
+    return Cloud(points, None, {"strength": strength})
 
 
 def lidar_cloud(path: Path) -> Cloud:
@@ -289,4 +281,37 @@ def boxes_of(tracks: RadiateTracks, frame: int, *, classes: str = "cirrus") -> B
         yaw_rad=np.radians(tracks.rotation_deg[here]),
         label=ours if classes == "cirrus" else names,
         track_id=tracks.track_id[here],
+    )
+
+
+OURS = {
+    "vehicle": "car",
+    "large_vehicle": "truck",
+    "trailer": "truck",
+    "motorcycle": "motorbike",
+    "bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+}
+"""RADIATE's word for each of our classes that it draws."""
+
+
+def tracks_of(boxes: Boxes, frame: int) -> RadiateTracks:
+    """The other way: boxes in the radar's coordinates as pixels of the Cartesian picture; other classes are left out.
+
+    Args:
+        boxes: With track ids.
+        frame: Number of the radar frame, from 1.
+    """
+    rows = [row for row, label in enumerate(boxes.label) if str(label) in OURS]
+    chosen = boxes[np.array(rows, dtype=np.int64)]
+    size_px = chosen.size_m[:, [1, 0]] / CELL_M
+    centre_px = CENTRE_PX - chosen.centre_m[:, [1, 0]] / CELL_M
+    ids = chosen.track_id if chosen.track_id is not None else np.arange(len(rows))
+    return RadiateTracks(
+        frame=np.full(len(rows), frame, dtype=np.int64),
+        track_id=np.asarray(ids, dtype=np.int64),
+        class_name=tuple(OURS[str(label)] for label in chosen.label),
+        corner_px=centre_px - size_px / 2,
+        size_px=size_px,
+        rotation_deg=np.degrees(chosen.yaw_rad),
     )

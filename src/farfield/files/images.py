@@ -100,3 +100,16 @@ def write_image(path: Path | str, array: UInt8[np.ndarray, "height width 3"], *,
     Image.fromarray(array).save(encoded, format=kind, quality=quality)
     with open_atomic(path) as handle:
         handle.write(encoded.getbuffer())
+
+
+def write_grey(path: Path | str, array: UInt8[np.ndarray, "height width"]) -> None:
+    """Write a picture of one channel as PNG, all or nothing.
+
+    Args:
+        path: The file to write.
+        array: Shape (height, width), uint8.
+    """
+    encoded = io.BytesIO()
+    Image.fromarray(array).save(encoded, format="PNG")
+    with open_atomic(path) as handle:
+        handle.write(encoded.getbuffer())

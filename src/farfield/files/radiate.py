@@ -122,3 +122,31 @@ def _box(path: Path | str, where: str, box: Any) -> list[float]:
 
 def _wrong(path: Path | str, where: str, expected: str, found: str) -> FileFormatError:
     return FileFormatError(path, where=where, expected=expected, found=found[:120])
+
+
+def times_text(times_ns: dict[int, int]) -> str:
+    """The text of a time list, as the recorder writes it: nanoseconds after the point without leading zeros."""
+    lines = []
+    for number, time_ns in sorted(times_ns.items()):
+        seconds, rest = divmod(time_ns, 1_000_000_000)
+        lines.append(f"Frame: {number:06d} Time: {seconds}.{rest}\n")
+    return "".join(lines)
+
+
+def tracks_text(tracks: RadiateTracks, frames: int) -> str:
+    """The text of ``annotations.json``: one object a track and class, with a box or an empty list for every frame.
+
+    Args:
+        tracks: Boxes of a sequence.
+        frames: Its number of radar frames.
+    """
+    objects: dict[tuple[int, str], list[Any]] = {}
+    for row, name in enumerate(tracks.class_name):
+        boxes = objects.setdefault((int(tracks.track_id[row]), name), [[] for _ in range(frames)])
+        position = [round(float(value), 6) for value in (*tracks.corner_px[row], *tracks.size_px[row])]
+        boxes[int(tracks.frame[row]) - 1] = {
+            "position": position,
+            "rotation": round(float(tracks.rotation_deg[row]), 6),
+        }
+    entries = [{"id": number, "class_name": name, "bboxes": boxes} for (number, name), boxes in sorted(objects.items())]
+    return json.dumps(entries)

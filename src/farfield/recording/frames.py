@@ -3,7 +3,7 @@
 import errno
 import json
 import shutil
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,8 @@ _BYTES = {
     "polar3d": 16_300_000,
     "cube": 60_100_000,
     "tesseract": 260_000_000,
+    "polar": 260_000,
+    "cartesian": 1_200_000,
 }
 _BYTES_PER_SHOT = {"gaussian": 70, "uniform": 70, "os2-64": 80, "os1-128": 80, "lidar": 20}
 _CACHED = 1.6  # bytes with the binary cache over bytes without
@@ -54,7 +56,7 @@ def units_of(recording: Recording) -> list[Unit]:
 
 def journal_of(recording: Recording) -> Journal:
     """What was written before with these very settings; frames of before there was a journal are entered."""
-    setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.cache])
+    setting = json.dumps([recording.preset.said(), recording.seed, recording.sensors, recording.cache])
     path = recording.out / JOURNAL_NAME
     begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
     journal = Journal(path, setting)

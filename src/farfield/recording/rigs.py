@@ -58,10 +58,17 @@ def _kitti(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
     return SimulatedKittiWriter(root)
 
 
+def _radiate(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
+    from farfield.recording.radiate import SimulatedRadiateWriter
+
+    return SimulatedRadiateWriter(root)
+
+
 RIGS = {
     "cirrus": RigFiles(writer=_cirrus, caches=True),
     "kradar": RigFiles(writer=_kradar, finishes=True),
     "kitti": RigFiles(writer=_kitti, finishes=True),
+    "radiate": RigFiles(writer=_radiate, finishes=True),
 }
 
 

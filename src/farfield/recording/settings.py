@@ -48,7 +48,7 @@ def claim(wanted: Recording) -> None:
     from farfield.files.atomic import write_text
 
     out, sensors = wanted.out, set(wanted.sensors)
-    settings = json.loads(json.dumps({"seed": wanted.seed, "preset": asdict(wanted.preset)}))
+    settings = json.loads(json.dumps({"seed": wanted.seed, "preset": wanted.preset.said()}))
     settings |= {"raw": True} if wanted.raw else {}
     record = out / SIMULATION_FILE
     before: set[str] = set()

@@ -58,13 +58,14 @@ def record(
     seed: int | None = None,
     stride_s: float | None = None,
     uniform_offset_ms: float | None = None,
+    traffic: str | None = None,
     workers: int = 0,
     engine: str = "local",
     cache: bool = False,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
 ) -> Recorded:
-    """Write a simulated data set in the layout of Cirrus, K-Radar or KITTI.
+    """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE.
 
     Called again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
     the number of workers.
@@ -80,6 +81,7 @@ def record(
         seed: The preset's own if None.
         stride_s: Seconds between frames of a sequence, at most 1; the preset's own if None.
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence.
+        traffic: On which side traffic keeps, "right" or "left"; the preset's own if None.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are simulated: a name of ``farfield.bulk.ENGINES``.
         cache: Also write the binary cache that makes reading fast.
@@ -91,7 +93,7 @@ def record(
         DatasetError: If the folder holds something else, or the disk has no room.
         BulkError: If the memory does not suffice for so many workers, or frames killed their workers twice.
     """
-    changes: dict[str, Any] = {"weather": weather, "time": time, "stride_s": stride_s}
+    changes: dict[str, Any] = {"weather": weather, "time": time, "stride_s": stride_s, "traffic": traffic}
     if uniform_offset_ms is not None:
         changes["uniform_offset_ms"] = (uniform_offset_ms, uniform_offset_ms)
     changes = {name: value for name, value in changes.items() if value is not None}

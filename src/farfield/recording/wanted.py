@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
 from farfield.bulk.runs import Progress
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import files_of
 from farfield.recording.simulated import Recorded, record
+from farfield.vocabulary.conditions import Side
 
 
 class SimulationConfig(BaseModel):
@@ -22,6 +24,12 @@ class SimulationConfig(BaseModel):
     seed: int = Field(0, description="another seed gives other roads and traffic")
     sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
     stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
+    traffic: Side | None = Field(None, description="on which side it keeps; the preset's own if left out")
+
+    @model_serializer(mode="wrap")
+    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; the side only where it is said, so that data and trainings are known as before."""
+        return {name: value for name, value in others(self).items() if name != "traffic" or value is not None}
 
 
 def ensure(
@@ -57,6 +65,7 @@ def ensure(
         sensors=wanted.sensors,
         seed=wanted.seed,
         stride_s=wanted.stride_s,
+        traffic=wanted.traffic,
         cache=files_of(find_preset(wanted.preset)).caches,
         progress=progress,
         report=report,

@@ -34,6 +34,10 @@ def planned_frame(preset: Preset, *, seed: int, sequence: int, index: int, senso
         from farfield.simulation.rigs.kitti_frame import kitti_frame
 
         return kitti_frame(drive, index, sensors, time_ns)
+    if preset.rig == "radiate":
+        from farfield.simulation.rigs.radiate_frame import radiate_frame
+
+        return radiate_frame(drive, index, sensors, time_ns)
     from farfield.simulation.rigs.kradar_frame import kradar_frame
 
     return kradar_frame(drive, index, sensors, time_ns)
@@ -75,7 +79,9 @@ def simulate_frame(
         the whole bodies, its ``details`` ``point_count_gaussian`` and ``point_count_uniform``. The K-Radar rig gives
         clouds "os2-64" (the reference frame) and "os1-128", images "cam-front" and "cam-front-right"..., radar products
         in the radar's frame, and full boxes. The KITTI rig gives cloud "lidar", image "camera", and full boxes of what
-        that camera sees, with ``truncation``, ``occlusion`` and ``box_px`` among the annotation's ``details``.
+        that camera sees, with ``truncation``, ``occlusion`` and ``box_px`` among the annotation's ``details``. The
+        RADIATE rig gives radar products "polar" and "cartesian", cloud "radar" of the strongest cells, and full boxes
+        of what stands out.
 
     Raises:
         ConfigError: If the preset is unknown or the frame lies beyond the sequence's duration.

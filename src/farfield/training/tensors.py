@@ -74,10 +74,10 @@ def by_kernel(own: Tensor, other: Tensor) -> tuple[Tensor, int, str] | None:
         As :func:`by_columns`.
     """
     if own.ndim == 3 and other.ndim == 3 and own.shape[1:] == other.shape[1:]:
-        grids = (_sparse_grid(own), _sparse_grid(other))
-        if grids[0] is None or grids[1] is None:
+        mine, theirs = _sparse_grid(own), _sparse_grid(other)
+        if mine is None or theirs is None:
             return None
-        value = _laid(*grids)
+        value = _laid(mine, theirs)
         count = min(own.shape[0], other.shape[0]) * own[0].numel()
         return value.movedim((2, 3, 4), (0, 1, 2)).reshape(own.shape), count, _sizes(own.shape[:1], other.shape[:1])
     if own.ndim < 3 or own.shape[:2] != other.shape[:2] or own.ndim - other.ndim not in (0, 1):

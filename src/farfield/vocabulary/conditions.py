@@ -4,10 +4,13 @@ from typing import Literal, get_args
 
 Weather = Literal["normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"]
 Time = Literal["day", "night"]
+Side = Literal["right", "left"]
 
 WEATHERS: tuple[Weather, ...] = get_args(Weather)
 ROADS = ("urban", "highway", "suburban", "alleyway", "parking_lot", "shoulder", "mountain", "university")
 TIMES: tuple[Time, ...] = get_args(Time)
+SIDES: tuple[Side, ...] = get_args(Side)
+"""On which side traffic keeps."""
 
 CONDITIONS: dict[str, tuple[str, ...]] = {"weather": WEATHERS, "road": ROADS, "time": TIMES}
 """The values by kind, in the order of K-Radar's tables: with the whole set 18 subsets."""

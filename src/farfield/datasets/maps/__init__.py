@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from farfield.datasets.maps.common_radar import CommonRadar
 from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_before
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.maps.labels_at import LabelsAt
@@ -17,6 +18,7 @@ from farfield.registry import Registry
 
 __all__ = [
     "MAPS",
+    "CommonRadar",
     "Coordinates",
     "Earlier",
     "FrameMap",
@@ -34,6 +36,7 @@ MAPS: Registry[Any] = Registry(
     "farfield.maps",
     "map of frames",
     {
+        "common_radar": "farfield.datasets.maps.common_radar:CommonRadar",
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
         "edited": "farfield.datasets.edits.edited:Edited",
         "labels_at": "farfield.datasets.maps.labels_at:LabelsAt",

@@ -29,9 +29,12 @@ class RadarGridConfig(VoxelGridConfig):
     cell_m: tuple[float, float, float] = Field((0.4, 0.4, 0.4), description="the radar's cell along x, y and z")
 
 
-def cell_columns(use_doppler: bool) -> tuple[str, ...]:
-    """Columns of the points that a radar network reads: position, power, and Doppler if asked for."""
-    return (*POSITION, POWER, *[DOPPLER] * use_doppler)
+FLAGS = ("has_doppler", "has_height")
+
+
+def cell_columns(use_doppler: bool, use_flags: bool = False) -> tuple[str, ...]:
+    """Columns of the points that a radar network reads: position, power, Doppler and what is known if asked for."""
+    return (*POSITION, POWER, *[DOPPLER] * use_doppler, *FLAGS * use_flags)
 
 
 def scaled_power(points: Tensor, columns: Sequence[str], *, log: bool) -> Tensor:

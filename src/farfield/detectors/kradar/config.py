@@ -66,6 +66,7 @@ class RadarDetectorConfig(AnchorHeadConfig):
     )
     power: Literal["linear", "log"] = Field("linear", description="log: log(1 + power / 0.01) instead of the power")
     use_doppler: bool = Field(False, description="also read the cells' Doppler")
+    use_flags: bool = Field(False, description="also read whether Doppler and height are known: several radars")
     neck_width: int = Field(256, ge=1, le=4096, description="channels that each stage gives to the bird's-eye map")
 
     @model_validator(mode="before")
@@ -90,7 +91,7 @@ class RadarDetectorConfig(AnchorHeadConfig):
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the points that the network reads."""
-        return cell_columns(self.use_doppler)
+        return cell_columns(self.use_doppler, self.use_flags)
 
 
 class RadarDetector(MapDetector):

@@ -1,16 +1,17 @@
 """The declared grid of experiments that feeds a paper's tables: runs, data sets, and what each budget makes of them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.experiments.claims import CLAIMS
 from farfield.experiments.claims.schema import BUDGETS, Budget
 from farfield.files.atomic import read_bytes
+from farfield.vocabulary.conditions import Side
 
 _FOLDER = Path(__file__).resolve().parent
 _MAX_BYTES = 1 << 20
@@ -36,6 +37,12 @@ class Simulated(_Declared):
     sensors: str | None = Field(None, description="what is written, by commas; the preset's own if left out")
     weather: str | None = None
     stride_s: float | None = Field(None, gt=0, le=1)
+    traffic: Side | None = Field(None, description="on which side it keeps; the preset's own if left out")
+
+    @model_serializer(mode="wrap")
+    def _said(self, others: Callable[[Any], Tree]) -> Tree:
+        """All settings; the side only where it is said, so that data are known as before."""
+        return {name: value for name, value in others(self).items() if name != "traffic" or value is not None}
 
 
 class Real(_Declared):

@@ -110,6 +110,7 @@ def simulate(wanted: Simulated, path: Path, **how: Any) -> None:
         weather=wanted.weather,
         seed=wanted.seed,
         stride_s=wanted.stride_s,
+        traffic=wanted.traffic,
         cache=files_of(find_preset(wanted.preset)).caches,
         **how,
     )

@@ -99,7 +99,7 @@ class Scoring:
         kept: Tree = {}
         for (table, matched), needs in alike.items():
             drawn = self._drawn(found, table, matched, needs)
-            kept |= {name: _to_json(sample) for name, sample in drawn.items()}
+            kept |= {name: json_of_sample(sample) for name, sample in drawn.items()}
         return dict(sorted(kept.items()))
 
     def _drawn(
@@ -179,7 +179,8 @@ def _of_frames(found: Detections, frames: set[Key]) -> Detections | None:
     return replace(found, annotations=kept, boxes={key: each for key, each in found.boxes.items() if key in frames})
 
 
-def _to_json(sample: Sample) -> Tree:
+def json_of_sample(sample: Sample) -> Tree:
+    """A sample as JSON values; :func:`sample_of` reads it."""
     draws = [None if not np.isfinite(value) else round(float(value), _DECIMALS) for value in sample.draws]
     return {
         "value": sample.value,

@@ -74,6 +74,10 @@ class Mesh:
         tint = rng.random(len(Material), dtype=np.float32)[self.material]
         return replace(self, reflectance=reflectance, tint=tint)
 
+    def mirrored(self) -> "Mesh":
+        """The same on the other side of the x-z plane; triangles keep their outer side."""
+        return replace(self, vertices_m=self.vertices_m * [1.0, -1.0, 1.0], faces=self.faces[:, ::-1])
+
     def placed(self, x_m: float, y_m: float, z_m: float = 0.0, *, yaw_rad: float = 0.0) -> "Mesh":
         """Turn about z, then move."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)

@@ -1,10 +1,10 @@
 """Named settings of the simulator: which rig, which roads in which weather, how many frames."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.vocabulary.conditions import TIMES, WEATHERS
+from farfield.vocabulary.conditions import SIDES, TIMES, WEATHERS
 from farfield.vocabulary.kradar import OUSTER_LINES, SEQUENCES
 from farfield.vocabulary.patterns import PATTERNS
 
@@ -22,7 +22,8 @@ KRADAR_SENSORS = (
     "tesseract",
 )
 KITTI_SENSORS = ("lidar", "camera")
-SENSORS = {"cirrus": CIRRUS_SENSORS, "kradar": KRADAR_SENSORS, "kitti": KITTI_SENSORS}
+RADIATE_SENSORS = ("polar", "cartesian")
+SENSORS = {"cirrus": CIRRUS_SENSORS, "kradar": KRADAR_SENSORS, "kitti": KITTI_SENSORS, "radiate": RADIATE_SENSORS}
 """The sensors of each rig, in its own order."""
 Number = float | int
 Span = tuple[Number, Number]
@@ -79,7 +80,7 @@ class Preset:
 
     Args:
         name: Its name.
-        rig: "cirrus", "kradar" or "kitti".
+        rig: "cirrus", "kradar", "kitti" or "radiate".
         segments: Its sequences; further ones repeat them in turn, each with another world.
         sensors: What is written unless asked otherwise.
         stride_s: Time between frames; the sensors themselves turn at 10 Hz.
@@ -89,6 +90,7 @@ class Preset:
         lines: Lines of a Luminar.
         columns: Shots a line of a Luminar, or columns of a LiDAR that turns.
         loose_boxes: Whether annotated full boxes are as much larger than the bodies as K-Radar's.
+        traffic: On which side it keeps, "right" or "left"; the left is the mirror image of the right.
     """
 
     name: str
@@ -102,6 +104,12 @@ class Preset:
     lines: int = 64
     columns: int = 938
     loose_boxes: bool = False
+    traffic: str = "right"
+
+    def said(self) -> dict[str, Any]:
+        """All settings as JSON takes them; the side only where it is the left, so that others are known as before."""
+        settings = asdict(self)
+        return settings if self.traffic != "right" else {k: v for k, v in settings.items() if k != "traffic"}
 
     def segment(self, sequence: int) -> Segment:
         """The segment of a sequence of any number."""
@@ -114,8 +122,8 @@ class Preset:
 
 
 def segment_name(rig: str, sequence: int) -> str:
-    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar, "0003" in KITTI."""
-    names = {"cirrus": f"segment_{sequence:02d}", "kitti": f"{sequence:04d}"}
+    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar, "0003" in KITTI, "sim_3_0" in RADIATE."""
+    names = {"cirrus": f"segment_{sequence:02d}", "kitti": f"{sequence:04d}", "radiate": f"sim_{sequence}_0"}
     return names.get(rig, str(sequence + 1))
 
 
@@ -163,6 +171,8 @@ _IDEAL = Mounting(uniform_offset_ms=(0.0, 0.0))
 _KRADAR_RIG = Mounting(height_m=(1.55, 1.65))
 _KITTI_RIG = Mounting(height_m=(1.73, 1.73))
 _KITTI_ROADS = ("urban", "suburban", "alleyway", "highway")  # its city, residential and road drives
+_RADIATE_RIG = Mounting(height_m=(1.8, 1.8))
+_RADIATE_ROADS = ("urban", "suburban", "highway", "university", "mountain", "shoulder", "alleyway", "parking_lot")
 _KRADAR_DEFAULT = (*OUSTER_LINES, "cam-front", "sparse", "cube")
 
 PRESETS: dict[str, Preset] = {
@@ -245,6 +255,26 @@ PRESETS: dict[str, Preset] = {
             mountings=(_KITTI_RIG,),
             columns=512,
         ),
+        Preset(
+            "radiate-sim",
+            "radiate",
+            _in_turn("radiate", _RADIATE_ROADS, 16, frames=40, duration_s=20.0),
+            RADIATE_SENSORS,
+            stride_s=0.25,
+            sizes=("kitti",),
+            mountings=(_RADIATE_RIG,),
+            traffic="left",
+        ),
+        Preset(
+            "radiate-sim-mini",
+            "radiate",
+            _in_turn("radiate", _RADIATE_ROADS, 2, frames=2, duration_s=6.0),
+            RADIATE_SENSORS,
+            stride_s=0.25,
+            sizes=("kitti",),
+            mountings=(_RADIATE_RIG,),
+            traffic="left",
+        ),
     )
 }
 
@@ -267,6 +297,7 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     preset = PRESETS[name]
     weathers = () if weather is None else tuple(each.strip() for each in weather.split(","))
     named = [("weather", each, WEATHERS) for each in weathers]
+    named += [("traffic", changes["traffic"], SIDES)] if "traffic" in changes else []
     for what, value, known in named if time is None else [*named, ("time of day", time, TIMES)]:
         if value not in known:
             raise ConfigError(f"{what}: expected one of {', '.join(known)}; got {value!r}")

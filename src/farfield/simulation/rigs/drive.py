@@ -36,6 +36,7 @@ _STREAMS = {
             "cam-rear",
             "cam-rear-right",
             "lidar",
+            "turning",
         )
     )
 }
@@ -78,7 +79,13 @@ class Drive:
     @cached_property
     def scene(self) -> Scene:
         """Its world."""
-        return Scene(self.segment.road, self._seeds[0], duration_s=self.segment.duration_s, sizes=self._choices[0])
+        return Scene(
+            self.segment.road,
+            self._seeds[0],
+            duration_s=self.segment.duration_s,
+            sizes=self._choices[0],
+            traffic=self.preset.traffic,
+        )
 
     @cached_property
     def weather(self) -> Weather:

@@ -46,6 +46,10 @@ class Motion:
     yaw_rad: Float[np.ndarray, "n steps"]
     slope: Float[np.ndarray, "n steps 2"]
 
+    def mirrored(self) -> "Motion":
+        """The same on the other side of the x axis: what was on the left is on the right."""
+        return Motion(self.position_m * [1.0, -1.0, 1.0], -self.yaw_rad, self.slope * [1.0, -1.0])
+
     def at(
         self, time_s: float, *, rows: slice | Int[np.ndarray, " m"] = slice(None)
     ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:

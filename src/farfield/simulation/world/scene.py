@@ -15,6 +15,7 @@ from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.world.layout import CHUNK_M, Layout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, Plot
+from farfield.vocabulary.conditions import SIDES
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
 _KEPT_TRACERS = 2000  # about 60 MB
@@ -76,19 +77,26 @@ class Scene:
         seed: Draws everything; the same seed gives the same world whatever sensors look at it.
         duration_s: How long it lasts.
         sizes: Named prior of the road users' sizes: "us", "korea" or "kitti".
+        traffic: On which side it keeps: "right", or "left", which is the mirror image of the road and its traffic.
 
     Raises:
-        ConfigError: If there is no such road or prior.
+        ConfigError: If there is no such road, prior or side.
     """
 
-    def __init__(self, road: str, seed: np.random.SeedSequence, *, duration_s: float, sizes: str = "us") -> None:
+    def __init__(
+        self, road: str, seed: np.random.SeedSequence, *, duration_s: float, sizes: str = "us", traffic: str = "right"
+    ) -> None:
         if road not in BUILDERS:
             raise ConfigError(f"road: expected one of {', '.join(ROADS)}; got {road!r}")
+        if traffic not in SIDES:
+            raise ConfigError(f"traffic: expected one of {', '.join(SIDES)}; got {traffic!r}")
         find_prior(sizes)
         layout_seed, actor_seed, pose_seed = seed.spawn(3)
         self.road, self.duration_s, self.sizes = road, duration_s, sizes
         self.layout: Layout = BUILDERS[road](Plot(layout_seed, duration_s, sizes))
+        self.traffic = traffic
         self.actors, self.motion = self.layout.population.finish(actor_seed)
+        self.motion = self.motion.mirrored() if traffic == "left" else self.motion
         self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
         self._rows = {actor.track_id: row for row, actor in enumerate(self.actors)}
         self._tracers: dict[tuple[int, int], Tracer] = {}
@@ -114,6 +122,8 @@ class Scene:
             last = int(np.ceil(((stage + 1) * _STAGE_M + reach_m) / CHUNK_M))
             mesh = Mesh.merge([self.layout.chunk(index) for index in range(first, last)])
             anchor = self.layout.land.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
+            if self.traffic == "left":
+                mesh, anchor = mesh.mirrored(), anchor * [1.0, -1.0, 1.0]
             self._stage = ((stage, behind_m), Tracer(mesh, anchor_m=anchor))
         return Body(self._stage[1], np.broadcast_to(np.eye(4), (knots, 4, 4)))
 

@@ -1,0 +1,7 @@
+"""Transfer between radar data sets (K-Radar, appendix G) as one declared table: worlds, rows, shares, decisions."""
+
+from farfield.experiments.reproduce.transfer.deciding import cells_of, lines_of
+from farfield.experiments.reproduce.transfer.declared import Table, load_table, runs_of
+from farfield.experiments.reproduce.transfer.running import Transfer
+
+__all__ = ["Table", "Transfer", "cells_of", "lines_of", "load_table", "runs_of"]

@@ -1,0 +1,197 @@
+"""Do the runs of the table of transfer: simulate, take the floors, train or go on, detect, keep what was scored."""
+
+import json
+import logging
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from farfield.bulk import Bulk, Done, Journal, Unit, run
+from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.maps import CommonRadar, make
+from farfield.detection import detect
+from farfield.detectors.runtime import Detector
+from farfield.experiments.plan import Plan, annotated_frames, part_of
+from farfield.experiments.reproduce.jobs import code_digest
+from farfield.experiments.reproduce.places import simulate
+from farfield.experiments.reproduce.scoring import json_of_sample
+from farfield.experiments.reproduce.transfer.deciding import by_row, cells_of, lines_of
+from farfield.experiments.reproduce.transfer.declared import Table, TransferRun, experiment_tree, runs_of
+from farfield.experiments.schema import experiment_of
+from farfield.files.atomic import write_text
+from farfield.metrics.deciding import figure, sample
+from farfield.training.method import LABELLED
+
+SCORES, WEIGHTS, FLOORS = "scores.json", "weights.safetensors", "floors.json"
+CLOUD = "radar"
+
+
+@dataclass(frozen=True)
+class Sets:
+    """Where the worlds' data stand, and the form in which they are seen.
+
+    Args:
+        table: The table.
+        folder: Folder of the data.
+        floors: The file that keeps the worlds' floors.
+    """
+
+    table: Table
+    folder: Path
+    floors: Path
+
+    def path(self, world: str, part: str) -> Path:
+        """Folder of a world's ``"train"`` or ``"val"`` set."""
+        return self.folder / f"{world}-{part}"
+
+    def provide(self, **how: Any) -> None:
+        """Simulate what is not there yet, and take the floors of the training sets."""
+        for name, world in self.table.worlds.items():
+            for part, wanted in (("train", world.train), ("val", world.val)):
+                simulate(wanted, self.path(name, part), **how)
+        kept = self._floors()
+        for name in self.table.worlds:
+            if name not in kept:
+                kept[name] = dict(self._taken(name).settings())
+                write_text(self.floors, json.dumps(kept, indent=1) + "\n")
+
+    def _floors(self) -> dict[str, Any]:
+        return dict(json.loads(self.floors.read_text(encoding="utf-8"))) if self.floors.is_file() else {}
+
+    def _taken(self, name: str) -> CommonRadar:
+        world = self.table.worlds[name]
+        data = open_dataset(self.path(name, "train"), **world.floor_options)
+        step = max(1, len(data) // self.table.floor_frames)
+        form = CommonRadar(floor_db=(0.0,), **world.form)
+        return form.fitted(data[index] for index in range(0, len(data), step))
+
+    def form(self, world: str, *, drop_doppler: float = 0.0) -> Any:
+        """The map that brings a world's clouds into the common form."""
+        return make("common_radar", {**self._floors()[world], "drop_doppler": drop_doppler})
+
+    def seen(self, world: str, part: str, *, drop_doppler: float = 0.0) -> Dataset:
+        """A world's frames in the common form."""
+        data = open_dataset(self.path(world, part), **self.table.worlds[world].options)
+        return data.mapped(self.form(world, drop_doppler=drop_doppler))
+
+
+@dataclass(frozen=True)
+class Doing:
+    """Does a run in its folder; the unit's parameters are the run.
+
+    Args:
+        sets: The data.
+        folder: Folder of all runs' folders.
+    """
+
+    sets: Sets
+    folder: Path
+
+    memory_bytes = 2_000_000_000
+    own_process = True
+
+    def __call__(self, unit: Unit) -> Done:
+        """Train unless the weights are there, detect, score, and write the scores."""
+        wanted: TransferRun = unit.parameters
+        home, began, busy = self.folder / wanted.folder, time.monotonic(), time.process_time()
+        logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
+        if not (home / WEIGHTS).is_file():
+            self._train(wanted, home)
+        trained_s = time.monotonic() - began
+        clock = {"training_s": round(trained_s, 1), "processor_s": 0.0}
+        kept = self._score(wanted, home)
+        clock["processor_s"] = round(time.process_time() - busy, 1)
+        write_text(home / SCORES, json.dumps({**kept, "clock": clock}) + "\n")
+        (home / "checkpoint.pt").unlink(missing_ok=True)
+        return Done(files=(home / SCORES,), clock=clock)
+
+    def _train(self, wanted: TransferRun, home: Path) -> None:
+        table = self.sets.table
+        row = table.rows[wanted.row]
+        source = TransferRun(row=row.start, share=1.0, seed=wanted.seed)
+        start = self.folder / source.folder / WEIGHTS if row.start else None
+        path = self.sets.path(row.world, "train")
+        experiment = experiment_of(experiment_tree(table, wanted, data=path, start=start), where=wanted.folder)
+        seen = self.sets.seen(row.world, "train", drop_doppler=row.drop_doppler)
+        data = annotated_frames(part_of(seen, (0.0, wanted.share)), "skip")
+        Plan(experiment, home, data={LABELLED: data}).run()
+
+    def _score(self, wanted: TransferRun, home: Path) -> dict[str, Any]:
+        table = self.sets.table
+        data = self.sets.seen(table.rows[wanted.row].world, "val")
+        found = detect(Detector.load(home / WEIGHTS), data, cloud=CLOUD, annotated_only=True)
+        settings = table.score.settings
+        taken = sample(
+            found, figure(table.metric), protocol=table.score.protocol, replicates=table.replicates, **settings
+        )
+        objects = sum(int((annotation.boxes.label == "vehicle").sum()) for annotation in found.annotations.values())
+        said = {"row": wanted.row, "share": wanted.share, "seed": wanted.seed}
+        return {**said, "value": taken.value, "sample": json_of_sample(taken), "frames": len(data), "objects": objects}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer:
+    """The table at work in a folder; called again it goes on where it stopped.
+
+    Args:
+        table: What is declared.
+        out: Folder of data, runs and the table.
+        seeds: Those of the table unless given.
+        workers: Processes, one thread each.
+        progress: Makes a wrapper of numbers of work that is left, from what the work is.
+        said: Called with lines of what is done.
+    """
+
+    table: Table
+    out: Path
+    seeds: tuple[int, ...] | None = None
+    workers: int = 1
+    progress: Callable[[str], Callable[[Iterable[int]], Iterable[int]]] | None = None
+    said: Callable[[str], object] | None = None
+
+    @property
+    def sets(self) -> Sets:
+        """The data."""
+        return Sets(self.table, self.out / "data", self.runs_folder / FLOORS)
+
+    def run(self) -> None:
+        """Simulate, then do all runs: first those that others start from."""
+        self.sets.provide(workers=self.workers, progress=self._bar("simulating"), report=self.said)
+        setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'detection', 'metrics'))}"
+        journal = Journal(self.runs_folder / ".journal.jsonl", setting)
+        for wave in runs_of(self.table, self.seeds):
+            units = [Unit(each.folder, parameters=each) for each in wave]
+            left = sum(not journal.has(unit) for unit in units)
+            if left and self.said is not None:
+                self.said(f"{left} of {len(units)} runs are left")
+            bulk = Bulk(workers=self.workers, progress=self._bar("training"))
+            run(Doing(self.sets, self.runs_folder), units, bulk, journal=journal)
+
+    @property
+    def runs_folder(self) -> Path:
+        """Folder of the floors and of all runs; a table that declares something else has another."""
+        folder = self.out / "runs" / self.table.digest[:8]
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def _bar(self, what: str) -> Callable[[Iterable[int]], Iterable[int]]:
+        return iter if self.progress is None else self.progress(what)
+
+    def write(self) -> list[str]:
+        """Write ``transfer.txt`` and ``transfer.json`` of the runs that are done; returns the text's lines."""
+        scores = self.scores()
+        lines = lines_of(self.table, scores)
+        cells = [cell.to_json() for cell in cells_of(self.table, by_row(scores))]
+        kept = [{name: value for name, value in each.items() if name != "sample"} for each in scores]
+        said = {"declared": self.table.digest, "runs": kept, "comparisons": cells}
+        write_text(self.out / "transfer.txt", "\n".join([*lines, ""]))
+        write_text(self.out / "transfer.json", json.dumps(said, indent=1) + "\n")
+        return lines
+
+    def scores(self) -> list[dict[str, Any]]:
+        """What all finished runs scored."""
+        runs = [each for wave in runs_of(self.table) for each in wave]
+        paths = [self.runs_folder / each.folder / SCORES for each in runs]
+        return [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.is_file()]
