@@ -100,9 +100,7 @@ def test_a_drag_draws_the_next_box_of_the_object_with_its_locked_size(page: Scre
     assert made["class_name"] == row["class_name"]
     assert made["box"][3] == pytest.approx(4.7)
     assert math.dist(made["box"][:2], truth[:2]) < 0.4
-    page.until(
-        f"state.tracks.get({GONE + 1}).frames.join() === '0,1'"
-    )
+    page.until(f"state.tracks.get({GONE + 1}).frames.join() === '0,1'")
 
 
 def test_after_escape_a_drag_draws_another_object(page: Screen):
