@@ -32,7 +32,7 @@ def install(folder: Path, site: Path | None) -> Path:
     if site is not None:
         (own,) = (folder / "env" / "lib").glob("python*/site-packages")
         (own / "others.pth").write_text(f"{site}\n")
-    wanted = ["--no-deps", str(wheel)] if site is not None else [f"{wheel}[detect]"]
+    wanted = ["--ignore-installed", "--no-deps", str(wheel)] if site is not None else [f"{wheel}[detect]"]
     subprocess.run([str(python), "-m", "pip", "install", "--quiet", *wanted], check=True)
     return python.parent
 
