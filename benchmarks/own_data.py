@@ -99,7 +99,7 @@ def main() -> None:
         layouts(place / "my-sweeps", place)
         for name in ("kitti-like", "nuscenes-like", "organised"):
             told = say(tools, place, f"farfield doctor {name}")
-            cloud = next(re.sub(r"[\s│]+", " ", line) for line in told.splitlines() if "cloud lidar" in line)
+            cloud = next(re.sub(r"[\s│]+", " ", line) for line in told.splitlines() if "points a sweep" in line)
             score = say(tools, place, f"farfield evaluate pointpillars-cirrus-sim {name} --replicates 0 --out {name}-e")
             print(f"-- {name}:{cloud}")
             print("   " + next(line for line in score.splitlines() if line.startswith("lidar: "))[:150])
