@@ -4,6 +4,7 @@
 #   make test          format, lint, types, import contract and the quick tests
 #   make test-slow     the tests that take minutes
 #   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
+#   make docs          the documentation site, with an API reference; in an environment of its own (150 MB)
 #   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py
 #   make gpu-check     prove and measure what needs a GPU; ten minutes on one (docs/gpu.md)
@@ -33,7 +34,7 @@ PYTEST_FLAGS ?=
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
-.PHONY: help install demo test test-slow test-browser test-core page lint format bench gpu-check wheel clean
+.PHONY: help install demo test test-slow test-browser test-core docs page lint format bench gpu-check wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -77,6 +78,17 @@ test-browser: $(STAMP)
 	fi; \
 	FARFIELD_CHROMIUM="$$chromium" $(ONE_THREAD) $(BIN)/python -m pytest -q -m "slow or not slow" $(SHAPES) $(PYTEST_FLAGS) tests/studio/browser
 
+# The pages and their API reference; fails on a warning, a broken link or anchor, and above 15 MB.
+docs: .venv-docs/.installed
+	@.venv-docs/bin/python docs/make_site.py
+
+.venv-docs/.installed: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or newer found; name one with PYTHON=/path/to/python" >&2; exit 1; }
+	@test -x .venv-docs/bin/python || $(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --group docs
+	@touch $@
+
 page:
 	cd web && npm ci && npm run build
 
@@ -105,5 +117,5 @@ wheel: $(STAMP)
 	$(BIN)/python -m build --wheel --outdir dist .
 
 clean:
-	rm -rf $(VENV) .venv-core-* build dist src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache farfield-demo
+	rm -rf $(VENV) .venv-core-* .venv-docs build dist src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache farfield-demo
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -110,3 +110,13 @@ def test_every_figure_of_a_table_was_printed(page: Path) -> None:
     lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     strange = {figure for line in lines for figure in FIGURE.findall(line)} - known
     assert strange == set()
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/detectors.md"])
+def test_real_rows_say_how_far_they_carry(page: str) -> None:
+    """Three sweeps of one scene are not three frames: 284 boxes are about 95 objects."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert any(row[0].startswith("real Luminar") for row in rows_of(page))
+    assert "one scene, three sweeps a tenth of a second apart" in text
+    assert f"about {round(284 / 3)} objects" in text
+    assert f"{1.96 * (0.25 / (284 / 3)) ** 0.5:.2f}" == "0.10"

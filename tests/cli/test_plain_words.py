@@ -75,8 +75,8 @@ def test_advice_fits_the_way_of_installing(monkeypatch: pytest.MonkeyPatch) -> N
     asked = ["embreex>=4.4", "numba>=0.61"]
     monkeypatch.setattr(extras, "_installed_from", lambda: ("index", ""))
     assert 'pip install "farfield[simulate]"' in str(MissingExtraError("embreex", "simulate", "It"))
-    monkeypatch.setattr(extras, "_installed_from", lambda: ("editable", "/home/me/far field"))
-    assert 'pip install -e "/home/me/far field[simulate]"' in str(MissingExtraError("embreex", "simulate", "It"))
+    monkeypatch.setattr(extras, "_installed_from", lambda: ("editable", "checkouts/far field"))
+    assert 'pip install -e "checkouts/far field[simulate]"' in str(MissingExtraError("embreex", "simulate", "It"))
     monkeypatch.setattr(extras, "_installed_from", lambda: ("file", ""))
     monkeypatch.setattr(extras, "_requirements", lambda extra: asked)
     assert 'pip install "embreex>=4.4" "numba>=0.61"' in str(MissingExtraError("embreex", "simulate", "It"))

@@ -192,3 +192,58 @@ def test_written_files_read_back(sides, tmp_path):
     tree = json.loads((path.parent / "comparison.json").read_text("utf-8"))
     assert tree["sides"][0]["clouds"]["gaussian"]["far_share_of_horizon"]["2"] == 0.26
     assert [side["name"] for side in tree["sides"]] == ["<sim>", "real & bare"]
+
+
+def test_the_effective_range_and_the_time_it_leaves():
+    """Cirrus, introduction: at 75 mph 250, 120 and 70 m leave 7.5, 3.5 and 2 s."""
+    from farfield.reports.sweeps_plot import effective_range_m, reaction_s
+
+    assert [round(reaction_s(each) * 2) / 2 for each in (250, 120, 70)] == [7.5, 3.5, 2.0]
+    cloud = {"range": {"count": [990, 9, 0, 1], "edges_m": [0.0, 50.0, 100.0, 200.0, 400.0]}}
+    assert effective_range_m(cloud) == pytest.approx(100.0, abs=0.01)
+    assert effective_range_m({"range": {"count": [0, 0], "edges_m": [0.0, 5.0, 10.0]}}) is None
+
+
+def test_sweeps_stand_side_by_side(rng, tmp_path):
+    import farfield as ff
+    from farfield.inspection.side import side_of
+    from farfield.reports.sweeps_plot import from_above
+
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        np.save(tmp_path / name / "0.npy", rng.uniform([1, -20, -2, 0], [60, 20, 1, 1], (500, 4)).astype(np.float32))
+    sides = [side_of(ff.open_dataset(tmp_path / name), name) for name in ("a", "b")]
+    figure = from_above(sides)
+    shown = [axes for axes in figure.axes if axes.collections]
+    assert [len(axes.collections[0].get_offsets()) for axes in shown] == [500, 500]
+    assert all("at 75 mph" in axes.get_title(loc="left") for axes in shown)
+    assert [line.what for line in table_lines(sides) if "mph" in line.what] == ["time that leaves at 75 mph (s)"]
+
+
+def test_short_logarithmic_axes_have_plain_numbers():
+    from farfield.reports.style import figure_bytes, new_figure
+
+    figure = new_figure(4.0, 2.0)
+    axes = figure.subplots()
+    axes.plot([1, 2], [2.0, 7.0])
+    axes.set_yscale("log")
+    figure_bytes(figure, "png")
+    labels = [text.get_text() for text in axes.get_yticklabels(minor=True)]
+    assert any(label == "6" for label in labels)
+    assert not any("times" in label for label in labels)
+
+
+def test_empty_bins_of_range_keep_their_place():
+    from farfield.inspection.statistics.census import Census, range_names
+
+    census = Census(
+        sequence=np.array(["a"]),
+        conditions={},
+        objects=np.array([2]),
+        frame=np.array([0, 0]),
+        name=np.array(["car", "car"]),
+        range_m=np.array([10.0, 70.0]),
+        size_m=np.ones((2, 3)),
+        visibility=np.array(["unknown", "unknown"]),
+    )
+    assert census.names("range") == range_names()[:4]

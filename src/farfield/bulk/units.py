@@ -59,8 +59,8 @@ def alone(work: Work) -> bool:
 def blocks(count: int, size: int, *, what: str = "") -> list[Unit]:
     """Units of so many places each, whose parameters are the range of their places.
 
-    >>> [unit.parameters for unit in blocks(5, 2)]
-    [range(0, 2), range(2, 4), range(4, 5)]
+    >>> " ".join(unit.name for unit in blocks(5, 2))
+    '0-2 2-4 4-5'
     """
     ranges = [range(first, min(first + size, count)) for first in range(0, count, size)]
     return [Unit(f"{what}{each.start}-{each.stop}", parameters=each) for each in ranges]

@@ -19,6 +19,7 @@ VERBS = {
     "show": "draw one frame from above: a cloud, or the radar's power",
     "view": "look at a data set in the browser, with detections beside the truth",
     "annotate": "draw and mend boxes and tracks in the browser",
+    "new-dataset": "write an example of an own data set, to put your own files in its place",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
     "detectors": "list the detectors with their size, speed and score",
@@ -60,6 +61,8 @@ def overview() -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage, 130 after Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if sys.stdout is None:  # closed by the shell: `>&-`
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - until the process ends
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(overview(), end="")
         return 0 if arguments else 2

@@ -1,9 +1,10 @@
 """``farfield detectors``."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from farfield.errors import ConfigError
 
@@ -52,7 +53,10 @@ def run(
         table.add_column(column.replace("overall m", "overall"), justify="left" if column in ("detector",) else "right")
     for entry in entries:
         paper = "cannot be used" if entry.broken else entry.paper or "-"
-        table.add_row(entry.name, paper, entry.weights or "-", *_row(entry, speeds[entry.name], cloud, epsilon))
+        scores = entry.shipped or entry.scores
+        table.add_row(entry.name, paper, entry.weights or "-", *_row(entry, speeds[entry.name], scores, cloud, epsilon))
+        if entry.shipped:
+            table.add_row("", "with the equal budget", "-", *_row(entry, "", entry.scores, cloud, epsilon))
     Console(width=160).print(table)
     for entry in entries:
         if entry.broken:
@@ -62,8 +66,8 @@ def run(
     known = figures()
     if known.get("split"):
         print(
-            f"\nscores: {known['split']} ({known['sha256'][:12]}), {cloud} clouds, all trained alike, on simulation: "
-            f"{known['budget']}\n"
+            f"\nscores: {known['split']} ({known['sha256'][:12]}), {cloud} clouds, on simulation; equal budget: "
+            f"{known['budget']}; a row with a second one below has the scores of the weights that ship\n"
             + ("" if measure else f"speed: {known['points']}, {known['machine']}, {known['precision']}\n")
             + f"recorded {known['date']} at commit {known['commit']}"
         )
@@ -74,8 +78,8 @@ def run(
     return 0
 
 
-def _row(entry: "Entry", speed: str, cloud: str, epsilon: str) -> list[str]:
-    scores = entry.scores.get(cloud, {})
+def _row(entry: "Entry", speed: str, by_cloud: Mapping[str, Any], cloud: str, epsilon: str) -> list[str]:
+    scores = by_cloud.get(cloud, {})
     values = [scores.get(name, {}).get(epsilon) for name in _RANGES]
     size = "-" if entry.parameters is None else f"{entry.parameters / 1e6:.2f} M"
     return [size, speed, *("-" if value is None else f"{value:.3f}" for value in values)]

@@ -61,7 +61,7 @@ def run(
         detector: A bundled detector's name, a run's folder, or a weights file.
         data: The data set; its format is recognised.
         clouds: Which clouds, comma-separated; by default those that suit the detector.
-        split: train, val or test; all frames unless given.
+        split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout

@@ -199,7 +199,7 @@ class Dataset(ABC):
         Otherwise whole sequences are dealt out in the order of a hash of their names: the same on every machine.
 
         Args:
-            name: The part.
+            name: The part; ``"time-train"``, ``"time-val"`` and ``"time-test"`` are parts ``by="time"``.
             by: ``"sequence"``, ``"time"`` to cut every sequence in time (neighbouring frames look alike, so scores come
                 out too good: only for a single sequence), or ``"benchmark"`` for the parts that the format's authors
                 published, where those tear sequences apart.
@@ -208,6 +208,8 @@ class Dataset(ABC):
             ConfigError: If there is no such part.
             DatasetError: If there are fewer than three sequences to deal out, or no drives to cut in time.
         """
+        if name.startswith("time-") and by == "sequence":  # as one word, for files and flags
+            name, by = name.removeprefix("time-"), "time"
         if by == "time":
             drives = self.drive_indices()
             if not drives and len(self):

@@ -28,7 +28,8 @@ def deal_out(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
     if len(names) < 3:
         raise DatasetError(
             f"{root}: a split keeps sequences whole and needs at least 3, found {len(names)}. Give the parts in "
-            f"{SPLIT_FILE}, take frames with select(), or cut in time with split(name, by='time')."
+            f"{SPLIT_FILE}, take frames with select(), or cut each sequence in time: split(name, by='time') "
+            "in Python, split: time-train (time-val, time-test) in an experiment, --split time-val on the command line."
         )
     order = sorted(range(len(names)), key=lambda i: hashlib.sha256(str(names[i]).encode()).digest())
     parts: dict[str, list[str]] = {"train": [], "val": [], "test": []}

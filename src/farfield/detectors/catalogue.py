@@ -1,7 +1,8 @@
 """What is known of each detector: its paper, its size, its speed and its score on a frozen split. Needs no torch.
 
 The figures are records: ``benchmarks/detectors.py`` measures them and writes ``weights_data/figures.json`` with the
-split, its checksum, the machine and the commit. Nothing here is measured while it is read.
+split, its checksum, the machine and the commit; ``benchmarks/shipped_figures.py`` takes speeds and the shipped weights'
+scores from the results that the pages quote. Nothing here is measured while it is read.
 """
 
 import json
@@ -24,6 +25,7 @@ class Entry:
         parameters: Number of trained parameters of the recorded network, or None.
         frame_ms: Milliseconds a frame from points to boxes by precision.
         scores: DDS figures by cloud, range and epsilon: ``scores["gaussian"]["150-250"]["0.006"]``.
+        shipped: The same of the weights that ship, where they learnt longer than ``scores`` says.
         setting: Further facts of the record: grid, schedule.
         origin: Where the detector comes from: "farfield", "registered here", or the package that has it.
         broken: Why it cannot be used; empty where it can.
@@ -35,6 +37,7 @@ class Entry:
     parameters: int | None = None
     frame_ms: dict[str, float] = field(default_factory=dict)
     scores: dict[str, dict[str, dict[str, float | None]]] = field(default_factory=dict)
+    shipped: dict[str, dict[str, dict[str, float | None]]] = field(default_factory=dict)
     setting: dict[str, Any] = field(default_factory=dict)
     origin: str = "farfield"
     broken: str = ""
@@ -65,6 +68,7 @@ def catalogue() -> list[Entry]:
                 parameters=record.get("parameters"),
                 frame_ms=record.get("frame_ms", {}),
                 scores=record.get("scores", {}),
+                shipped=record.get("shipped", {}).get("scores", {}),
                 setting=record.get("setting", {}),
                 origin=origin,
                 broken=broken,

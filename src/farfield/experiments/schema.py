@@ -36,7 +36,9 @@ class DataConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     path: Path = Field(description="the data set's folder")
-    split: str | None = Field(None, description="train, val, test, or nothing for all frames")
+    split: str | None = Field(
+        None, description="train, val, test, time-train, time-val, time-test (cut in time), or nothing for all frames"
+    )
     clouds: Annotated[tuple[str, ...], Field(min_length=1)] | dict[str, tuple[str, ...]] = Field(
         ("gaussian", "uniform"), description="clouds to learn from in turn, or such a list for each of several inputs"
     )

@@ -80,7 +80,23 @@ def side_of(data: Dataset, name: str, frames: int = 0, bulk: Bulk = HERE, **sett
     summary = statistics.summary()
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
-    return Side(name, summary, statistics.arrays(), str(data.root))
+    return Side(name, summary, {**statistics.arrays(), **_sweeps(data)}, str(data.root))
+
+
+_SWEEP_POINTS = 40_000
+
+
+def _sweeps(data: Dataset) -> dict[str, dict[str, np.ndarray]]:
+    """The clouds of the middle frame from above, thinned alike everywhere: ``sweep/NAME`` with ``xy_m``, (n, 2)."""
+    if not len(data):
+        return {}
+    try:
+        frame = data[len(data) // 2]
+        found = {name: frame.cloud(name).points_m[:, :2] for name in frame.clouds}
+    except (FarfieldError, OSError):
+        return {}
+    steps = {name: -(-len(points) // _SWEEP_POINTS) for name, points in found.items()}
+    return {f"sweep/{name}": {"xy_m": points[:: max(steps[name], 1)]} for name, points in found.items()}
 
 
 def paired(

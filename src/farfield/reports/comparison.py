@@ -11,6 +11,7 @@ from farfield.inspection.side import Side
 from farfield.reports import comparison_plots as plots
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_uri
+from farfield.reports.sweeps_plot import SPEED_MPH, effective_range_m, from_above, reaction_s
 from farfield.reports.template import render_template
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.patterns import PATTERNS
@@ -92,6 +93,7 @@ def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
         *_line(sides, topic, "points a frame", *base, "points_per_frame", digits=0),
         *_line(sides, topic, "share of shots that return", *base, "return_rate", digits=3),
         *_line(sides, topic, "farthest return (m)", *base, "longest_m", digits=0),
+        *_reach_lines(sides, topic, cloud),
     ]
     far_m = next((side.summary["clouds"][cloud]["far_m"] for side in sides if cloud in side.summary["clouds"]), 0.0)
     focus = next((side.summary["clouds"][cloud]["focus_deg"] for side in sides if cloud in side.summary["clouds"]), 0.0)
@@ -114,6 +116,20 @@ def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
         words = f"points in vehicles, {weather} over normal"
         lines += _line(sides, topic, words, *base, "survival", "weather", weather, "overall")
     return lines
+
+
+def _reach_lines(sides: Sequence[Side], topic: str, cloud: str) -> list[Line]:
+    """Effective range and the time that it leaves."""
+    clouds = [side.summary["clouds"].get(cloud) for side in sides]
+    reaches = [None if each is None or "range" not in each else effective_range_m(each) for each in clouds]
+    if not any(reaches):
+        return []
+    times = [None if reach is None else reaction_s(reach) for reach in reaches]
+    leaves = f"time that leaves at {SPEED_MPH:.0f} mph (s)"
+    return [
+        Line(topic, "99.9 % of returns lie within (m)", tuple(_text(reach, 0) for reach in reaches)),
+        Line(topic, leaves, tuple(_text(each, 1) for each in times)),
+    ]
 
 
 def _line(sides: Sequence[Side], topic: str, what: str, *path: str, digits: int = 2, published: str = "") -> list[Line]:
@@ -146,6 +162,12 @@ def pictures(sides: Sequence[Side]) -> list[Picture]:
     """Every figure that at least one side has the data for."""
     found = []
     for draw, heading, caption in (
+        (
+            from_above,
+            "Sweeps from above",
+            "One sweep of each, on one scale; thin rings every 50 m. The dashed ring holds 99.9 % of the returns "
+            "of all frames: the effective range, and beside it the time that it leaves at a speed.",
+        ),
         (
             plots.elevation,
             "Where the returns lie in elevation",

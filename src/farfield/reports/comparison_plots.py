@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.inspection.side import Side
-from farfield.reports.style import INK, MUTED, house_style, new_figure
+from farfield.reports.style import INK, MUTED, SIDES, house_style, new_figure
 from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SIDES = ("#0b6e99", "#d9480f")
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 _MAPS = ("Blues", "Oranges")
 _SHARES = {limit: float(share) for limit, share in SHARES_NEAR_HORIZON.items()}

@@ -13,6 +13,7 @@ INK, MUTED, RULE, PAPER = "#17212b", "#5d6b7a", "#d8dee5", "#ffffff"
 ANNOTATED, PREDICTED = "#0b6e99", "#d9480f"  # blue and orange stay apart for every common colour blindness
 POINT = "#8a97a5"
 PATTERNS = ("#0b6e99", "#c2255c", "#2b8a3e", "#e67700")  # one colour a result: Gaussian, uniform, ...
+SIDES = ("#0b6e99", "#d9480f")  # of two data sets side by side
 THRESHOLDS = ("#9fb6c9", "#5f8fb3", "#0b6e99", "#063a52")  # 0.5, 1, 2, 4 m: light to dark
 
 Kind = Literal["svg", "png", "jpg"]
@@ -81,6 +82,7 @@ def figure_bytes(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> byt
         dpi: Pixels an inch of raster parts.
     """
     buffer = io.BytesIO()
+    _plain_logarithms(figure)
     metadata = {"svg": {"Date": None, "Creator": "Farfield"}, "png": {"Software": "Farfield"}, "jpg": None}[kind]
     with house_style():
         if kind == "svg":
@@ -88,6 +90,16 @@ def figure_bytes(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> byt
         else:
             figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
+
+
+def _plain_logarithms(figure: "Figure") -> None:
+    """Write the numbers between powers of ten as 2, 3, 6: a short logarithmic axis labels them, as 6 x 10^0."""
+    from matplotlib.ticker import LogFormatter, LogFormatterSciNotation
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log" and isinstance(axis.get_minor_formatter(), LogFormatterSciNotation):
+                axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
 
 
 def _draw_svg(figure: "Figure", buffer: io.BytesIO, dpi: int, metadata: Any) -> None:

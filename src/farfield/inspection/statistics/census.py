@@ -70,7 +70,8 @@ class Census:
         """What a column over objects holds: most frequent first, ranges and degrees of visibility in their order."""
         found = Counter(self.of_objects(kind).tolist())
         if kind == "range":
-            return [name for name in range_names() if name in found]
+            places = [place for place, name in enumerate(range_names()) if name in found]
+            return range_names()[places[0] : places[-1] + 1] if places else []  # an empty bin keeps its place
         if kind == "visibility":
             known = [*_KRADAR_SIGHT.values(), *_KITTI_SIGHT, *_POINTS]
             return sorted(found, key=lambda name: (name == UNKNOWN, known.index(name) if name in known else 0))
