@@ -1,10 +1,12 @@
 """``farfield detectors``."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
+
+from farfield.cli._words import write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ def run(
     cloud: Literal["gaussian", "uniform"] = "gaussian",
     epsilon: str = "0.006",
     measure: bool = False,
-    json_out: Path | None = None,
+    json: Annotated[Path | None, tyro.conf.arg(aliases=["--json-out"])] = None,
 ) -> int:
     """List the detectors with their size, speed and score.
 
@@ -34,13 +36,12 @@ def run(
         cloud: The scan pattern of the scores.
         epsilon: Weight of wDDS: 0 (DDS), 0.003, 0.006 or 0.009.
         measure: Time the bundled weights here.
-        json_out: Also write everything as JSON.
+        json: Also write everything as JSON into this file; - prints it too.
     """
     from rich.console import Console
     from rich.table import Table
 
     from farfield.detectors.catalogue import catalogue, figures
-    from farfield.files.atomic import write_text
 
     if epsilon not in ("0", "0.003", "0.006", "0.009"):
         raise ConfigError(f"--epsilon: expected one of 0, 0.003, 0.006, 0.009; got {epsilon!r}")
@@ -69,8 +70,8 @@ def run(
         )
     print("train one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
     print("use one: farfield predict WEIGHTS DATA")
-    if json_out is not None:
-        write_text(json_out, json.dumps({**known, "detectors": [asdict(entry) for entry in entries]}, indent=1))
+    if json is not None:
+        write_json(json, {**known, "detectors": [asdict(entry) for entry in entries]})
     return 0
 
 
