@@ -100,7 +100,7 @@ def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tupl
         "predict": f"predict pointpillars-cirrus-sim {data} --cloud gaussian --out OUT/a/boxes.csv",
         "evaluate": f"evaluate pointpillars-cirrus-sim {data} --clouds gaussian --replicates 20 --out OUT/a",
         "stats": f"stats {data} --name frames --sweeps {frames} --out OUT/a",
-        "doctor": f"doctor {data} --clouds {frames}",
+        "doctor": f"doctor {data} --frames {frames}",
     }
     return {name: (line.split(), str(cached) if "cache" in name else "OUT/a") for name, line in words.items()}
 

@@ -3,7 +3,7 @@
 usage: python benchmarks/cpu_precision.py [--points 60000] [--frames 6] [--rounds 3]
 
 oneDNN, which multiplies for torch on a CPU, is told by ONEDNN_MAX_CPU_ISA which instructions it may use: AVX512_CORE
-are those of processors with AVX-512 alone, AVX2 those of older and of many desktop ones. Numbers are the processor time
+are those of processors with AVX-512 alone. Those without AVX-512 have nothing to choose. Numbers are the processor time
 of one thread, so that other programs do not count; each kind is a process of its own, and kinds take turns.
 """
 
@@ -13,11 +13,12 @@ import os
 import subprocess
 import sys
 import time
+from typing import Any
 
 import numpy as np
 from _report import header
 
-KINDS = {"as it is": "", "AVX-512 alone": "AVX512_CORE", "AVX2": "AVX2"}
+KINDS = {"as it is": "", "AVX-512 alone": "AVX512_CORE"}
 NAMES = tuple(f"{name}-cirrus-sim" for name in ("pointpillars", "second", "sparsecentre", "pointrcnn", "voxelnet"))
 
 
@@ -41,9 +42,19 @@ def measured(names: list[str], points: int, frames: int) -> dict[str, list[float
     return taken
 
 
-def in_process(isa: str, options: argparse.Namespace) -> dict[str, list[float]]:
-    """The measurement under an instruction set."""
-    words = [sys.executable, __file__, "--inner", "--points", str(options.points), "--frames", str(options.frames)]
+def choices(names: list[str]) -> dict[str, str]:
+    """What auto takes by detector, and why, where torch sees what oneDNN may use."""
+    from farfield.detectors import DETECTORS
+    from farfield.detectors.precision import chosen_precision, flags_of_cpu
+
+    flags = {"": flags_of_cpu(), "AVX512_CORE": {"avx512": True}}[os.environ.get("ONEDNN_MAX_CPU_ISA", "")]
+    networks = {name: DETECTORS[name.removesuffix("-cirrus-sim")].network_class for name in names}
+    return {name: ": ".join(chosen_precision(network, flags)) for name, network in networks.items()}
+
+
+def in_process(isa: str, options: argparse.Namespace, what: str = "--measured") -> dict[str, Any]:
+    """The measurement, or the choices, under an instruction set."""
+    words = [sys.executable, __file__, what, "--points", str(options.points), "--frames", str(options.frames)]
     environment = {**os.environ, **({"ONEDNN_MAX_CPU_ISA": isa} if isa else {})}
     done = subprocess.run([*words, "--detectors", *options.detectors], env=environment, check=True, capture_output=True)
     return json.loads(done.stdout.splitlines()[-1])
@@ -55,21 +66,24 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=60_000)
     parser.add_argument("--frames", type=int, default=6, help="frames of a round")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--inner", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--measured", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--chosen", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.inner:
-        print(json.dumps(measured(options.detectors, options.points, options.frames)))
+    if options.measured or options.chosen:
+        inner = (
+            measured(options.detectors, options.points, options.frames)
+            if options.measured
+            else choices(options.detectors)
+        )
+        print(json.dumps(inner))
         return
-    from farfield.detectors import DETECTORS
-    from farfield.detectors.precision import chosen_precision, flags_of_cpu
-
     print(header(), "\n", sep="")
     taken: dict[tuple[str, str], list[float]] = {}
     for _ in range(options.rounds):
         for kind, isa in KINDS.items():
             for key, times in in_process(isa, options).items():
                 taken.setdefault((kind, key), []).extend(times)
-    flags = {"as it is": flags_of_cpu(), "AVX-512 alone": {"avx512": True}, "AVX2": {}}
+    chosen = {kind: in_process(isa, options, "--chosen") for kind, isa in KINDS.items()}
     print(f"{options.points} points; ms of processor time a frame, one thread: median (least)")
     print(f"{'detector':<26} {'processor':<14} {'fp32':>14} {'bf16':>14}   auto takes")
     for name in options.detectors:
@@ -78,8 +92,7 @@ def main() -> None:
                 f"{np.median(times):7.0f} ({min(times):4.0f})"
                 for times in (taken[kind, f"{name} {precision}"] for precision in ("fp32", "bf16"))
             ]
-            kept = chosen_precision(DETECTORS[name.removesuffix("-cirrus-sim")].network_class, flags[kind])[0]
-            print(f"{name:<26} {kind:<14} {cells[0]:>14} {cells[1]:>14}   {kept}")
+            print(f"{name:<26} {kind:<14} {cells[0]:>14} {cells[1]:>14}   {chosen[kind][name]}")
 
 
 if __name__ == "__main__":

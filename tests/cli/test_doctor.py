@@ -29,7 +29,7 @@ def test_a_sound_data_set_exits_0_and_prints_a_table(street_root, capsys):
 
 def test_a_fault_exits_1_and_json_names_it(street_root, capsys):
     swap_sizes(street_root)
-    assert main(["doctor", str(street_root), "--json"]) == 1
+    assert main(["doctor", str(street_root), "--json", "-"]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report["failed"]
     assert report["facts"]["size_order"] == "wlh"
@@ -63,6 +63,6 @@ def test_what_is_not_there_is_folded_into_one_line(tmp_path, capsys):
     assert not [line for line in rows if "│ none " in line]
     for absent in ("radar tesseract", "cam-rear", "dash video", "IMU"):
         assert absent in " ".join(below.split())
-    assert main(["doctor", str(tmp_path / "kradar"), "--json"]) in (0, 1)
+    assert main(["doctor", str(tmp_path / "kradar"), "--json", "-"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)
     assert {f["topic"] for f in report["findings"] if f["absent"]} >= {"radar tesseract", "cam-rear", "IMU"}

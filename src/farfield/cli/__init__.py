@@ -3,6 +3,7 @@
 import errno
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
@@ -43,6 +44,9 @@ VERBS = {
 }
 
 
+_VERBOSE = ("-v", "--verbose")
+
+
 def overview() -> str:
     """Return the text of ``farfield --help``."""
     verbs = "\n".join(f"  {verb:<16}{what}" for verb, what in VERBS.items())
@@ -54,7 +58,12 @@ def overview() -> str:
         "  farfield simulate cirrus-sim data/sim --frames 100\n"
         "  farfield train pointpillars-cirrus-sim -o training.steps=500\n"
         "  farfield score predictions.csv labels.csv --protocol dds --json scores.json\n\n"
-        f"verbs (farfield VERB --help tells more):\n{verbs}\n"
+        f"verbs (farfield VERB --help tells more):\n{verbs}\n\n"
+        "everywhere:\n"
+        "  -v, --verbose       show where an error came from\n"
+        "  --version           print the version\n"
+        "  --completion SHELL  print what bash, zsh or fish needs to complete verbs and flags:\n"
+        "                      source <(farfield --completion bash)\n"
     )
 
 
@@ -71,6 +80,13 @@ def main(arguments: list[str] | None = None) -> int:
 
         print(f"farfield {__version__}")
         return 0
+    if arguments[0] == "--completion":
+        return _print_completion(arguments[1:])
+    verbose = any(word in _VERBOSE for word in arguments)
+    arguments = [word for word in arguments if word not in _VERBOSE]
+    if not arguments:
+        print(overview(), end="")
+        return 2
     verb, rest = arguments[0], arguments[1:]
     if verb not in VERBS:
         print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
@@ -83,6 +99,8 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stdout.flush()
             return status
     except FarfieldError as error:
+        if verbose:
+            traceback.print_exc()
         told = str(error)
     except ImportError as error:
         missing = MissingExtraError.of(error, f"farfield {verb}")
@@ -129,6 +147,16 @@ _HELPS = {
     errno.ENAMETOOLONG: " Choose shorter names.",
     errno.EMFILE: " Take fewer --workers, or raise the limit: ulimit -n 4096.",
 }
+
+
+def _print_completion(words: list[str]) -> int:
+    from farfield.cli._completion import SHELLS, script
+
+    if len(words) != 1 or words[0] not in SHELLS:
+        print(f"farfield --completion: expected one of {', '.join(SHELLS)}, got {' '.join(words)!r}", file=sys.stderr)
+        return 2
+    print(script(words[0]), end="")
+    return 0
 
 
 def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:

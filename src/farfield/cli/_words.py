@@ -1,13 +1,36 @@
 """Words of the command line into values."""
 
+import json
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
     from farfield.metrics import Protocol
+
+
+OUTPUT = Path("-")
+"""What ``--json -`` names: the output instead of a file."""
+
+
+def write_json(path: Path, tree: Any) -> None:
+    """Write JSON into a file, all or nothing, or onto the output for ``-``."""
+    from farfield.files.atomic import write_text
+
+    text = json.dumps(tree, indent=1) + "\n"
+    if path == OUTPUT:
+        sys.stdout.write(text)
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+
+
+def read_json(path: Path) -> Any:
+    """What one of our own JSON files holds."""
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def names(text: str) -> list[str]:

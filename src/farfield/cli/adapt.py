@@ -19,7 +19,7 @@ def run(
     *,
     source: Path | None = None,
     labels: Path | None = None,
-    clouds: str = "",
+    clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     rotate_deg: float = 0.0,
     frames: int = 400,
     source_frames: int = 240,

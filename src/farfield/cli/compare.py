@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from tyro.conf import Positional
 
 from farfield.cli._progress import hands
-from farfield.cli._words import pairs_of
+from farfield.cli._words import pairs_of, read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -26,12 +27,13 @@ def run(
     names: str = "",
     vehicle_labels: str = "vehicle",
     focus_deg: float = -2.0,
-    clouds: str = "",
+    clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     workers: int = 0,
     engine: str = "local",
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
     out: Path | None = None,
+    json: Path | None = None,
 ) -> int:
     """Set the statistics of two data sets side by side: elevation, points in boxes, ranges, sizes, weather, radar.
 
@@ -57,6 +59,7 @@ def run(
         mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
         mapping_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
+        json: Write what is in comparison.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError
     from farfield.inspection.side import paired, side_of
@@ -81,6 +84,8 @@ def run(
         print(f"clouds side by side: {', '.join(f'{a} : {b}' for a, b in pairs)}{'' if clouds else _UNASKED}")
     for side in sides:
         print("".join(f"note: {side.title}: {text}\n" for text in side.summary["missing"]), end="")
+    if json is not None:
+        write_json(json, read_json(folder / "comparison.json"))
     print(f"written: {folder / 'comparison.json'}\nreport: {page.resolve()}")
     return 0
 

@@ -1,7 +1,7 @@
 """``farfield convert``: write a data set in another layout, as a fast binary cache, or its radar tensors made light."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -19,7 +19,7 @@ def run(
     roots: tuple[Path, ...] = (),
     columns: int | None = None,
     boxes: Literal["boxes", "full_boxes"] = "boxes",
-    cloud: str | None = None,
+    cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     reference: str | None = None,
     products: str = "cells",
     region: Literal["narrow", "wide", "cube"] = "wide",
@@ -30,6 +30,7 @@ def run(
     engine: str = "local",
     verify: bool = False,
     overwrite: bool = False,
+    dry_run: bool = False,
 ) -> None:
     """Write a data set in another layout, its ASCII clouds as a binary cache, or its radar tensors as a light store.
 
@@ -68,6 +69,7 @@ def run(
         engine: Where the work is done.
         verify: Only compare what was written with its checksums and its source.
         overwrite: Write everything anew.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
     from farfield.datasets.kradar.store import StoreSettings
@@ -91,6 +93,10 @@ def run(
             mend = "Convert again without --verify to mend them."
             raise DatasetError(f"{target}: expected all to be intact, found {len(found)} that are not. {mend}{shown}")
         print(f"{len(dataset)} frames: what was written is intact.")
+        return
+    if dry_run:
+        where = target if target is not None else source
+        print(f"would write {len(dataset)} frames of {dataset.name} as {to} to {where}; nothing is written now")
         return
     outcome = convert(
         dataset,

@@ -6,6 +6,13 @@ from pathlib import Path
 
 from farfield.cli._progress import bar
 
+_START_S, _FRAME_S = 15.0, 1.5  # two cores of an AMD EPYC: imports and the page; simulating and searching a frame
+
+
+def seconds_of(frames: int) -> float:
+    """About how long so many frames take on two cores."""
+    return _START_S + _FRAME_S * frames
+
 
 def run(*, out: Path = Path("farfield-demo"), sequences: int = 4, frames: int = 20, seed: int = 2026) -> int:
     """Simulate, detect, score and report: the main job from end to end, with no data and no GPU.
@@ -28,6 +35,9 @@ def run(*, out: Path = Path("farfield-demo"), sequences: int = 4, frames: int = 
     from farfield.recording import record
 
     began = time.monotonic()
+    minutes = max(1, round(seconds_of(frames) / 60))
+    about = f"{minutes} {'minute' if minutes == 1 else 'minutes'}"
+    print(f"{frames} frames of {sequences} roads: about {about} on two cores\n", flush=True)
     data = out / f"simulated-{seed}-{sequences}x{frames}"
     print("1/3 simulating", flush=True)
     simulating = partial(bar, what="simulating", transient=True)

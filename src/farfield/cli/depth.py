@@ -1,8 +1,9 @@
 """``farfield depth``: dense depth maps of a data set's cameras from its LiDAR."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import tyro
 from tyro.conf import Positional
 
 from farfield.cli._progress import hands
@@ -12,7 +13,7 @@ def run(
     data: Positional[Path],
     *,
     out: Path,
-    cloud: str | None = None,
+    cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     camera: str | None = None,
     method: Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"] = "auto",
     scale: Literal["auto", "256", "128"] = "auto",
@@ -26,6 +27,7 @@ def run(
     workers: int = 0,
     engine: str = "local",
     overwrite: bool = False,
+    dry_run: bool = False,
 ) -> None:
     """Write a dense depth map for every frame: 16-bit PNG in KITTI's convention.
 
@@ -57,6 +59,7 @@ def run(
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the work is done.
         overwrite: Make every map anew.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
     from farfield.imaging.depth.writing import DepthSettings, write_depth_maps
@@ -77,6 +80,12 @@ def run(
         from farfield.reports.trails import check_picture
 
         check_picture(picture)
+    if dry_run:
+        cameras = [settings.camera] if settings.camera else list(dataset[0].cameras if len(dataset) else ())
+        print(
+            f"would write {len(dataset)} frames of {', '.join(cameras) or 'no camera'} to {out}; nothing is written now"
+        )
+        return
     written = write_depth_maps(
         dataset,
         out,

@@ -1,11 +1,13 @@
 """``farfield detectors``."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
+
+from farfield.cli._words import write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ def run(
     cloud: Literal["gaussian", "uniform"] = "gaussian",
     epsilon: str = "0.006",
     measure: bool = False,
-    json_out: Path | None = None,
+    json: Annotated[Path | None, tyro.conf.arg(aliases=["--json-out"])] = None,
 ) -> int:
     """List the detectors with their size, speed and score.
 
@@ -35,13 +37,12 @@ def run(
         cloud: The scan pattern of the scores.
         epsilon: Weight of wDDS: 0 (DDS), 0.003, 0.006 or 0.009.
         measure: Time the bundled weights here.
-        json_out: Also write everything as JSON.
+        json: Also write everything as JSON into this file; - prints it too.
     """
     from rich.console import Console
     from rich.table import Table
 
     from farfield.detectors.catalogue import catalogue, figures
-    from farfield.files.atomic import write_text
 
     if epsilon not in ("0", "0.003", "0.006", "0.009"):
         raise ConfigError(f"--epsilon: expected one of 0, 0.003, 0.006, 0.009; got {epsilon!r}")
@@ -73,8 +74,8 @@ def run(
         )
     print("train one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
     print("use one: farfield predict WEIGHTS DATA")
-    if json_out is not None:
-        write_text(json_out, json.dumps({**known, "detectors": [asdict(entry) for entry in entries]}, indent=1))
+    if json is not None:
+        write_json(json, {**known, "detectors": [asdict(entry) for entry in entries]})
     return 0
 
 

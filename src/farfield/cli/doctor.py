@@ -1,6 +1,5 @@
 """``farfield doctor``: say what a data set holds, what is missing and how to mend it."""
 
-import json as json_text
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from farfield.cli._progress import hands
+from farfield.cli._words import OUTPUT, write_json
 
 if TYPE_CHECKING:
     from farfield.inspection.doctor import Report
@@ -24,18 +24,18 @@ def run(
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
     columns: int | None = None,
-    clouds: int = 20,
+    frames: int = 20,
     calibration: int = 0,
     workers: int = 0,
     engine: str = "local",
-    json: bool = False,
+    json: Path | None = None,
 ) -> int:
     """Say what a data set holds, what is missing and how to mend it.
 
     examples:
       farfield doctor Cirrus_dataset1
       farfield doctor Cirrus_dataset1 --mapping mapping.yaml
-      farfield doctor data/kitti --clouds 0 --json > report.json
+      farfield doctor data/kitti --frames 0 --json report.json
       farfield doctor K-Radar --calibration 24
       farfield doctor dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58 --labels v2.1
 
@@ -49,22 +49,22 @@ def run(
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Numbers a point in .bin files; what the numbers themselves show unless given.
-        clouds: Number of frames whose clouds are read, spread evenly; 0 reads all.
+        frames: Number of frames whose clouds are read, spread evenly; 0 reads all.
         calibration: Number of frames, such as 24, with which to check cameras and K-Radar's radar: whether the given
             calibration fits, and whether a sensor moved during the first drive; 0 does not.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are read.
-        json: Print the report as JSON instead of a table.
+        json: Also write the report as JSON into this file; - prints it instead of the table.
     """
     from farfield.datasets import open_dataset
     from farfield.inspection.doctor import examine
 
     given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots, "bin_columns": columns}
     dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
-    report = examine(dataset, max_clouds=clouds, calibration=calibration, bulk=hands(workers, engine, "reading"))
-    if json:
-        sys.stdout.write(json_text.dumps(report.to_json(), indent=1) + "\n")
-    else:
+    report = examine(dataset, max_clouds=frames, calibration=calibration, bulk=hands(workers, engine, "reading"))
+    if json is not None:
+        write_json(json, report.to_json())
+    if json != OUTPUT:
         _print(report)
     return int(report.failed)
 

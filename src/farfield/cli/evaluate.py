@@ -1,6 +1,5 @@
 """``farfield evaluate``."""
 
-import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from tyro.conf import Positional
 
 from farfield.cli._detector_options import OWN, BoxFlags
 from farfield.cli._progress import bar, hands
-from farfield.cli._words import deprecated, names, parse_options
+from farfield.cli._words import deprecated, names, parse_options, write_json
 
 _FEW = 40
 """Frames for which this process is faster than others that must first import torch."""
@@ -21,7 +20,7 @@ def run(
     detector: Positional[str],
     data: Positional[Path],
     *,
-    clouds: str = "",
+    clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     split: str = "",
     rotate_deg: float = 0.0,
     mapping: Path | None = None,
@@ -32,7 +31,7 @@ def run(
     epsilon: str = "",
     region: str = "",
     options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
-    replicates: int | None = None,
+    replicates: int = 200,
     kept: BoxFlags = OWN,
     precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
@@ -42,6 +41,7 @@ def run(
     report: bool = True,
     out: Path | None = None,
     overwrite: bool = False,
+    json: Path | None = None,
 ) -> int:
     """Run a detector over a data set, score it by range for every scan pattern, and write a report page.
 
@@ -74,7 +74,7 @@ def run(
         region: For dds window (x 0..250, |y| <= 50 m, the default), range, or none; for nuscenes and kitti none is the
             default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
         options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
-        replicates: Bootstrap replicates of the 95 % intervals, 200 unless given; 0 for none.
+        replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
         kept: Which of the detector's boxes count.
         precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
@@ -85,16 +85,17 @@ def run(
         out: Folder of the evaluation and its report.html; runs/evaluation-DETECTOR-DATA unless given, with a number
             behind it where another detector or other data of these names were evaluated there.
         overwrite: Detect anew what an evaluation before found.
+        json: Write the result into this file as `farfield score --json` does, of several clouds by their names; -
+            prints it.
     """
     from farfield.api import load_detector, open_dataset
-    from farfield.files.atomic import write_text
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
     from farfield.metrics.result import figure_names, value_at
     from farfield.reports.evaluating import evaluate_clouds
     from farfield.reports.evaluation import default_folder
-    from farfield.reports.lines import classes_of, line_of
+    from farfield.reports.lines import classes_of
     from farfield.reports.page import write_report
 
     epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
@@ -109,10 +110,11 @@ def run(
         "range_bins_m": numbers(range_bins_m, "--range-bins-m") if range_bins_m else None,
         "epsilons": numbers(epsilons, "--epsilons") if epsilons else None,
         "region": region or None,
-        "bootstrap": None if replicates is None else Bootstrap(replicates=replicates),
+        "bootstrap": Bootstrap(replicates=replicates) if "bootstrap" in PROTOCOLS[protocol].options() else None,
     }
     given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
     folder, clocks = out or default_folder(loaded.name, loaded.digest(), opened), dict[str, dict[str, float]]()
+    tables: dict[str, str] = {}
     evaluation = evaluate_clouds(
         loaded,
         opened,
@@ -124,15 +126,15 @@ def run(
         bulk=hands(workers or int(loaded.device.type != "cpu" or len(opened) < _FEW), engine, "detecting"),
         kept=folder,
         overwrite=overwrite,
+        tables=tables,
         clocks=clocks,
         **{name: value for name, value in given.items() if value is not None},
     )
     evaluation.save(folder)
     if clocks:  # apart, so that equal evaluations are equal files
-        write_text(folder / "timing.json", json.dumps(clocks, indent=1) + "\n")
+        write_json(folder / "timing.json", clocks)
     for name, result in evaluation.results.items():
-        print("".join(f"note: {note}\n" for note in result.get("notes", ())), end="")
-        print(f"{name}: {line_of(result)}")
+        print(f"{name}:\n{tables[name]}\n")
         print(classes_of(result, evaluation.parts[name]), end="")
     if report:
         page = write_report(
@@ -146,6 +148,8 @@ def run(
             parts=evaluation.parts,
             progress=partial(bar, what="drawing", transient=True),
         )
+    if json is not None:
+        write_json(json, dict(evaluation.results) if len(tables) > 1 else evaluation.results[next(iter(tables))])
     for name, measured in clocks.items():
         print(f"{name}: {measured['median_ms']:.1f} ms a frame from points to boxes (median of {measured['frames']})")
     print(f"evaluation: {folder / 'evaluation.json'}")

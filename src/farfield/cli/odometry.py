@@ -1,7 +1,7 @@
 """``farfield odometry``: poses for drives that come without."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -11,7 +11,7 @@ def run(
     /,
     *,
     out: Path | None = None,
-    cloud: str | None = None,
+    cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     deskew: bool = True,
     turning: Literal["no", "clockwise", "counterclockwise"] = "no",
     step_s: float = 0.1,

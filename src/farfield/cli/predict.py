@@ -3,8 +3,9 @@
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from tyro.conf import Positional
 
 from farfield.cli._detector_options import OWN, BoxFlags
@@ -27,7 +28,7 @@ def run(
     *,
     out: Path | None = None,
     format: Literal["boxes-csv", "kitti", "nuscenes"] | None = None,
-    cloud: str | None = None,
+    cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     kept: BoxFlags = OWN,
     rotate_deg: float = 0.0,
     reference: str = "",

@@ -1,8 +1,9 @@
 """``farfield show``: one frame as a picture."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from tyro.conf import Positional
 
 from farfield.cli._detector_options import OWN, BoxFlags
@@ -21,7 +22,7 @@ def run(
     frame: int = 0,
     radar: bool = False,
     detector: str = "",
-    cloud: str | None = None,
+    cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     kept: BoxFlags = OWN,
     out: Path | None = None,
 ) -> int:

@@ -28,6 +28,7 @@ def run(
     engine: str = "local",
     cache: bool = False,
     recording: bool = False,
+    dry_run: bool = False,
 ) -> int:
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE.
 
@@ -70,8 +71,13 @@ def run(
         recording: Write the raw streams of each drive of the Cirrus car instead of frames: a ROS 2 bag (MCAP) with the
             LiDARs at 10 Hz, the camera at 30 Hz (320 pixels wide), two IMUs at 100 Hz, GPS at 1 Hz and the car's pose,
             each with a clock of its own, and SEQUENCE_truth.json beside. --frames counts sweeps, 10 a second.
+        dry_run: Say what would be written, and write nothing.
     """
     if recording:
+        if dry_run:
+            raise ConfigError(
+                "--dry-run: expected frames; --recording has none. --frames of it are sweeps, 10 a second"
+            )
         if stride_s is not None or cache or traffic is not None:
             raise ConfigError(
                 "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
@@ -111,6 +117,7 @@ def run(
         workers=workers,
         engine=engine,
         cache=cache,
+        dry_run=dry_run,
         progress=partial(bar, what="simulating", transient=True),
         report=print,
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from farfield.cli._progress import hands
+from farfield.cli._words import read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -26,6 +27,7 @@ def run(
     mapping: Path | None = None,
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
+    json: Path | None = None,
 ) -> int:
     """Count a data set: frames by weather, road and time, boxes by class, weather, range and visibility, sensors.
 
@@ -48,6 +50,7 @@ def run(
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
+        json: Write what is in statistics.json into this file too; - prints it.
     """
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
@@ -62,6 +65,8 @@ def run(
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
     page = write_statistics(folder, found)
     _print(found)
+    if json is not None:
+        write_json(json, read_json(folder / "statistics.json"))
     print(f"written: {folder / 'statistics.json'}, {folder / 'figures'}\nreport: {page.resolve()}")
     return 0
 

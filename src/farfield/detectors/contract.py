@@ -117,7 +117,7 @@ class Network(nn.Module, ABC):
 
     Attributes:
         inputs: What it reads, by name.
-        emulated: Number type that is faster on processors with AVX-512 but without bfloat16 of their own.
+        work: What it mostly does, which decides the number type on some processors.
         channels: Features of a row of what :meth:`encode` gives.
         low_precision: Submodules that the runtime may turn into bfloat16.
         assigner: Makes targets of annotations.
@@ -127,7 +127,7 @@ class Network(nn.Module, ABC):
     inputs: Mapping[str, CloudInput]
     channels: int
     low_precision: ClassVar[tuple[str, ...]] = ()
-    emulated: ClassVar[Literal["fp32", "bf16"]] = "fp32"
+    work: ClassVar[Literal["dense", "rows"]] = "dense"
     assigner: Assigner
     head: Callable[..., Any]
 

@@ -62,6 +62,7 @@ def record(
     workers: int = 0,
     engine: str = "local",
     cache: bool = False,
+    dry_run: bool = False,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
 ) -> Recorded:
@@ -85,6 +86,7 @@ def record(
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are simulated: a name of ``farfield.bulk.ENGINES``.
         cache: Also write the binary cache that makes reading fast.
+        dry_run: Say what would be done, and do nothing.
         progress: Wraps the numbers of the frames that are left, to show progress.
         report: Called with each line of what is going to be done and what was done.
 
@@ -107,7 +109,11 @@ def record(
         cache=cache,
         frozen=frozen,
     )
-    return _run(recording, Bulk(workers=workers, engine=engine, progress=progress), report or _silent)
+    bulk = Bulk(workers=workers, engine=engine, progress=progress)
+    if dry_run:
+        _say(recording, bulk, report or _silent)
+        return Recorded(recording=recording, verdicts=())
+    return _run(recording, bulk, report or _silent)
 
 
 def _chosen(
@@ -133,6 +139,15 @@ def _sensors(preset: "Preset", sensors: str | Sequence[str] | None) -> tuple[str
     if isinstance(sensors, str):
         sensors = sensors.replace(" ", "").split(",") if sensors else None
     return check_sensors(preset, tuple(sensors) if sensors else preset.sensors)
+
+
+def _say(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> None:
+    """The lines of :func:`_run`, of a folder that is left as it is."""
+    begun = recording.out.is_dir() and any(recording.out.iterdir())
+    left = len(units_of(recording))
+    for line in announced(recording, left, bulk.hands(Simulate(recording), left)):
+        report(line)
+    report(f"{recording.out} {'has files already; what fits is kept' if begun else 'is made'}; nothing is written now")
 
 
 def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> Recorded:

@@ -7,8 +7,8 @@ from jaxtyping import Float, UInt8
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.reports.figures import tags_of
 from farfield.reports.style import ANNOTATED, PREDICTED, house_style, new_figure
+from farfield.reports.tags import tags_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

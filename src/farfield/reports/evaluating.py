@@ -36,6 +36,7 @@ def evaluate_clouds(
     bulk: Bulk | None = None,
     kept: Path | None = None,
     overwrite: bool = False,
+    tables: dict[str, str] | None = None,
     clocks: dict[str, dict[str, float]] | None = None,
     **options: Any,
 ) -> Evaluation:
@@ -53,6 +54,7 @@ def evaluate_clouds(
         kept: Folder that keeps what was found, so that an interrupted evaluation goes on and one with other settings
             of the protocol detects nothing anew; None keeps nothing.
         overwrite: Detect anew what is kept.
+        tables: Is filled with the table of each result by cloud, as ``farfield score`` prints it.
         clocks: Is filled with what the clock measured, by cloud: ``frames`` that were searched now and their
             ``median_ms``. It stands apart from the evaluation, so that two equal ones are equal.
         **options: Settings of the protocol.
@@ -78,7 +80,10 @@ def evaluate_clouds(
             overwrite=overwrite,
         )
         found.check_label(chosen, options.get("label"), **{k: v for k, v in options.items() if k != "label"})
-        results[name] = found.score(protocol, **options).to_json()
+        result = found.score(protocol, **options)
+        results[name] = result.to_json()
+        if tables is not None:
+            tables[name] = str(result)
         parts[name] = _parts(found, chosen, options, by_condition="conditions" not in results[name])
         objects[name] = annotated_objects(
             found.boxes,

@@ -14,6 +14,7 @@ from farfield.metrics.centre.matching import found_by
 from farfield.reports.objects import of_classes, shown_of
 from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
+from farfield.reports.tags import draw_tags
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame", "zooms"]
 
 Window = tuple[float, float, float, float]
-_MOST_TAGS = 80  # beside boxes, in one picture
 _POINT_DPI = 110  # pixels an inch of the points
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
@@ -70,9 +70,9 @@ def draw_birdseye(
         draw_boxes(axes, annotated[asked], ANNOTATED, line_width=1.9 * line_width, order=4)
     if predicted is not None:
         draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
-        _draw_tags(axes, predicted, PREDICTED, window_m)
+        draw_tags(axes, predicted[in_window(predicted.centre_m, window_m)], PREDICTED)
     elif annotated is not None:
-        _draw_tags(axes, annotated, ANNOTATED, window_m)
+        draw_tags(axes, annotated[in_window(annotated.centre_m, window_m)], ANNOTATED)
     if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
         axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
     axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
@@ -171,33 +171,6 @@ def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, or
     )
     for artist in (edge, heading):
         axes.add_collection(artist, autolim=False)
-
-
-def _draw_tags(axes: "Axes", boxes: Boxes, colour: str, window_m: Window) -> None:
-    """Class and score beside each box in the window; of very many beside the surest, or else the nearest."""
-    boxes = boxes[in_window(boxes.centre_m, window_m)]
-    order = np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")[:_MOST_TAGS]
-    corners = boxes.bev_corners_m()
-    for row, words in zip(order, tags_of(boxes[order]), strict=True):
-        right, top = corners[row].max(axis=0)
-        axes.annotate(
-            words,
-            (right, top),
-            xytext=(1.5, 0.5),
-            textcoords="offset points",
-            fontsize=6.5,
-            color=colour,
-            annotation_clip=True,
-            clip_on=True,
-            zorder=6,
-        )
-
-
-def tags_of(boxes: Boxes) -> list[str]:
-    """Class and, where there is one, score of each box, such as ``"vehicle 0.87"``."""
-    if boxes.score is None:
-        return [str(label) for label in boxes.label]
-    return [f"{label} {score:.2f}" for label, score in zip(boxes.label, boxes.score, strict=True)]
 
 
 def draw_legend(

@@ -37,8 +37,8 @@ def boxes_html(boxes: Boxes) -> str:
     if not len(boxes):
         return _words(boxes)
     window = fit_window(np.vstack([boxes.corners_m().reshape(-1, 3), np.zeros((1, 3))]))
-    side = {"annotated": boxes} if boxes.score is None else {"predicted": boxes}
-    figure = overview(Cloud(_NOTHING), **side, window_m=window, rings_m=())
+    annotated, predicted = (boxes, None) if boxes.score is None else (None, boxes)
+    figure = overview(Cloud(_NOTHING), annotated=annotated, predicted=predicted, window_m=window, rings_m=())
     return _words(boxes) + _picture(figure, "The boxes seen from above") + _table(boxes)
 
 
@@ -82,8 +82,7 @@ def _looks(detector: Any) -> "Figure":
         axes = figure.add_subplot()
         rings = [ring for ring in (20.0, 50.0, 100.0, 150.0, 200.0, 250.0) if ring < reach_m]
         draw_birdseye(axes, Cloud(_NOTHING), annotated=usual, window_m=window, rings_m=rings)
-        edge = {"color": INK, "lw": 1.4, "zorder": 3}
-        axes.plot([0, reach_m, reach_m, 0, 0], [-half_m, -half_m, half_m, half_m, -half_m], **edge)
+        axes.plot([0, reach_m, reach_m, 0, 0], [-half_m, -half_m, half_m, half_m, -half_m], color=INK, lw=1.4, zorder=3)
         axes.set_title(f"{detector.name} looks {reach_m:g} m ahead and {half_m:g} m to each side")
         axes.text(
             0.02 * reach_m,

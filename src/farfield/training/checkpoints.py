@@ -141,7 +141,7 @@ def prolonged(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> 
     """Where a run's number of steps was raised: ``step`` done, ``from`` and ``to``, earlier ones first."""
     known = list(theirs.get("prolonged", ()))
     before, now = (dict(flat(each.get("experiment"))).get(STEPS) for each in (theirs, ours))
-    return known if before == now else [*known, {"step": step, "from": before, "to": now}]
+    return known if before == now else [*known, {"step": step, "from": int(before or step), "to": int(now or step)}]
 
 
 def _today(experiment: Any) -> Any:

@@ -1,6 +1,5 @@
 """The training loop: plain PyTorch, with Lightning Fabric for devices and processes."""
 
-import copy
 import json
 import math
 import time
@@ -32,7 +31,7 @@ from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.stopping import Stop, stopping
 from farfield.training.streams import batch_shares, batches
-from farfield.training.validating import BEST, Best, Validation, forget
+from farfield.training.validating import Best, Validation, averaged, best_of, forget
 
 CHECKPOINT_NAME = "checkpoint.pt"
 _TOO_LARGE = (
@@ -40,11 +39,6 @@ _TOO_LARGE = (
     "bf16, or a shorter range or larger cells in detector.grid. The run goes on from its last checkpoint."
 )
 _LOOKS = 10  # at held-out frames, in a training
-
-
-def _best_of(stem: str) -> str:
-    """Name of the best weights beside those of the last step: ``best`` beside ``weights``."""
-    return BEST if stem == "weights" else f"{BEST}-{stem}"
 
 
 def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
@@ -323,7 +317,7 @@ class Training:
         for stem, module in self.method.exported().items():
             state = self.modules[module].state_dict()
             averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
-            path = self.folder / f"{_best_of(stem) if best is not None else stem}.safetensors"
+            path = self.folder / f"{best_of(stem) if best is not None else stem}.safetensors"
             stream = self.method.meant_for().get(stem)
             provenance = {**self.provenance, **({} if stream is None else {"stream": stream}), **reached}
             save_weights(path, averaged, config=self.modules[module].config, provenance=provenance)
@@ -339,7 +333,7 @@ class Training:
     def _resume(self, optimizer: Any, average: dict[str, Tensor]) -> None:
         run = load_run(self.checkpoint_path, self.provenance, self.modules)
         if run is None:
-            forget(self.folder, [_best_of(stem) for stem in self.method.exported()])
+            forget(self.folder, [best_of(stem) for stem in self.method.exported()])
             return
         if longer := prolonged(run.provenance, self.provenance, run.step):
             self.provenance = {**self.provenance, "prolonged": longer}
@@ -357,10 +351,8 @@ class Training:
         """The averaged weights' score on held-out frames where it is due; the best weights are written."""
         if self.validation is None or not self.validation.due(self.step, self.config.steps):
             return {}
-        network = copy.deepcopy(self.modules[DETECTOR])
-        state = {name: average[f"{DETECTOR}.{name}"].to(value.dtype) for name, value in network.state_dict().items()}
-        network.load_state_dict(state)
-        score, best = self.validation.score(network.eval()), Best.read(self.folder)
+        network = averaged(self.modules[DETECTOR], average, f"{DETECTOR}.")
+        score, best = self.validation.score(network), Best.read(self.folder)
         better = best is None or score >= best.score
         if better:
             best = Best(self.step, score)

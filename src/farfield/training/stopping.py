@@ -58,5 +58,5 @@ def stopping() -> Iterator[Stop]:
     try:
         yield stop
     finally:
-        for number, before in stop.before.items():
-            signal.signal(number, before)
+        for received, before in stop.before.items():
+            signal.signal(received, before)

@@ -92,7 +92,7 @@ class SparseCentreConfig(CentreHeadConfig):
 class SparseCentre(MapDetector):
     """The network: its outputs are the centre head's, for occupied cells."""
 
-    emulated: ClassVar[Literal["fp32", "bf16"]] = "bf16"
+    work: ClassVar[Literal["dense", "rows"]] = "rows"
     low_precision: ClassVar[tuple[str, ...]] = ("encoder", "to_map", "pyramid", "diffusion", "refine", "head")
 
     def __init__(self, config: SparseCentreConfig | None = None) -> None:
