@@ -155,3 +155,19 @@ def test_results_of_every_format_name_their_coordinates(kradar: Path, tmp_path: 
     named = {("a", str(number)): part for number, (_, part) in enumerate(boxes)}
     write_kitti_tracks(tmp_path / "k", tracks.replaced(named))
     assert "radar" in read_predictions(tmp_path / "k", format="kitti-tracking").reference
+
+
+def test_a_conversion_to_other_coordinates_is_not_taken_for_the_one_that_is_there(kradar: Path) -> None:
+    target = kradar.parent / "labels"
+    for reference in ("os2-64", "radar"):
+        words = ["convert", str(kradar), str(target), "--to", "boxes-csv", "--reference", reference]
+        assert main(words) == 0
+        (path,) = target.glob("*.csv")
+        assert read_boxes_csv(path).stands_in == reference
+
+
+def test_openlabel_names_its_coordinates(kradar: Path) -> None:
+    target = kradar.parent / "labels"
+    assert main(["convert", str(kradar), str(target), "--to", "openlabel", "--reference", "radar"]) == 0
+    (path,) = target.rglob("*.json")
+    assert list(json.loads(path.read_text())["openlabel"]["coordinate_systems"]) == ["radar"]
