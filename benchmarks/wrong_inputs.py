@@ -314,7 +314,8 @@ def outcome(case: Case) -> tuple[str, str]:
         words = case.make(Path(folder))
         command = [sys.executable, "-m", "farfield.cli", *words]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    text = " ".join((done.stdout + done.stderr).replace("\u2502", " ").split())
+        told = (done.stdout + done.stderr).replace(f"{folder}/", "").replace("\u2502", " ")
+    text = " ".join(told.split())
     if "Traceback" in text:
         return "TRACEBACK", text[-160:]
     hit = re.search(case.told, text, re.IGNORECASE)
