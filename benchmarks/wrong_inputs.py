@@ -283,7 +283,7 @@ CASES = (
     Case("sizes swapped", "length and width exchanged", partial(scored, change=swapped_sizes), "length and width"),
     Case("half sizes", "half extents for sizes", partial(scored, change=half_sizes), "half|twice as (large|long)"),
     Case("clockwise", "yaw counted clockwise", partial(scored, change=clockwise), "clockwise"),
-    Case("per cent", "scores from 0 to 100", partial(scored, change=in_per_cent), "score"),
+    Case("per cent", "scores from 0 to 100", partial(scored, change=in_per_cent), "not from 0 to 1"),
     Case("equal scores", "1.0 for every box", partial(scored, change=equally_sure), "(same|equal|one) score"),
     Case("off by one", "frames numbered from 1 instead of 0", partial(scored, change=one_frame_late), "one frame|next"),
     Case("twice", "a file that was appended to itself", partial(scored, change=twice), "twice"),
@@ -302,7 +302,7 @@ CASES = (
     Case("lfs", "a pointer of Git LFS instead of the cloud", pointer_of_lfs, "LFS"),
     Case("ply", "a .ply", as_ply, r"\.pcd"),
     Case("radians", "--rotate-deg 3.14159", turned_in_radians, "radian"),
-    Case("inverted", "the camera's pose for its inverse", inverted_camera, "image|invert"),
+    Case("inverted", "the camera's pose for its inverse", inverted_camera, "invert"),
     Case("threshold", "--score-threshold 30", with_threshold_in_per_cent, "score.threshold"),
     Case("no frames", "simulate --frames 0", no_frames, "frames"),
 )
@@ -314,7 +314,8 @@ def outcome(case: Case) -> tuple[str, str]:
         words = case.make(Path(folder))
         command = [sys.executable, "-m", "farfield.cli", *words]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    text = " ".join((done.stdout + done.stderr).replace("\u2502", " ").split())
+        told = (done.stdout + done.stderr).replace(f"{folder}/", "").replace("\u2502", " ")
+    text = " ".join(told.split())
     if "Traceback" in text:
         return "TRACEBACK", text[-160:]
     hit = re.search(case.told, text, re.IGNORECASE)

@@ -11,12 +11,14 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.labels import BoxLabel, CsvLabels
+from farfield.detection import in_coordinates
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import parse_boxes_csv, read_boxes_csv, write_boxes_csv
 from farfield.frame import Annotation, Boxes
 from farfield.metrics.reading import read, read_predictions
 from farfield.recording.convert import box_rows
 from farfield.recording.results import Results
+from farfield.studio.showing.predictions import read_set
 from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
 CAR = Boxes(
@@ -155,3 +157,32 @@ def test_results_of_every_format_name_their_coordinates(kradar: Path, tmp_path: 
     named = {("a", str(number)): part for number, (_, part) in enumerate(boxes)}
     write_kitti_tracks(tmp_path / "k", tracks.replaced(named))
     assert "radar" in read_predictions(tmp_path / "k", format="kitti-tracking").reference
+
+
+def test_a_conversion_to_other_coordinates_is_not_taken_for_the_one_that_is_there(kradar: Path) -> None:
+    target = kradar.parent / "labels"
+    for reference in ("os2-64", "radar"):
+        words = ["convert", str(kradar), str(target), "--to", "boxes-csv", "--reference", reference]
+        assert main(words) == 0
+        (path,) = target.glob("*.csv")
+        assert read_boxes_csv(path).stands_in == reference
+
+
+def test_openlabel_names_its_coordinates(kradar: Path) -> None:
+    target = kradar.parent / "labels"
+    assert main(["convert", str(kradar), str(target), "--to", "openlabel", "--reference", "radar"]) == 0
+    (path,) = target.rglob("*.json")
+    assert list(json.loads(path.read_text())["openlabel"]["coordinate_systems"]) == ["radar"]
+
+
+def test_shown_and_tracked_boxes_stand_where_the_data_do(kradar: Path, tmp_path: Path) -> None:
+    data = open_dataset(kradar)
+    assert in_coordinates(data, "radar")[0].reference == "radar"
+    assert in_coordinates(data, "") is data
+    with pytest.raises(ConfigError, match="os2-64 or radar"):
+        in_coordinates(data, "gaussian")
+    predictions = as_found(converted(kradar, "radar"))
+    with pytest.raises(ConfigError, match="--reference radar"):
+        read_set(predictions, data, format="boxes-csv", protocol="dds", place=0)
+    assert main(["track", str(predictions), "--data", str(kradar), "--out", str(tmp_path / "tracks.csv")]) == 0
+    assert read_boxes_csv(tmp_path / "tracks.csv").stands_in == "radar"

@@ -70,7 +70,7 @@ def test_kitti_results_are_a_folder_that_score_reads(own, tmp_path):
     out = tmp_path / "kitti"
     assert predict(own, "--out", tmp_path / "boxes.csv") == 0
     assert predict(own, "--out", out, "--format", "kitti") == 0
-    assert sorted(path.name for path in out.iterdir()) == ["000000.txt", "000001.txt"]
+    assert sorted(path.name for path in out.iterdir()) == ["000000.txt", "000001.txt", "COORDINATES"]
     rows, first = read_boxes_csv(tmp_path / "boxes.csv"), read_labels(out / "000000.txt")
     assert set(first.type) <= {"Car", "Truck", "Pedestrian", "Cyclist"}
     read = read_predictions(out, format="kitti").boxes["", "000000"]
@@ -82,7 +82,7 @@ def test_kitti_results_are_a_folder_that_score_reads(own, tmp_path):
 
 def test_a_frame_without_boxes_has_a_file_of_its_own(own, tmp_path):
     assert predict(own, "--out", tmp_path / "kitti", "--format", "kitti", "--score-threshold", "1") == 0
-    assert [path.read_text() for path in sorted((tmp_path / "kitti").iterdir())] == ["", ""]
+    assert [path.read_text() for path in sorted((tmp_path / "kitti").glob("*.txt"))] == ["", ""]
     assert predict(own, "--out", tmp_path / "n.json", "--score-threshold", "1") == 0
     assert json.loads((tmp_path / "n.json").read_text())["results"] == {"000000": [], "000001": []}
 

@@ -19,7 +19,7 @@ def run(
     """Set results side by side, a row a result; numbers of different conventions or data never share a column.
 
     examples:
-      farfield compare-results runs/evaluation-data runs/other-evaluation
+      farfield compare-results runs/evaluation-second-data runs/evaluation-pointpillars-data
       farfield compare-results rtnh.json rtn.json pointpillars.json
       farfield compare-results rtnh.json rtn.json --by weather --figures 3d/0.3 --label vehicle
       farfield compare-results rtnh.json rtn.json --paper

@@ -3,7 +3,7 @@
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -163,7 +163,7 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> 
     from farfield.errors import DatasetError
 
     if len(files) == 1 and files[0].is_dir():
-        given = {} if columns is None else {"bin_columns": columns}
+        given: dict[str, Any] = {} if columns is None else {"bin_columns": columns}
         return open_dataset(files[0], rotate_deg=rotate_deg, **given)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:

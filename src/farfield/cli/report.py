@@ -91,10 +91,12 @@ def _film(
 ) -> int:
     from farfield.cli._progress import hands as bulk
     from farfield.datasets import open_dataset
+    from farfield.detection import in_coordinates
     from farfield.metrics.reading import read_predictions
     from farfield.reports.film import FilmSettings, drive_named, make_film
 
-    data = open_dataset(root)
+    given = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
+    data = in_coordinates(open_dataset(root), "" if given is None else given.reference)
     found = drive_named(data, drive)
     if frames:
         data = data.select([int(index) for index in found.indices[:frames]])
@@ -103,7 +105,7 @@ def _film(
         film,
         data,
         drive=found.name,
-        predictions=None if predictions is None else read_predictions(predictions[0], format=predictions[1]).boxes,
+        predictions=None if given is None else given.boxes,
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=bulk(*hands, "drawing"),
     )

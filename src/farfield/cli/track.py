@@ -62,6 +62,7 @@ def run(
         picture: SVG, PNG or JPEG of the tracks' trails from above to write.
     """
     from farfield.datasets import open_dataset
+    from farfield.detection import in_coordinates
     from farfield.errors import ConfigError
     from farfield.metrics.reading import read_predictions
     from farfield.reports.trails import check_picture, write_trails
@@ -87,7 +88,9 @@ def run(
     preset = "offline" if smooth and preset == "default" else preset
     seen = read_predictions(detections, format=format)
     settings = with_options(preset_of(preset).changed(**given), option)
-    found = track(seen if data is None else with_drives(seen, open_dataset(data, poses=poses).drives()), settings)
+    if data is not None:
+        seen = with_drives(seen, in_coordinates(open_dataset(data, poses=poses), seen.reference).drives())
+    found = track(seen, settings)
     if join_s is not None:
         found = joined(found, replace(joining_of(preset), longest_s=join_s), step_s=settings.step_s)
     if smooth:

@@ -27,19 +27,35 @@ def against(predictions: Detections, data: Dataset) -> Detections:
     """
     notes = list(predictions.notes)
     stands_in, own = predictions.reference, data[0].reference
-    if stands_in and stands_in != own:
-        if stands_in not in data.references:
-            known = " or ".join(data.references or (own,))
-            raise ConfigError(
-                f"predictions stand in the coordinates of {stands_in}; the frames of {data.root} can be seen in those "
-                f"of {known}. Write the predictions anew in one of these (farfield predict ... --reference {own})"
-            )
-        data = data.mapped(Coordinates(stands_in))
-        notes.append(f"the annotated boxes are seen in the coordinates of {stands_in}, as the predictions are")
-    elif not stands_in:
+    data = in_coordinates(data, stands_in)
+    if not stands_in:
         notes.append(f"predictions do not name their coordinates: they are taken for {own} (--reference says it)")
+    elif stands_in != own:
+        notes.append(f"the annotated boxes are seen in the coordinates of {stands_in}, as the predictions are")
     found = given(_in_sequence(predictions.boxes, data, notes), data)
     return replace(found, notes=(*notes, *found.notes, *oddities(found.boxes, found.annotated)))
+
+
+def in_coordinates(data: Dataset, reference: str) -> Dataset:
+    """The data set in the coordinates in which boxes of a file stand.
+
+    Args:
+        data: The data set.
+        reference: What the file names; empty: nothing, and the data stay as they are.
+
+    Raises:
+        ConfigError: If the data set does not know these coordinates.
+    """
+    own = data[0].reference
+    if not reference or reference == own:
+        return data
+    if reference not in data.references:
+        known = " or ".join(data.references or (own,))
+        raise ConfigError(
+            f"the boxes stand in the coordinates of {reference}; the frames of {data.root} can be seen in those of "
+            f"{known}. Write the boxes anew in one of these (farfield predict ... --reference {own})"
+        )
+    return data.mapped(Coordinates(reference))
 
 
 def _in_sequence(boxes: Mapping[Key, Boxes], data: Dataset, notes: list[str]) -> Mapping[Key, Boxes]:

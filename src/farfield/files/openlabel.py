@@ -178,13 +178,16 @@ def _free(root: Mapping[str, Any]) -> str:
     return next(str(number) for number in range(len(known) + 1) if str(number) not in known)
 
 
-def format_openlabel(cuboids: Sequence[Cuboid], frames: Sequence[str], times_ns: Sequence[int | None] = ()) -> str:
+def format_openlabel(
+    cuboids: Sequence[Cuboid], frames: Sequence[str], times_ns: Sequence[int | None] = (), *, system: str = SYSTEM
+) -> str:
     """A new file's text.
 
     Args:
         cuboids: All boxes; one without a track becomes an object of its own.
         frames: Names of all frames in order, also of those without boxes.
         times_ns: Time of each frame, as far as known; written as seconds.
+        system: Name of the coordinates in which the boxes stand.
     """
     numbered = {name: str(number) for number, name in enumerate(frames)}
     properties: list[dict[str, Any]] = [{"frame_id": name} for name in frames]
@@ -200,8 +203,8 @@ def format_openlabel(cuboids: Sequence[Cuboid], frames: Sequence[str], times_ns:
         uid = cuboid.track or next(lonely)
         objects.setdefault(uid, {"name": uid, "type": cuboid.label})
         entry = by_number[numbered[cuboid.frame]]["objects"].setdefault(uid, {"object_data": {"cuboid": []}})
-        entry["object_data"]["cuboid"].append(entry_of(cuboid))
-    systems = {SYSTEM: {"type": "local", "parent": "", "children": []}}
+        entry["object_data"]["cuboid"].append(entry_of(cuboid) | {"coordinate_system": system})
+    systems = {system: {"type": "local", "parent": "", "children": []}}
     root = {
         "metadata": {"schema_version": "1.0.0"},
         "coordinate_systems": systems,

@@ -144,7 +144,8 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         if chosen.several_classes:
-            chosen.each(self, label=label, **given)
+            if "label" not in chosen.options():
+                chosen.each(self, label=label, **given)
             return
         relabel = relabel_of(chosen, given)
         counts = dict(labels_of(self.annotated, relabel))

@@ -1,5 +1,6 @@
 """Data sets as annotation tools take them: SUSTechPOINTS, CVAT (Datumaro), and OpenLABEL's boxes alone."""
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,12 @@ from farfield.frame import Boxes, Cloud, Frame
 
 AnnotationTool = Literal["openlabel", "sustechpoints", "cvat"]
 BoxSource = Literal["boxes", "full_boxes"]
+
+
+def views(dataset: Dataset) -> str:
+    """What else decides how a data set is seen: its reader's options and its maps; empty where there are none."""
+    told = {name: dataset.recipe.get(name) for name in ("options", "maps")}
+    return f" {json.dumps(told, sort_keys=True, default=str)}" if any(told.values()) else ""
 
 
 def boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
@@ -74,7 +81,7 @@ class ToTool:
     @property
     def setting(self) -> str:
         """What decides the files besides their sources."""
-        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}"
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
 
     def units(self) -> list[Unit]:
         """One a sequence; for SUSTechPOINTS, whose files are of one frame each, one a frame."""
@@ -102,7 +109,7 @@ class ToTool:
             for cuboid in cuboids_of(boxes_of(frame, self.boxes), name)
         ]
         if self.to == "openlabel":
-            text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames])
+            text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames], system=frames[0].reference)
             return Done(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
         path = _written(DatumaroLabels(self.target).path(frames[0].key), format_datumaro(cuboids, names))
         return Done(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))

@@ -22,7 +22,7 @@ from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.files.coordinates import camera_words, write_coordinates
 from farfield.frame import Boxes, Frame, Key
-from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of
+from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of, views
 
 Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
 TARGETS: tuple[str, ...] = get_args(Target)
@@ -242,7 +242,7 @@ class _Frames:
     @property
     def setting(self) -> str:
         """What decides the files besides their sources."""
-        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}"
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
 
 
 class _ToKitti(_Frames):
@@ -329,7 +329,7 @@ class _ToCsv:
     @property
     def setting(self) -> str:
         """What decides the files besides their sources."""
-        return f"boxes-csv {self.boxes} {self.dataset.name} with reference"
+        return f"boxes-csv {self.boxes} {self.dataset.name} with reference{views(self.dataset)}"
 
     def units(self) -> list[Unit]:
         """One a sequence."""

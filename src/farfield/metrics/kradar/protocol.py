@@ -52,7 +52,8 @@ class KRadar(Protocol):
             known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in found.classes))
         if found.reference:
             known["boxes_in"] = "radar" if found.reference == "radar" else "os2-64"
-            if given.get("boxes_in", known["boxes_in"]) != known["boxes_in"]:
+            named = found.reference in ("radar", "os2-64")
+            if named and given.get("boxes_in", found.reference) != found.reference:
                 raise ConfigError(
                     f"boxes_in: expected {known['boxes_in']}, as the boxes say that they stand in the coordinates of "
                     f"{found.reference}; got {given['boxes_in']}. Leave boxes_in out"

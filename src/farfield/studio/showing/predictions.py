@@ -81,6 +81,12 @@ def read_set(path: Path, data: Dataset, *, format: str, protocol: str, place: in
         ConfigError: If no frame of the data set is among theirs.
     """
     found = read_predictions(path, format=format)
+    seen_in = data[0].reference
+    if found.reference and found.reference != seen_in:
+        raise ConfigError(
+            f"{path}: expected boxes in the coordinates of {seen_in}, in which the data are shown; they stand in those "
+            f"of {found.reference}. Open the data with --reference {found.reference}, or write the boxes anew"
+        )
     boxes = named_as(found.boxes, data)
     if not boxes:
         theirs, ours = next(iter(found.boxes), ("", "none")), next(iter(data.keys), ("", "none"))
