@@ -119,7 +119,7 @@ def shrunk(subject: Subject, rng: np.random.Generator) -> Boxes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Errors:
-    """One row an object: overlap from above, distance of centres and its parts along the heading and across, turn, ms."""
+    """One row an object: overlap from above, distance of centres, that along the heading and across, turn, ms."""
 
     iou: np.ndarray
     centre_m: np.ndarray

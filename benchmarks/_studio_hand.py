@@ -13,7 +13,7 @@ from farfield.studio.showing.classes import our_class
 
 DRAG_M = {True: 3.0, False: 1.5}  # vehicles, and what is small
 _PIXELS_A_METRE = {True: 24.0, False: 60.0}
-_EDGE_PX, _STEPS = 100, 80
+_EDGE_PX, _STEPS = 100, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,8 @@ class Hand:
             if before >= 700:  # all of the scene was passed by: back to the road ahead
                 page.press("Enter")
                 continue
-            page.page.mouse.wheel(0, 60 if not inside or near >= 2 else -60)
+            turns = 1 if inside and 0.4 <= near < 5 else 4  # far from it a hand turns the wheel faster
+            page.page.mouse.wheel(0, turns * (60 if not inside or near >= 2 else -60))
             page.until(f"stage.eye.distance !== {before}")
         raise AssertionError(f"the wheel did not bring {place} into sight")
 

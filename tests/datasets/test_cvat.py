@@ -10,6 +10,7 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.cvat import Cvat
 from farfield.datasets.labels import label_format
+from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
 from farfield.files.pcd import write_pcd
 from farfield.geometry.points import count_points_in_boxes
@@ -81,7 +82,15 @@ def test_tracklets_by_the_number_of_the_frame(tmp_path: Path, names: tuple[str, 
     assert boxes[2].size_m[0].tolist() == [4.6, 1.9, 1.5]
     assert np.rad2deg(boxes[2].yaw_rad[0]) == pytest.approx(30)
     assert boxes[2].label.tolist() == ["vehicle"]
-    assert label_format(data) is None
+    labels, key = label_format(data), data.keys[2]
+    assert isinstance(labels, TrackletLabels)
+    path = labels.path(key)
+    (found,) = labels.parse(path.read_bytes(), path, [key])[key]
+    moved = replace(found, box=(12.5, *found.box[1:]))
+    path.write_bytes(labels.render(path.read_bytes(), path, {key: [moved]}))
+    again = open_dataset(tmp_path)
+    assert again[2].boxes.centre_m[0].tolist() == [12.5, 2.0, -1.0]
+    assert again[1].boxes.centre_m[0].tolist() == boxes[1].centre_m[0].tolist()
 
 
 def test_supervisely_by_the_clouds_name(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import type { PointSet } from "./cloud";
 import { sample } from "./colours";
 import { byId, fill, h } from "./dom";
 import { toPixel } from "./lens";
-import { load } from "./loader";
+import { load, standing } from "./loader";
 import type { CameraModel, Layer } from "./protocol";
 import type { Stage } from "./stage";
 import type { Numbers } from "./wire";
@@ -28,6 +28,11 @@ export function camerasPanel(stage: Stage): void {
   on("looks", () => void rebuild(stage));
 }
 
+/** The enlarged picture is asked for as the file has it; the others may come as JPEG. */
+function asked(layer: Layer): Layer {
+  return options.big === layer.name && !standing() ? { ...layer, url: `${layer.url}?exact=1` } : layer;
+}
+
 async function rebuild(stage: Stage): Promise<void> {
   const frame = state.shown;
   const layers = (frame?.layers ?? []).filter((layer) => layer.kind === "image" && lookOf(layer.name, layer.kind).visible);
@@ -36,7 +41,7 @@ async function rebuild(stage: Stage): Promise<void> {
     fill(byId("cameras"));
     return;
   }
-  const found = await Promise.allSettled(layers.map(async (layer) => ({ layer, picture: (await load(frame!.frame.index, layer)) as ImageBitmap })));
+  const found = await Promise.allSettled(layers.map(async (layer) => ({ layer, picture: (await load(frame!.frame.index, asked(layer))) as ImageBitmap })));
   if (state.shown !== frame) return;
   strips = found.flatMap((one) => (one.status === "fulfilled" ? [{ ...one.value, canvas: h("canvas", { width: one.value.picture.width, height: one.value.picture.height }) }] : []));
   const before = byId("cameras").childElementCount;

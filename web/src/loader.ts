@@ -28,6 +28,9 @@ export function hold(payloads: Record<string, string>): void {
   inFile = payloads;
 }
 
+/** Whether all there is stands in the file of the page itself. */
+export const standing = (): boolean => inFile !== null;
+
 async function get(layer: Layer, signal: AbortSignal): Promise<Loaded> {
   if (inFile) return opened(layer, await unpack(inFile[layer.url] ?? ""));
   const answer = await fetch(layer.url, { signal });

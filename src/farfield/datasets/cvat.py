@@ -18,6 +18,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
 from farfield.datasets.labels.cuboid_boxes import annotation_of
 from farfield.datasets.labels.tool_labels import DatumaroLabels, SuperviselyLabels
+from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
@@ -128,11 +129,14 @@ class Cvat(Dataset):
         )
 
 
-def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | None:
-    """The label files of a data set, to edit them: Datumaro's of one task or of tasks in the root, or Supervisely's.
+def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLabels | None:
+    """The label files of a data set, to edit them.
 
-    Tracklets are not edited: one object has one size and unbroken frames there.
+    Datumaro's of one task or of tasks in the root, Supervisely's, or KITTI's tracklets; None where they are mixed.
     """
+    if all(task.parse is parse_tracklets for task in data.tasks):
+        frames = zip(data.keys, data.frames, strict=True)
+        return TrackletLabels({key: (task.labels[0], int(task.frame_names(place)[1])) for key, (task, place) in frames})
     if all(task.parse is parse_supervisely for task in data.tasks):
         places = zip(data.keys, data.frames, strict=True)
         return SuperviselyLabels({key: _ann(task, place) for key, (task, place) in places})

@@ -131,3 +131,33 @@ def test_edits_that_cannot_be_gone_on_with_are_not_forgotten(tmp_path: Path, mon
     monkeypatch.setattr("farfield.datasets.edits.places._writable", lambda folder: False)
     with pytest.raises(DatasetError, match="holds edits"):
         journal_folder(tmp_path)
+
+
+@pytest.mark.parametrize("count", [255, 256, 257, 512])
+def test_a_torn_or_damaged_line_is_found_wherever_the_blocks_end(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "edits.jsonl"
+    lines = [encode(Record(seq, f"e{seq}", seq, "ann", "w1", "box.set")) for seq in range(1, count + 1)]
+    path.write_bytes(b"".join(lines))
+    taken: list[Record] = []
+    whole = read_journal(path, taken.append)
+    assert [record.seq for record in taken] == list(range(1, count + 1))
+    assert (len(whole.starts), whole.end, whole.torn) == (count, path.stat().st_size, b"")
+    path.write_bytes(b"".join(lines)[:-3])
+    taken.clear()
+    assert read_journal(path, taken.append).torn == lines[-1][:-3]
+    assert len(taken) == count - 1
+    for place in (0, count // 2, count - 2):
+        damaged = [*lines]
+        damaged[place] = damaged[place].replace(b"ann", b"bob")
+        path.write_bytes(b"".join(damaged))
+        with pytest.raises(FileFormatError, match=f"line {place + 1}"):
+            read_journal(path, taken.append)
+
+
+def test_lines_that_make_sense_only_together_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "edits.jsonl"
+    fields = encode(Record(1, "e1", 1, "ann", "w1", "box.set"))[9:-1]
+    texts = [fields + b"," + fields.replace(b'"seq":1', b'"seq":2'), b"", fields.replace(b'"seq":1', b'"seq":3')]
+    path.write_bytes(b"".join(b"%08x %s\n" % (zlib.crc32(text), text) for text in texts))
+    with pytest.raises(FileFormatError, match="line 1"):
+        read_journal(path, lambda record: None)

@@ -20,7 +20,7 @@ from farfield.datasets.kitti.writer import KittiWriter
 from farfield.datasets.labels import BoxLabel
 from farfield.datasets.labels.choosing import label_files_in, label_format
 from farfield.datasets.labels.contract import LabelFormat
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Key
 
 NEW = BoxLabel(id="new", label="vehicle", box=(15.0, 1.0, -0.2, 5.0, 2.0, 2.2, math.radians(30)))
@@ -208,12 +208,47 @@ def test_formats_by_data_set_and_by_name(cirrus: Cirrus, tmp_path: Path) -> None
         label_files_in(tmp_path, "none")
 
 
-def test_the_authors_text_of_cirrus_keeps_its_bytes_and_is_refused_with_a_way_out(cirrus: Cirrus) -> None:
+AUTHORS = (
+    b"vehicle 0 0 0 0 0 0 0 1.50 4.6 1.9 -3.0 1.65 20.0 0.1\r\n"
+    b"\r\n"
+    b"pedestrian\t0 1 -1.2 10 20 30 40 1.7  0.7 0.7 4 1.70 12.0 -1.5"
+)
+
+
+@pytest.mark.parametrize("naming", ["authors", "kitti"])
+def test_the_authors_text_of_cirrus_is_edited_in_its_place(cirrus: Cirrus, naming: str) -> None:
+    labels = CirrusLabelFormat(cirrus)
+    labels.settings = labels.settings.model_copy(update={"text_naming": naming})
+    key, path = cirrus.keys[0], Path("1600000000.txt")
+    found = labels.parse(AUTHORS, path, [key])[key]
+    assert len(found) == 2
+    assert labels.render(AUTHORS, path, {key: found}) == AUTHORS
+    assert labels.render(AUTHORS, path, {}) == AUTHORS
+    first = replace(found[0], label="large_vehicle", box=(found[0].box[0] + 0.5, *found[0].box[1:]), track="7")
+    changed = labels.render(AUTHORS, path, {key: [first, found[1]]})
+    assert changed == AUTHORS.replace(b"vehicle", b"large_vehicle").replace(b"20.0 0.1", b"20.5 0.1")
+    second = replace(found[1], box=(*found[1].box[:6], found[1].box[6] + 0.25))
+    turned = labels.render(AUTHORS, path, {key: [found[0], second]})
+    assert turned.startswith(
+        AUTHORS.partition(b"pedestrian")[0] + b"pedestrian\t0 1 0 0 0 0 0 1.7  0.7 0.7 4 1.70 12.0 "
+    )
+    assert not turned.endswith(b"\n")  # as it was
+    assert labels.parse(turned, path, [key])[key][1].box == pytest.approx(second.box, abs=1e-9)
+
+
+def test_boxes_come_and_go_in_the_authors_text(cirrus: Cirrus) -> None:
     labels = CirrusLabelFormat(cirrus)
     key, path = cirrus.keys[0], Path("1600000000.txt")
-    text = b"vehicle 0 0 0 0 0 0 0 1.5 4.6 1.9 -3.0 1.65 20.0 0.1\r\n"
-    found = labels.parse(text, path, [key])[key]
-    assert len(found) == 1
-    assert labels.render(text, path, {key: found}) == text
-    with pytest.raises(ConfigError, match=r"safe in the journal.*--to openlabel"):
-        labels.render(text, path, {key: [replace(found[0], label="pedestrian")]})
+    found = labels.parse(AUTHORS, path, [key])[key]
+    added = replace(found[0], id="n1", box=(31.0, 2.0, 0.5, 4.2, 1.8, 1.6, -2.0))
+    changed = labels.render(AUTHORS, path, {key: [found[1], added]})
+    again = labels.parse(changed, path, [key])[key]
+    assert [label.label for label in again] == ["pedestrian", "vehicle"]
+    assert again[1].box == pytest.approx(added.box, abs=1e-9)
+    assert changed.count(b"\r\n") == 3  # a blank line, the pedestrian's that something follows now, and the new one's
+    new = labels.render(None, path, {key: [added]})
+    assert labels.parse(new, path, [key])[key][0].box == pytest.approx(added.box, abs=1e-9)
+    with pytest.raises(ConfigError, match="without blanks"):
+        labels.render(AUTHORS, path, {key: [replace(found[0], label="a car")]})
+    with pytest.raises(FileFormatError, match="line ends"):
+        labels.render(AUTHORS.replace(b"\r\n", b"\r"), path, {key: found})

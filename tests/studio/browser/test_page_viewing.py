@@ -205,6 +205,19 @@ def test_cameras_show_points_and_boxes(page: Screen):
     assert shown > 500
 
 
+def test_a_larger_camera_shows_every_pixel_of_its_file(page: Screen):
+    asked: list[str] = []
+    page.page.on("request", lambda request: asked.append(request.url) if "/image/" in request.url else None)
+    page.page.wait_for_selector(".camera canvas")
+    with page.page.expect_response(lambda answer: "exact=1" in answer.url) as waiting:
+        page.page.locator(".camera canvas").first.click()
+    assert waiting.value.status == 200
+    page.page.locator(".camera.big canvas").wait_for()
+    assert sum("exact=1" in url for url in asked) == 1
+    page.page.locator(".camera canvas").first.click()
+    page.page.locator(".camera:not(.big) canvas").first.wait_for()
+
+
 def test_a_larger_camera_does_not_hide_the_points(page: Screen):
     from io import BytesIO
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from farfield.datasets.cirrus.labels import boxes_from_labels, parse_labels
 from farfield.datasets.cirrus.reader import Cirrus
+from farfield.datasets.cirrus.text_labels import render_text
 from farfield.datasets.labels.contract import BoxLabel, Value
 from farfield.datasets.labels.json_labels import JsonLabels
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import DatasetError
 from farfield.files.cuboids import Cuboid, Placed
 from farfield.files.json_text import append
 from farfield.frame import Key
@@ -25,7 +26,7 @@ class CirrusLabelFormat(JsonLabels):
     """The annotation files of a Cirrus data set, read by its mapping.
 
     A moved box loses its counts of points and the whole body that Farfield's writer noted beside the visible part. The
-    authors' text is read; it is not edited.
+    authors' text is edited by :mod:`farfield.datasets.cirrus.text_labels`.
 
     Args:
         data: The data set as it was opened, without maps.
@@ -78,20 +79,9 @@ class CirrusLabelFormat(JsonLabels):
         return known | {(name,): value for name, value in entry.items() if not isinstance(value, list)}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
-        """The file with other labels in some frames.
-
-        Raises:
-            ConfigError: If it is one of the authors' text files and something changed.
-        """
-        if path.suffix == ".txt" and data is not None:
-            found = self.parse(data, path, list(labels))
-            if all(tuple(wanted) == found[key] for key, wanted in labels.items()):
-                return data
-            raise ConfigError(
-                f"{path.name}: the authors' text holds no tracks and its boxes by way of the camera's axes, so it is "
-                "not edited. Your edits are safe in the journal; save them in another format: start with --to "
-                "openlabel or --to boxes-csv."
-            )
+        """The file with other labels in some frames."""
+        if path.suffix == ".txt":
+            return render_text(data, path, labels, self.settings)
         return super().render(data, path, labels)
 
     def with_new(self, text: str, cuboid: Cuboid) -> str:

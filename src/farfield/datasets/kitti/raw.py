@@ -17,6 +17,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
 from farfield.datasets.labels.cuboid_boxes import annotation_of
+from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
@@ -119,6 +120,12 @@ class KittiRaw(Dataset):
             load_annotation=partial(_annotation, labels, frame_id) if labels.is_file() else None,
             metadata={"files": [str(path) for path in self.files(index)], "turn_ns": turn},
         )
+
+
+def label_format(data: KittiRaw) -> TrackletLabels:
+    """The tracklets of a data set's drives, to edit them."""
+    places = enumerate(zip(data.keys, data.frame_ids, strict=True))
+    return TrackletLabels({key: (data.clouds[index].parents[2] / _LABELS, int(name)) for index, (key, name) in places})
 
 
 def stamp_of(path: Path, frame_id: str) -> int | None:

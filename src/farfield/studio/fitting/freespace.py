@@ -77,7 +77,7 @@ def ends_of(
 
 
 def _lengthwise(hit_m: Float[np.ndarray, " 2"]) -> tuple[float, float]:
-    """Where along an object it was seen, without its corners: rays that went past elsewhere say nothing of its sides."""
+    """Where along an object it was seen, without its corners: other rays say nothing of its sides."""
     low, high = float(hit_m[0]) + _CORNER_M, float(hit_m[1]) - _CORNER_M
     if high - low >= _THIN_M:
         return low, high

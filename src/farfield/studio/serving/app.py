@@ -99,7 +99,8 @@ async def _layer(request: Request) -> Response:
 
 async def _image(request: Request) -> Response:
     frame, layer = request.path_params["frame"], request.path_params["layer"]
-    return await _payload(request, lambda desk: desk.opened.picture(frame, layer))
+    exact = request.query_params.get("exact") == "1"
+    return await _payload(request, lambda desk: desk.opened.picture(frame, layer, exact=exact))
 
 
 async def _radar(request: Request) -> Response:

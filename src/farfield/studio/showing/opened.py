@@ -173,8 +173,13 @@ class Opened:
         facts = {"frame": index, "layer": layer.name, "time_ns": layer.time_ns, "version": 1}
         return Payload.of(encode_cloud(cloud, facts), "application/octet-stream")
 
-    def picture(self, index: int, place: int) -> Payload:
-        """A picture.
+    def picture(self, index: int, place: int, *, exact: bool = False) -> Payload:
+        """A picture, made once as :func:`~farfield.studio.showing.pictures.picture` says.
+
+        Args:
+            index: The frame.
+            place: The layer.
+            exact: Every pixel as the file has it.
 
         Raises:
             ConfigError: If the layer is no picture.
@@ -182,7 +187,9 @@ class Opened:
         layer = self.layer(index, place)
         if layer.kind != "image":
             raise ConfigError(f"layer {place} of frame {index}: expected a picture, it is {layer.kind}")
-        return self._payloads.get(("image", index, place), lambda: Payload.of(*picture(self.data[index], layer.name)))
+        return self._payloads.get(
+            ("image", index, place, exact), lambda: Payload.of(*picture(self.data[index], layer.name, exact=exact))
+        )
 
     def radar_map(self, index: int, kind: str, low_m: float = 0.0, high_m: float = float("inf")) -> Payload:
         """A radar's power from above (``bev``) or from the front (``bfs``, between two ranges) as FFP1.

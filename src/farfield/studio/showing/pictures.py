@@ -1,4 +1,8 @@
-"""A camera's picture as the browser takes it: the file's own bytes where it is one picture, else a JPEG."""
+"""A camera's picture as the browser takes it: the file's own bytes where it is one picture of few bytes, else a JPEG.
+
+A PNG of a camera takes four to ten times the bytes of a JPEG that nobody can tell from it at the size in which it is
+shown; over a link of 20 Mbit/s one of 1 MB takes 0.4 s. Its own bytes are sent where they are asked for.
+"""
 
 import io
 from functools import partial
@@ -13,6 +17,8 @@ from farfield.files.images import read_image
 from farfield.frame import Frame, Lazy
 
 _MAX_BYTES = 64 << 20
+_LARGE_BYTES = 200_000
+"""Files of pictures that are larger are sent as JPEG where that takes at most half the bytes."""
 _KINDS = {b"\xff\xd8\xff": "image/jpeg", b"\x89PN": "image/png"}
 
 
@@ -23,8 +29,13 @@ def file_of(frame: Frame, name: str) -> Path | None:
     return Path(loader.args[0]) if plain else None
 
 
-def picture(frame: Frame, name: str) -> tuple[bytes, str]:
+def picture(frame: Frame, name: str, *, exact: bool = False) -> tuple[bytes, str]:
     """Bytes and media type of a picture.
+
+    Args:
+        frame: The frame.
+        name: The picture.
+        exact: Every pixel as the file has it: nothing is made a JPEG for its size.
 
     Raises:
         KeyError: If the frame has no such picture.
@@ -34,6 +45,9 @@ def picture(frame: Frame, name: str) -> tuple[bytes, str]:
     if path is not None:
         data = bytes(read_bytes(path, max_bytes=_MAX_BYTES))
         kind = _KINDS.get(data[:3])
+        if kind == "image/png" and not exact and len(data) > _LARGE_BYTES:
+            smaller = as_jpeg(np.asarray(frame.images[name]))
+            return (smaller, "image/jpeg") if len(smaller) <= len(data) / 2 else (data, kind)
         if kind is not None:
             return data, kind
     return as_jpeg(np.asarray(frame.images[name])), "image/jpeg"

@@ -1,0 +1,314 @@
+"""KITTI raw's tracklets, edited in their places: what did not change keeps its bytes.
+
+An object has one class and one size in all its frames, which follow each other without a gap. So a class or a size
+that changes in one frame changes in all; a box taken out of the middle parts the object in two, of which the second
+stands at the end of the file; and a new box of an object joins it where its frame comes just before or after.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar
+from xml.sax.saxutils import escape
+
+from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
+from farfield.datasets.labels.lines import kept_numbers
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.cuboids import Cuboid
+from farfield.files.tracklets import parse_tracklets
+from farfield.files.xml_spans import Edit, Span, edited, parse_spans
+from farfield.frame import Key
+
+_EMPTY = b"""<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
+<!DOCTYPE boost_serialization>
+<boost_serialization signature="serialization::archive" version="9">
+<tracklets class_id="0" tracking_level="0" version="0">
+\t<count>0</count>
+\t<item_version>1</item_version>
+</tracklets>
+</boost_serialization>
+"""
+_TAGS = (
+    b'<item class_id="1" tracking_level="0" version="1">',
+    b'<poses class_id="2" tracking_level="0" version="0">',
+    b'<item class_id="3" tracking_level="0" version="2">',
+)
+"""The first object, the first list of poses and the first pose name their kinds, as boost's archives do."""
+_SEEN = {"occlusion": (0.0, 1.0, 2.0, -1.0), "truncation": (0.0, 1.0, 2.0, 3.0, 99.0)}
+_PLACES = ("tx", "ty", "tz", "rz")
+
+
+@dataclass(eq=False)
+class _Object:
+    """One object: what the file has of it, and what is wanted.
+
+    Args:
+        span: Its element; None for a new one.
+        label: Its class.
+        size_m: Length, width, height.
+        poses: By frame, the bytes of each; None where they are still to be written from ``boxes``.
+        boxes: By frame, what is new.
+    """
+
+    span: Span | None
+    label: str
+    size_m: tuple[float, float, float]
+    poses: dict[int, Span | None] = field(default_factory=dict)
+    boxes: dict[int, BoxLabel] = field(default_factory=dict)
+    named: set[str] = field(default_factory=set)
+    sized: set[tuple[float, float, float]] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class TrackletLabels:
+    """``tracklet_labels.xml``, one file a drive; a track is the object's place in the file.
+
+    Args:
+        places: File and number of each frame.
+    """
+
+    name: ClassVar[str] = "kitti-tracklets"
+    attributes: ClassVar[Mapping[str, tuple[Value, ...]]] = _SEEN
+    places: Mapping[Key, tuple[Path, int]]
+
+    def path(self, key: Key) -> Path:
+        """The file of a frame's drive.
+
+        Raises:
+            DatasetError: If there is no such frame.
+        """
+        if key not in self.places:
+            raise DatasetError(f"expected a frame of this data set, got {'/'.join(key)}")
+        return self.places[key][0]
+
+    def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
+        """Labels of the frames, objects in the file's order."""
+        found: dict[str, list[Cuboid]] = {}
+        for cuboid in parse_tracklets(data, path):
+            found.setdefault(cuboid.frame, []).append(cuboid)
+        return {key: _labels(found.get(str(self.places[key][1]), ())) for key in keys}
+
+    def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
+        """The file with other labels in some frames."""
+        before = _EMPTY if data is None else data
+        known = self.parse(before, path, list(labels))
+        if all(tuple(wanted) == known[key] for key, wanted in labels.items()):
+            return before
+        numbered = {self.places[key][1]: (known[key], wanted) for key, wanted in labels.items()}
+        return _rendered(before, path, numbered)
+
+
+def _labels(cuboids: Sequence[Cuboid]) -> tuple[BoxLabel, ...]:
+    return tuple(
+        BoxLabel(id=str(number), label=one.label, box=one.box, track=one.track, attributes=one.attributes)
+        for number, one in enumerate(cuboids)
+    )
+
+
+def _rendered(data: bytes, path: Path, frames: Mapping[int, tuple[Sequence[BoxLabel], Sequence[BoxLabel]]]) -> bytes:
+    root = parse_spans(data, path)
+    (held,) = root.all("tracklets")
+    objects = [_object(data, span) for span in held.all("item")]
+    touched: set[int] = set()
+    edits: list[Edit] = []
+    fresh: list[tuple[int, BoxLabel]] = []
+    for frame, (old, wanted) in sorted(frames.items()):
+        left = {label.id: label for label in wanted}
+        for label in old:
+            number = int(label.track)
+            new = left.pop(label.id, None)
+            if new is None or new.track != label.track:
+                del objects[number].poses[frame]
+                touched.add(number)
+                fresh += [] if new is None else [(frame, new)]
+            else:
+                edits += _changes(objects[number], frame, label, new)
+        fresh += [(frame, label) for label in left.values()]
+    touched |= _joined(objects, fresh)
+    for one in objects:
+        edits += _of_all(one, path)
+    return _assembled(data, held, objects, touched, edits)
+
+
+def _object(data: bytes, span: Span) -> _Object:
+    texts = _texts(data, span)
+    poses = [pose for group in span.all("poses") for pose in group.all("item")]
+    first = int(float(texts["first_frame"]))
+    size = (float(texts["l"]), float(texts["w"]), float(texts["h"]))
+    return _Object(span, texts["objectType"], size, {first + step: pose for step, pose in enumerate(poses)})
+
+
+def _texts(data: bytes, span: Span) -> dict[str, str]:
+    found = reversed([child for child in span.children if not child.children])
+    return {child.name: data[child.inner : child.close].decode().strip() for child in found}
+
+
+def _changes(one: _Object, frame: int, old: BoxLabel, new: BoxLabel) -> Iterator[Edit]:
+    """Edits of one pose; class and size are noted for the whole object."""
+    box, pose = kept_numbers(old.box, new.box), one.poses[frame]
+    assert pose is not None
+    if new.label != old.label:
+        one.named.add(new.label)
+    if box[3:6] != old.box[3:6]:
+        one.sized.add((box[3], box[4], box[5]))
+    for name, before, after in zip(_PLACES, _place(old.box), _place(box), strict=True):
+        if before != after:
+            yield _text(pose, name, repr(after))
+    for name, value in _seen(new).items():
+        if value != old.attributes.get(name, value):
+            yield _text(pose, name, f"{value:g}")
+
+
+def _place(box: Numbers) -> tuple[float, float, float, float]:
+    return box[0], box[1], box[2] - box[5] / 2, box[6]
+
+
+def _seen(label: BoxLabel) -> dict[str, float]:
+    found = {name: float(label.attributes[name]) for name in _SEEN if name in label.attributes}
+    for name, value in found.items():
+        if value not in _SEEN[name]:
+            raise ConfigError(f"a {label.label}: expected {name} of {_SEEN[name]}, got {value:g}")
+    return found
+
+
+def _text(span: Span, name: str, text: str) -> Edit:
+    child = span.one(name)
+    if child is None:
+        return (span.close, span.close, f"<{name}>{text}</{name}>".encode())
+    return (child.inner, child.close, text.encode())
+
+
+def _joined(objects: list[_Object], fresh: Sequence[tuple[int, BoxLabel]]) -> set[int]:
+    """Put new boxes into the objects that they continue, or into new ones; which objects have others now."""
+    touched: set[int] = set()
+    begun: dict[tuple[str, str], int] = {}
+    for frame, label in fresh:
+        size = (label.box[3], label.box[4], label.box[5])
+        known = label.track.isdecimal() and int(label.track) < len(objects) and objects[int(label.track)].span
+        number = int(label.track) if known else begun.get((label.track, label.label), -1)
+        if number < 0 or not label.track or frame in objects[number].poses or objects[number].label != label.label:
+            number = begun[label.track, label.label] = len(objects)
+            objects.append(_Object(None, label.label, size))
+        one = objects[number]
+        one.poses[frame], one.boxes[frame] = None, label
+        if size != one.size_m:
+            one.sized.add(size)
+        touched.add(number)
+    return touched
+
+
+def _of_all(one: _Object, path: Path) -> Iterator[Edit]:
+    """Edits of what an object has once: class and size."""
+    for what, values in (("class", one.named), ("size", one.sized)):
+        if len(values) > 1:
+            mend = "Lock its size (Ctrl+L), or give one of the boxes another track."
+            raise ConfigError(f"{path}: an object has one {what} in all frames, got {sorted(values)}. {mend}")
+    if one.span is not None and one.named:
+        yield _text(one.span, "objectType", escape(*one.named))
+    if one.sized:
+        before, (after,) = one.size_m, one.sized
+        one.size_m = after
+        for name, old, new in zip("lwh", before, after, strict=True):
+            if one.span is not None and old != new:
+                yield _text(one.span, name, repr(float(new)))
+
+
+def _assembled(data: bytes, held: Span, objects: list[_Object], touched: set[int], edits: list[Edit]) -> bytes:
+    """The file: objects whose frames stayed by their edits, the others anew around the bytes of their poses."""
+    more: list[bytes] = []
+    kept = 0
+    whole = list(edits)
+    for number, one in enumerate(objects):
+        runs = list(_runs(one.poses)) if number in touched else []
+        if number in touched and one.span is not None:
+            inside = [each for each in edits if one.span.start <= each[0] < one.span.end]
+            whole = [each for each in whole if each not in inside]
+            begin = _blanks_before(data, one.span.start)
+            new = _with_poses(data, one, runs[0], inside) if runs else b""
+            whole.append((one.span.start if runs else begin, one.span.end, new))
+        kept += one.span is not None and (number not in touched or bool(runs))
+        later = runs[1:] if one.span is not None else runs
+        more += [_new_object(data, replace(one, span=None), run, edits) for run in later]
+    total = held.one("count")
+    if (total is not None and more) or (total is not None and kept != len(held.all("item"))):
+        whole.append((total.inner, total.close, b"%d" % (kept + len(more))))
+    end = _blanks_before(data, held.close)
+    whole.append((end, end, b"".join(b"\n\t" + each for each in more)))
+    return _named(edited(data, whole), data)
+
+
+def _runs(poses: Mapping[int, Span | None]) -> Iterator[list[int]]:
+    run: list[int] = []
+    for frame in sorted(poses):
+        if run and frame != run[-1] + 1:
+            yield run
+            run = []
+        run.append(frame)
+    if run:
+        yield run
+
+
+def _blanks_before(data: bytes, at: int) -> int:
+    return len(data[:at].rstrip())
+
+
+def _with_poses(data: bytes, one: _Object, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+    """An object's bytes with the poses of a run."""
+    span = one.span
+    assert span is not None
+    group = span.one("poses")
+    assert group is not None
+    items = group.all("item")
+    begin = _blanks_before(data, items[0].start) if items else _blanks_before(data, group.close)
+    changes = [each for each in edits if not group.start <= each[0] < group.end]
+    poses = b"".join(b"\n\t\t\t" + _pose(data, one, frame, edits) for frame in run)
+    changes.append((begin, items[-1].end if items else begin, poses))
+    count = group.one("count")
+    if count is not None:
+        changes.append((count.inner, count.close, b"%d" % len(run)))
+    if run[0] != int(float(_texts(data, span)["first_frame"])):
+        changes.append(_text(span, "first_frame", str(run[0])))
+    return edited(data, changes, span.start, span.end)
+
+
+def _pose(data: bytes, one: _Object, frame: int, edits: Sequence[Edit]) -> bytes:
+    span = one.poses[frame]
+    if span is not None:
+        return edited(data, edits, span.start, span.end)
+    label = one.boxes[frame]
+    x, y, bottom, yaw = map(repr, map(float, _place(label.box)))
+    seen = {"occlusion": -1.0, "truncation": 99.0} | _seen(label)
+    values = {"tx": x, "ty": y, "tz": bottom, "rx": "0", "ry": "0", "rz": yaw, "state": "2"}
+    values |= {"occlusion": f"{seen['occlusion']:g}", "occlusion_kf": "1", "truncation": f"{seen['truncation']:g}"}
+    values |= {"amt_occlusion": "0", "amt_occlusion_kf": "1", "amt_border_l": "0", "amt_border_r": "0"}
+    lines = "".join(f"\n\t\t\t\t<{name}>{text}</{name}>" for name, text in {**values, "amt_border_kf": "1"}.items())
+    return f"<item>{lines}\n\t\t\t</item>".encode()
+
+
+def _new_object(data: bytes, one: _Object, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+    length, width, height = map(repr, map(float, one.size_m))
+    label = escape(next(iter(one.named), one.label))
+    head = {"objectType": label, "h": height, "w": width, "l": length, "first_frame": str(run[0])}
+    lines = "".join(f"\n\t\t<{name}>{text}</{name}>" for name, text in head.items())
+    poses = b"".join(b"\n\t\t\t" + _pose(data, one, frame, edits) for frame in run)
+    counts = f"\n\t\t<poses>\n\t\t\t<count>{len(run)}</count>\n\t\t\t<item_version>2</item_version>"
+    return f"<item>{lines}{counts}".encode() + poses + b"\n\t\t</poses>\n\t\t<finished>1</finished>\n\t</item>"
+
+
+def _named(data: bytes, before: bytes) -> bytes:
+    """The file in which the first object, list of poses and pose name their kinds, where they did before."""
+    (held,) = parse_spans(data, "").all("tracklets")
+    objects = held.all("item")
+    groups = [group for one in objects for group in one.all("poses")]
+    poses = [pose for group in groups for pose in group.all("item")]
+    edits: list[Edit] = []
+    for tag, spans in zip(_TAGS, (objects, groups, poses), strict=True):
+        if tag not in before and before != _EMPTY:
+            continue
+        plain = b"<%s>" % tag[1:].split()[0]
+        for place, span in enumerate(spans):
+            wanted = tag if place == 0 else plain
+            present = data[span.start : span.inner]
+            if present in (tag, plain) and present != wanted:
+                edits.append((span.start, span.inner, wanted))
+    return edited(data, edits)
