@@ -5,7 +5,7 @@ and 1 pixels in turn in place of an inverse distance transform. Rings see uprigh
 compared with the picture's gradient across it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -37,8 +37,15 @@ PARAMETERS = (
 """Turns about, and shifts along, the camera's axes: x right (pitch), y down (yaw), z forward (roll)."""
 _SYSTEMATIC = np.array([*np.radians([0.05, 0.05, 0.05]), 0.015, 0.015, 0.015])
 """What more frames do not average away, one sigma: rays are 0.2 to 0.4 degrees apart; from simulated drives."""
-_VALLEYS = np.array([[2.5, 0.0, 0.0, 0.0, 8.7, 0.0], [0.0, 2.5, 0.0, -8.7, 0.0, 0.0]])
-"""Steps of :data:`PARAMETERS` that cancel at 20 m: pitch against y, yaw against x. Wrong maxima lie along them."""
+_VALLEYS = np.array([[2.5, 0.0, 0.0, 0.0, 8.7, 0.0], [0.0, 2.5, 0.0, -8.7, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 20.0]])
+"""Steps of :data:`PARAMETERS` that cancel at 20 m: pitch against y, yaw against x; and the shift along the view, which
+moves far edges little. Wrong maxima lie along them."""
+_ROUNDS = 2
+_FINE = (-2, -1)
+_KEPT = 3
+_FARTHEST_PX = 1e4
+_MOST = np.array([15.0] * 3 + [30.0] * 3)
+"""How many steps one scale may move."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -233,16 +240,17 @@ def _sloped(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Values between pixels and their slopes a pixel across and down; 0 outside."""
     grid, step = views.levels[level], _step_px(SIGMAS_PX[level])
-    at = pixels / step
-    low = np.floor(at).astype(np.int64)
-    inside = np.all((low >= 0) & (low < np.array(grid.shape[:1:-1]) - 1), axis=1)
-    column, row = np.where(inside[:, None], low, 0).T
-    right, down = np.where(inside[:, None], at - low, 0.0).T
-    flat, width = grid.reshape(-1), grid.shape[3]
-    first = ((views.frame * 2 + views.axis) * grid.shape[2] + row) * width + column
-    corners = [flat[first + each].astype(np.float64) for each in (0, 1, width, width + 1)]
-    upper, lower = (one + (other - one) * right for one, other in (corners[:2], corners[2:]))
-    across = (corners[1] - corners[0]) * (1 - down) + (corners[3] - corners[2]) * down
+    height, width = grid.shape[2:]
+    u, v = pixels[:, 0] / step, pixels[:, 1] / step
+    column, row = np.floor(u), np.floor(v)
+    inside = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1)
+    right, down = np.where(inside, u - column, 0.0), np.where(inside, v - row, 0.0)
+    place = np.where(inside, row * width + column, 0.0).astype(np.int64)
+    first = (views.frame * 2 + views.axis) * (height * width) + place
+    flat = grid.reshape(-1)
+    one, two, three, four = (flat.take(first + each).astype(np.float64) for each in (0, 1, width, width + 1))
+    upper, lower = one + (two - one) * right, three + (four - three) * right
+    across = (two - one) * (1 - down) + (four - three) * down
     slope = np.column_stack([across, lower - upper]) / step
     return inside * (upper + (lower - upper) * down), inside[:, None] * slope
 
@@ -257,39 +265,63 @@ def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None =
     """
     scale = np.array([each.scale for each in PARAMETERS])
     prior = np.array([each.prior_sigma for each in PARAMETERS] if sigma is None else sigma) / scale
-    shape = partial(_Level, camera=camera, views=views, scale=scale, prior=prior, turns=np.zeros(0))
-    x, _ = _descended(shape, np.zeros(6), range(len(SIGMAS_PX)))
-    around = [x, *(x + sign * valley for valley in _VALLEYS for sign in (-1, 1))]
-    found = [_descended(shape, each, (-2, -1)) for each in around]
-    return moved(camera, found[int(np.argmin([lacking for _, lacking in found]))][0] * scale)
+    whole = _Problem(camera=camera, views=views, scale=scale, prior=prior)
+    x, _ = whole.descended(np.zeros(6), range(len(SIGMAS_PX)))
+    best = whole.descended(x, _FINE)
+    for _ in range(_ROUNDS):
+        around = [whole.descended(best[0] + sign * valley, _FINE[:1]) for valley in _VALLEYS for sign in (-1, 1)]
+        ends = [whole.descended(each[0], _FINE[1:]) for each in sorted(around, key=_lacking)[:_KEPT]]
+        nearest = min(ends, key=_lacking)
+        if nearest[1] >= best[1]:
+            break
+        best = nearest
+    return moved(camera, best[0] * scale)
 
 
-def _descended(
-    shape: "Callable[..., _Level]", x: Float[np.ndarray, " 6"], levels: Iterable[int]
-) -> tuple[Float[np.ndarray, " 6"], float]:
-    """Where scale after scale leads to, and what is lacking there."""
-    lacking = np.inf
-    for level in levels:
-        problem = shape(level=level)
-        problem = replace(problem, turns=problem.jacobian(x))
-        done = minimize(problem.lacking, x, jac=True, method="L-BFGS-B", options={"maxiter": 40, "ftol": 1e-9})
-        x, lacking = done.x, float(done.fun)
-    return x, lacking
+def refine_edges(camera: Camera, views: Views, *, sigma: Sequence[float]) -> Camera:
+    """Move a camera that fits most frames to those given, at all scales or at the fine ones alone: the better one.
+
+    Arguments as for :func:`align_edges`.
+    """
+    scale = np.array([each.scale for each in PARAMETERS])
+    whole = _Problem(camera=camera, views=views, scale=scale, prior=np.array(sigma) / scale)
+    ends = [whole.descended(np.zeros(6), levels) for levels in (_FINE, range(len(SIGMAS_PX)))]
+    return moved(camera, min(ends, key=_lacking)[0] * scale)
+
+
+_Found = tuple[Float[np.ndarray, " 6"], float]
+
+
+def _lacking(found: _Found) -> float:
+    return found[1]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Level:
-    """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
-
-    ``turns`` are the derivatives of the pixels, shape (n, 2, 6), taken once: they hardly change within a degree.
-    """
+class _Problem:
+    """What is moved in steps of ``scale``, and how far it may be off."""
 
     camera: Camera
     views: Views
-    level: int
     scale: Float[np.ndarray, " 6"]
     prior: Float[np.ndarray, " 6"]
-    turns: Float[np.ndarray, "..."]
+
+    def descended(self, x: Float[np.ndarray, " 6"], levels: Iterable[int]) -> _Found:
+        """Where scale after scale leads to, and what is lacking there."""
+        lacking = np.inf
+        for level in levels:
+            problem = _Level(whole=self, level=level, at=x, base_px=self.pixels(x), turns=self.jacobian(x))
+            done = minimize(
+                problem.lacking,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=np.column_stack([x - _MOST, x + _MOST]),
+                options={"maxiter": 40, "ftol": 1e-9},
+            )
+            there = replace(problem, at=done.x, base_px=self.pixels(done.x))
+            before, lacking = problem.lacking(x)[0], there.lacking(done.x)[0]
+            x, lacking = (done.x, lacking) if lacking < before else (x, before)  # or the pixels bent too far
+        return x, lacking
 
     def pixels(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2"]:
         there = replace(moved(self.camera, x * self.scale), width_px=0, height_px=0)
@@ -297,14 +329,32 @@ class _Level:
 
     def jacobian(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2 6"]:
         steps = np.eye(6)
-        return np.stack([(self.pixels(x + step) - self.pixels(x - step)) / 2 for step in steps], axis=-1)
+        turns = np.stack([(self.pixels(x + step) - self.pixels(x - step)) / 2 for step in steps], axis=-1)
+        return np.where(np.abs(turns) < _FARTHEST_PX, turns, 0.0)  # beside the image plane
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Level:
+    """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
+
+    Pixels move along ``turns``, shape (n, 2, 6), taken at ``at``, where each scale begins: within a degree they bend by
+    a tenth of a pixel.
+    """
+
+    whole: _Problem
+    level: int
+    at: Float[np.ndarray, " 6"]
+    base_px: Float[np.ndarray, "n 2"]
+    turns: Float[np.ndarray, "n 2 6"]
 
     def lacking(self, x: Float[np.ndarray, " 6"]) -> tuple[float, Float[np.ndarray, " 6"]]:
         """The value and its derivatives."""
-        found, slope = _sloped(self.views, self.pixels(x), self.level)
-        weight = self.views.weight / self.views.count
-        pull = _PULL * x / self.prior**2
-        uphill = np.einsum("nd,ndk->k", weight[:, None] * slope, self.turns)
+        views = self.whole.views
+        step = self.turns.reshape(-1, len(x)) @ (x - self.at)
+        found, slope = _sloped(views, self.base_px + step.reshape(-1, 2), self.level)
+        weight = views.weight / views.count
+        pull = _PULL * x / self.whole.prior**2
+        uphill = (weight[:, None] * slope).ravel() @ self.turns.reshape(-1, len(x))
         return float(-(weight @ found) + pull @ x), 2 * pull - uphill
 
 
