@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Float16, Int, Shaped
 from scipy import ndimage
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial.transform import Rotation
 
 from farfield.calibration.problems import Parameter, unobserved
@@ -315,7 +315,7 @@ class _Problem:
                 x,
                 jac=True,
                 method="L-BFGS-B",
-                bounds=np.column_stack([x - _MOST, x + _MOST]),
+                bounds=Bounds(x - _MOST, x + _MOST),
                 options={"maxiter": 40, "ftol": 1e-9},
             )
             there = replace(problem, at=done.x, base_px=self.pixels(done.x))
