@@ -1,8 +1,9 @@
 """Calibrations from random starts against the simulator's truth, with the CPU time of a start.
 
 Simulates K-Radar's car on three roads by day and one by night, 80 frames each in eight runs of ten, pictures in four of
-them. They stay in --data, as do the rows that are done: a second run goes on where the first ended. Every solver starts
-from random errors; the starts of a road share its drive, so that their errors are not independent.
+them. They stay in --data, as does every start that is done: a second run goes on where the first ended, and the table
+says how many starts each row has. Every solver starts from random errors; the starts of a road share its drive, so that
+their errors are not independent.
 
     python benchmarks/calibration.py --data data/calibration --output benchmarks/results/calibration.txt
 """
@@ -10,13 +11,14 @@ from random errors; the starts of a road share its drive, so that their errors a
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from _report import header, progress
+from _report import header
 from scipy.spatial.transform import Rotation
 
 from farfield.calibration.edges import (
@@ -53,6 +55,9 @@ def simulated(folder: Path, road: str, light: str, sequence: int) -> tuple[Datas
     """A K-Radar of one sequence, and how much later its radar measures, in seconds."""
     preset = find_preset("kradar-sim", road=road, time=light, weather="normal", duration_s=30.0)
     writer = KRadarWriter(folder / f"{road}-{light}")
+    late_s = drive_of(preset, SEED, sequence).mounted.radar_offset_s
+    if (writer.root / "done").exists():
+        return open_dataset(writer.root, format="kradar"), late_s
     for run, index in ((run, start + step) for run, start in enumerate(RUNS) for step in range(10)):
         sensors = ("os2-64", "sparse", *(("cam-front",) if index % 2 == 0 and run < PICTURED else ()))
         sensors += ("os1-128",) if index in (30, 160) else ()
@@ -60,67 +65,111 @@ def simulated(folder: Path, road: str, light: str, sequence: int) -> tuple[Datas
         if not writer.paths(frame)["record"].exists():
             writer.write(frame)
     writer.finish()
-    return open_dataset(writer.root, format="kradar"), drive_of(preset, SEED, sequence).mounted.radar_offset_s
+    (writer.root / "done").touch()
+    return open_dataset(writer.root, format="kradar"), late_s
 
 
-def radar_row(data: Dataset, late_s: float, starts: int) -> str:
+def radar_row(open_road: Callable[[], tuple[Dataset, float]], starts: int, done: Path, seconds: float) -> str:
     """Radar-LiDAR from +-2 m, +-3 degrees, +-3 frames."""
-    evidence = Evidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
-    truth, rng = np.array([-2.54, 0.3, 0.0, late_s]), np.random.default_rng(0)
-    away, covered, frames, seconds = [], [], [], []
-    for _ in progress(range(starts), "radar-LiDAR"):
-        x, y = truth[:2] + rng.uniform(-2, 2, 2)
-        yaw, offset = np.radians(rng.uniform(-3, 3)), int(rng.integers(-3, 4))
-        began = time.process_time()
-        guess = RadarPose(x_m=x, y_m=y, z_m=0.7, yaw_rad=yaw, frames=offset)
-        found = calibrate_radar(evidence, guess)
-        seconds.append(time.process_time() - began)
-        error = found.pose.vector - truth
-        away.append(np.abs(error))
-        covered.append(np.abs(error) < 2 * found.solution.sigma)
-        frames.append(found.pose.frames == 0)
-    x, y, yaw, late = np.median(away, axis=0)
-    worst = np.max(away, axis=0)
+    rows = started(done, starts, partial(radar_starts, open_road), seconds)
+    if not rows:
+        return "      0"
+    away = np.abs([row["error"] for row in rows])
+    covered = away < 2 * np.array([row["sigma"] for row in rows])
+    (x, y, yaw, late), worst = np.median(away, axis=0), np.max(away, axis=0)
     return (
-        f"{np.mean(frames):7.0%} {100 * x:6.1f} {100 * y:6.1f} {np.degrees(yaw):7.3f} {1000 * late:6.1f}   "
+        f"{len(rows):6d} {np.mean([row['frames'] == 0 for row in rows]):7.0%} "
+        f"{100 * x:6.1f} {100 * y:6.1f} {np.degrees(yaw):7.3f} {1000 * late:6.1f}   "
         f"{100 * worst[0]:5.1f} {100 * worst[1]:5.1f} {np.degrees(worst[2]):7.3f} {np.mean(covered):9.0%} "
-        f"{np.mean(seconds):7.1f}"
+        f"{np.mean([row['seconds'] for row in rows]):7.1f}"
     )
 
 
-def camera_rows(data: Dataset, starts: int) -> list[str]:
+def radar_starts(open_road: Callable[[], tuple[Dataset, float]], numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Errors, sigma and CPU time of single starts."""
+    data, late_s = open_road()
+    evidence = Evidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
+    truth = np.array([-2.54, 0.3, 0.0, late_s])
+    for number in numbers:
+        rng = np.random.default_rng((0, number))
+        x, y = truth[:2] + rng.uniform(-2, 2, 2)
+        yaw, offset = np.radians(rng.uniform(-3, 3)), int(rng.integers(-3, 4))
+        began = time.process_time()
+        found = calibrate_radar(evidence, RadarPose(x_m=x, y_m=y, z_m=0.7, yaw_rad=yaw, frames=offset))
+        yield {
+            "start": number,
+            "error": (found.pose.vector - truth).tolist(),
+            "sigma": found.solution.sigma.tolist(),
+            "frames": found.pose.frames,
+            "seconds": time.process_time() - began,
+        }
+
+
+def started(
+    path: Path, count: int, make: Callable[[Sequence[int]], Iterator[dict[str, Any]]], seconds: float
+) -> list[dict[str, Any]]:
+    """Rows of the first ``count`` starts: those in the journal, and those made until the time is up."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    known, began = {row["start"] for row in rows}, time.monotonic()
+    wanted = [number for number in range(count) if number not in known]
+    for row in make(wanted) if wanted and seconds > 0 else ():
+        rows.append(row)
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        if time.monotonic() - began > seconds:
+            break
+    return [row for row in rows if row["start"] < count]
+
+
+def camera_rows(open_road: Callable[[], tuple[Dataset, float]], starts: int, done: Path, seconds: float) -> list[str]:
     """LiDAR-camera from +-1 degree and +-0.1 m, and from twice the angle."""
-    numbers = [i for i in range(len(data)) if "cam-front" in data[i].images][:CAMERA_FRAMES]
-    pictures = [data[i].images["cam-front"] for i in numbers]
-    truth = data[numbers[0]].cameras["cam-front"]
-    edges = [sweep_edges(data, i, camera="cam-front", lidar="os2-64")[0] for i in numbers]
-    views = views_of(pictures, edges, truth, margin_px=100)
-    rows = []
+    lines = []
     for turn, count in ((1.0, starts), (2.0, max(starts // 2, 1))):
-        rng, away, covered, seconds, left = np.random.default_rng(1), [], [], [], []
-        for _ in progress(range(count), "LiDAR-camera"):
-            delta = np.concatenate([np.radians(rng.uniform(-turn, turn, 3)), rng.uniform(-0.1, 0.1, 3)])
-            began = time.process_time()
-            sigma = (*(np.radians(turn),) * 3, 0.1, 0.1, 0.1)
-            found = align_edges(moved(truth, delta), views, sigma=sigma)
-            seconds.append(time.process_time() - began)
-            error = np.abs(difference(found, truth))
-            spread = edge_spread(found, views)[0]
-            away.append((np.degrees(error[:3].max()), 100 * error[3:].max()))
-            covered.append(error < 2 * spread)
-            left.append(np.median(np.abs(edge_residual_px(found, views))))
-        degrees, cm = np.array(away).T
+        path = done.with_name(f"{done.stem}-{turn:.0f}.jsonl")
+        rows = started(path, count, partial(camera_starts, open_road, turn), seconds)
+        if not rows:
+            lines.append(f"+-{turn:.0f} deg   0")
+            continue
+        error = np.abs([row["error"] for row in rows])
+        covered = error < 2 * np.array([row["sigma"] for row in rows])
+        degrees, cm = np.degrees(error[:, :3].max(axis=1)), 100 * error[:, 3:].max(axis=1)
+        left, took = (np.array([row[name] for row in rows]) for name in ("edge_px", "seconds"))
         good = np.mean((degrees < 0.2) & (cm < 8))
-        rows.append(
-            f"+-{turn:.0f} deg {count:3d} {np.median(degrees):9.3f} {degrees.max():7.3f} {np.median(cm):7.1f} "
-            f"{cm.max():6.1f} {np.median(left):8.2f} {good:9.0%} {np.mean(covered):9.0%} {np.mean(seconds):7.1f}"
+        lines.append(
+            f"+-{turn:.0f} deg {len(rows):3d} {np.median(degrees):9.3f} {degrees.max():7.3f} {np.median(cm):7.1f} "
+            f"{cm.max():6.1f} {np.median(left):8.2f} {good:9.0%} {np.mean(covered):9.0%} {np.mean(took):7.1f}"
         )
-    return rows
+    return lines
 
 
-def pairs_row(data: Dataset, starts: int) -> list[str]:
+def camera_starts(
+    open_road: Callable[[], tuple[Dataset, float]], turn: float, numbers: Sequence[int]
+) -> Iterator[dict[str, Any]]:
+    """Errors, sigma, edge residual and CPU time of single starts."""
+    data, _ = open_road()
+    pictured = [i for i in range(len(data)) if "cam-front" in data[i].images][:CAMERA_FRAMES]
+    pictures = [data[i].images["cam-front"] for i in pictured]
+    truth = data[pictured[0]].cameras["cam-front"]
+    edges = [sweep_edges(data, i, camera="cam-front", lidar="os2-64")[0] for i in pictured]
+    views = views_of(pictures, edges, truth, margin_px=100)
+    for number in numbers:
+        rng = np.random.default_rng((1, int(turn), number))
+        delta = np.concatenate([np.radians(rng.uniform(-turn, turn, 3)), rng.uniform(-0.1, 0.1, 3)])
+        began = time.process_time()
+        found = align_edges(moved(truth, delta), views, sigma=(*(np.radians(turn),) * 3, 0.1, 0.1, 0.1))
+        took = time.process_time() - began
+        yield {
+            "start": number,
+            "error": difference(found, truth).tolist(),
+            "sigma": edge_spread(found, views)[0].tolist(),
+            "edge_px": float(np.median(np.abs(edge_residual_px(found, views)))),
+            "seconds": took,
+        }
+
+
+def pairs_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> list[str]:
     """Picked pairs with 2 px of hand noise, from nothing; twelve with a focal length 20 % off."""
-    frame = data[0]
+    frame = open_road()[0][0]
     truth = frame.cameras["cam-front"]
     points = frame.clouds["os2-64"].points_m.astype(float)
     points = points[truth.project(points)[2] & (np.linalg.norm(points, axis=1) < 40) & (points[:, 2] > -1.2)]
@@ -130,7 +179,7 @@ def pairs_row(data: Dataset, starts: int) -> list[str]:
         ("8 spread over picture and range", 8, True, False),
         ("12 at random, focal length free", 12, False, True),
     ):
-        away = []
+        away, bound = [], []
         for _ in range(starts):
             picked = points[rng.permutation(len(points))[: 40 if far else count]]
             picked = spread(picked, truth, count) if far else picked
@@ -140,11 +189,25 @@ def pairs_row(data: Dataset, starts: int) -> list[str]:
             found = calibrate_pairs(picked, seen, guess(matrix=matrix), focal=focal).camera
             turn = np.degrees(np.linalg.norm(difference(found, truth)[:3]))
             away.append((turn, 100 * abs(found.matrix[0, 0] / truth.matrix[0, 0] - 1)))
+            bound.extend(least_turns(truth, picked, rng) if not focal else ())
         turn, longer = np.median(away, axis=0)
         worst = np.percentile(away, 90, axis=0)[0]
         length = f", focal length {longer:.2f} % median" if focal else ""
-        rows.append(f"{name}: {starts} draws, {turn:.3f} degrees median, {worst:.3f} at 90 %{length}")
+        least = "" if focal else f"; least possible {np.median(bound):.3f} and {np.percentile(bound, 90):.3f}"
+        rows.append(f"{name}: {starts} draws, {turn:.3f} degrees median, {worst:.3f} at 90 %{length}{least}")
     return rows
+
+
+def least_turns(camera: Camera, points_m: np.ndarray, rng: np.random.Generator, sigma_px: float = 2.0) -> np.ndarray:
+    """Turns in degrees drawn from the Cramer-Rao bound: what no unbiased solver can undercut with these picks."""
+    slopes = []
+    for step in np.diag([1e-4] * 3 + [1e-3] * 3):
+        after, before = (moved(camera, each).project(points_m)[0] for each in (step, -step))
+        slopes.append((after - before).ravel() / (2 * step.sum()))
+    slope = np.stack(slopes, axis=1)
+    covariance = sigma_px**2 * np.linalg.inv(slope.T @ slope)
+    drawn = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], 100)
+    return np.degrees(np.linalg.norm(drawn, axis=1))
 
 
 def spread(points_m: np.ndarray, camera: Camera, count: int) -> np.ndarray:
@@ -157,8 +220,9 @@ def spread(points_m: np.ndarray, camera: Camera, count: int) -> np.ndarray:
     return points_m[chosen]
 
 
-def lidars_row(data: Dataset, starts: int) -> str:
+def lidars_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> str:
     """os1-128 against os2-64 from +-1 degree, +-0.2 m."""
+    data, _ = open_road()
     frames = [each for each in (data[i] for i in range(len(data))) if "os1-128" in each.clouds]
     targets, sources = ([each.clouds[name].points_m for each in frames] for name in ("os2-64", "os1-128"))
     truth = frames[0].sensors["os1-128"].frame_T_sensor
@@ -183,54 +247,66 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--starts", type=int, default=30)
     parser.add_argument("--camera-starts", type=int, default=30)
+    parser.add_argument("--roads", nargs="+", default=[f"{road} {light}" for road, light, _ in ROADS])
+    parser.add_argument("--seconds", type=float, default=np.inf, help="for each row, after which no start begins")
     options = parser.parse_args()
-    sets = {(road, light): simulated(options.data, road, light, number) for road, light, number in ROADS}
+    sets = {
+        (road, light): partial(simulated, options.data, road, light, number)
+        for road, light, number in ROADS
+        if f"{road} {light}" in options.roads
+    }
     lines = [
         header(),
-        f"starts: radar {options.starts}, camera {options.camera_starts}; {10 * len(RUNS)} frames a road, a drive each",
+        f"at most {options.starts} starts a road for the radar, {options.camera_starts} for the camera; "
+        f"{10 * len(RUNS)} frames a road, a drive each",
     ]
     print("\n".join(lines), flush=True)
-    kept = Kept(options.data / f"rows-{options.starts}-{options.camera_starts}.json")
-    for line in _tables(sets, options.starts, options.camera_starts, kept):
+    for line in _tables(sets, options):
         print(line, flush=True)
         lines.append(line)
         if options.output:
             options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _tables(
+    sets: dict[tuple[str, str], Callable[[], tuple[Dataset, float]]], options: argparse.Namespace
+) -> Iterator[str]:
+    """Lines of all tables as they become known."""
+    kept = Kept(options.data / "rows.json")
+    yield "Picked pairs, 2 px of noise, from nothing; least possible: drawn from the Cramer-Rao bound"
+    yield from kept.rows("pairs", "urban day", partial(pairs_row, partial(simulated, options.data, *ROADS[0]), 30))
+    yield "\nRadar-LiDAR from +-2 m, +-3 degrees, +-3 frames; median and worst errors; covered: within 2 sigma"
+    yield "road            starts  frames   x cm   y cm yaw deg  dt ms | worst x     y     yaw   covered   CPU s"
+    for (road, light), opened in sets.items():
+        done = options.data / f"radar-{road}-{light}.jsonl"
+        yield f"{road + ' ' + light:<15} {radar_row(opened, options.starts, done, options.seconds)}"
+    if options.camera_starts:
+        yield "\nos1-128 against os2-64 from +-1 degree, +-0.2 m, two frames"
+        for (road, light), opened in sets.items():
+            yield from kept.rows("lidars", f"{road} {light}", partial(lidars_row, opened, 3))
+    yield f"\nLiDAR-camera by edges, {CAMERA_FRAMES} frames, +-0.1 m; largest of three angles and of three shifts"
+    yield "road            start    n  med. deg   worst med. cm  worst  edge px  < .2, 8  covered   CPU s"
+    for (road, light), opened in sets.items():
+        done = options.data / f"camera-{road}-{light}.jsonl"
+        rows = camera_rows(opened, options.camera_starts, done, options.seconds) if options.camera_starts else []
+        yield from (f"{road + ' ' + light:<15} {row}" for row in rows)
+
+
 @dataclass(frozen=True)
 class Kept:
-    """Rows that an earlier run with as many starts printed."""
+    """Rows that an earlier run printed."""
 
     path: Path
 
-    def rows(self, name: str, make: Callable[[], str | list[str]]) -> list[str]:
-        """The rows of this name; made, and kept, if there are none yet."""
+    def rows(self, table: str, road: str, make: Callable[[], str | list[str]]) -> list[str]:
+        """The rows of this table and road; made, and kept, if there are none yet."""
         known = json.loads(self.path.read_text(encoding="utf-8")) if self.path.exists() else {}
+        name = f"{table}:{road}"
         if name not in known:
             made = make()
             known[name] = [made] if isinstance(made, str) else made
             write_text(self.path, json.dumps(known, indent=1) + "\n")
-        return [f"{name.split(':')[1]:<15} {row}" for row in known[name]]
-
-
-def _tables(
-    sets: dict[tuple[str, str], tuple[Dataset, float]], starts: int, camera_starts: int, kept: Kept
-) -> Iterator[str]:
-    """Lines of all tables as they become known."""
-    yield "Picked pairs, 2 px of noise, from nothing"
-    yield from kept.rows("pairs:urban day", partial(pairs_row, sets["urban", "day"][0], max(starts, 30)))
-    yield "\nRadar-LiDAR from +-2 m, +-3 degrees, +-3 frames; median and worst errors; covered: within 2 sigma"
-    yield "road            frames   x cm   y cm yaw deg  dt ms | worst x     y     yaw   covered   CPU s"
-    for (road, light), (data, late) in sets.items():
-        yield from kept.rows(f"radar:{road} {light}", partial(radar_row, data, late, starts))
-    yield "\nos1-128 against os2-64 from +-1 degree, +-0.2 m, two frames"
-    for (road, light), (data, _) in sets.items():
-        yield from kept.rows(f"lidars:{road} {light}", partial(lidars_row, data, min(starts, 3)))
-    yield f"\nLiDAR-camera by edges, {CAMERA_FRAMES} frames, +-0.1 m; largest of three angles and of three shifts"
-    yield "road            start    n  med. deg   worst med. cm  worst  edge px  < .2, 8  covered   CPU s"
-    for (road, light), (data, _) in sets.items():
-        yield from kept.rows(f"camera:{road} {light}", partial(camera_rows, data, camera_starts))
+        return [f"{road:<15} {row}" for row in known[name]]
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ import numpy as np
 from _report import SHARED_REAL, header
 
 from farfield.calibration.checking import check_camera
-from farfield.calibration.edges import align_edges, difference, edge_spread, lidar_edges, moved, views_of
+from farfield.calibration.depth_jumps import lidar_edges
+from farfield.calibration.edges import align_edges, difference, edge_spread, moved, views_of
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
 from farfield.datasets import open_dataset

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.edges import (
     align_edges,
     difference,
     edge_residual_px,
     edge_score,
     edge_spread,
-    lidar_edges,
     moved,
     views_of,
 )

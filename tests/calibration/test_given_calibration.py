@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from farfield.calibration.checking import check_camera, check_radar
-from farfield.calibration.edges import SIGMAS_PX, Views, moved
+from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refine_edges
 from farfield.calibration.moments import Moment
 from farfield.calibration.radar_lidar import Evidence, RadarPose
 from farfield.geometry.cameras import Camera
@@ -60,6 +60,13 @@ def test_a_planted_error_is_found_and_measured(steady: Views, delta: list[float]
     assert found.evidence > 3
     assert found.degrees == pytest.approx(np.degrees(np.abs(delta[:3]).max()), abs=0.25)
     assert found.cm == pytest.approx(100 * np.abs(delta[3:]).max(), abs=8)
+
+
+def test_a_camera_is_brought_to_what_some_frames_show(steady: Views) -> None:
+    away = moved(CAMERA, np.array([0.0, 0.005, 0.0, 0.05, 0.0, 0.1]))
+    found = difference(refine_edges(away, steady, sigma=(0.03, 0.03, 0.03, 0.4, 0.4, 0.4)), CAMERA)
+    assert np.abs(found[:3]).max() < np.radians(0.05)
+    assert np.abs(found[3:]).max() < 0.02
 
 
 def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:

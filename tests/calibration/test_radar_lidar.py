@@ -1,12 +1,14 @@
 """Radar to LiDAR on a made-up road: poles, parked and oncoming cars seen by both; a platoon that hides the time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from farfield.calibration.bird import Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
+from farfield.calibration.radar_lidar import PARAMETERS, Evidence, RadarPose, _polished, _solved, calibrate_radar
 from farfield.calibration.targets import find_peaks, find_targets
 from farfield.errors import DatasetError
 
@@ -57,6 +59,19 @@ def test_a_rough_start_is_brought_back() -> None:
         assert (np.abs(error) < 3 * found.solution.sigma).all()
         assert found.residual["range_cells"] < 0.4
         assert any("z is not observed" in note for note in found.notes)
+
+
+def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    guess = replace(TRUTH, time_offset_s=0.0, yaw_rad=0.0)
+    turned = replace(TRUTH, yaw_rad=TRUTH.yaw_rad + np.radians(1.1), y_m=TRUTH.y_m - 0.6, time_offset_s=-0.03)
+    known = _solved(evidence, TRUTH.vector, TRUTH.frames, guess, PARAMETERS, (0.8,))
+    assert known is not None
+    held = turned, known[0], replace(known[1], value=turned.vector)
+    pose, _, solution = _polished(evidence, held, guess)
+    assert pose.vector == pytest.approx(solution.value)
+    assert abs(pose.yaw_rad - TRUTH.yaw_rad) < np.radians(0.1)
+    assert abs(pose.y_m - TRUTH.y_m) < 0.06
 
 
 def test_a_platoon_hides_the_time_and_it_is_said() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from farfield.calibration.edges import lidar_edges
+from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.sweeps import at_moment
 from farfield.frame import Cloud, Frame
 from farfield.timing.deskewing import PoseTrack

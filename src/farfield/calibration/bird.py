@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float
-from scipy import fft, ndimage
+from jaxtyping import Complex64, Float, Float32
+from scipy import fft
 
 from farfield.calibration.moments import Moment
 from farfield.calibration.problems import Told, untold
@@ -18,6 +18,8 @@ from farfield.calibration.problems import Told, untold
 CELL_M = 0.4
 _SHAPE = (192, 160)  # 76.8 m ahead, 32 m to each side
 _SMOOTH = 0.7
+_WIDE = 25
+_MOST = 40  # sweeps that are turned; more tell nothing new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +64,11 @@ def correlate(
     """
     radar = {each.number: _spectrum(each.echoes_m, each.power_db) for each in moments}
     best: dict[int, Start] = {}
-    count = round(yaw_rad / step_rad)
+    count, every = round(yaw_rad / step_rad), -(-len(moments) // _MOST)
     for step in range(-count, count + 1):
         told((step + count) / (2 * count + 1))
         yaw = guess.yaw_rad + step_rad * step
-        lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments}
+        lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments[::every]}
         for offset in range(guess.frames - frames, guess.frames + frames + 1):
             found = _peak(lidar, radar, offset, reach_m)
             if found and (offset not in best or found[0] > best[offset].score):
@@ -93,17 +95,27 @@ def bird_map(
     kept = ((index >= 0) & (index < _SHAPE)).all(axis=1)
     grid = np.zeros(_SHAPE, dtype=np.float32)
     weight = np.ones(len(points_m)) if values is None else values
-    np.maximum.at(grid, (index[kept, 0], index[kept, 1]), weight[kept].astype(np.float32))
+    np.maximum.at(grid.ravel(), index[kept] @ (_SHAPE[1], 1), weight[kept].astype(np.float32))
     return grid
 
 
 def _spectrum(
     points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
 ) -> Complex64[np.ndarray, "h w"]:
-    grid = ndimage.gaussian_filter(bird_map(points_m, values), _SMOOTH)
-    grid -= ndimage.uniform_filter(grid, 25)  # what is slow across the map says little
-    norm = float(np.linalg.norm(grid)) or 1.0
-    return fft.rfft2(grid / norm)
+    found = fft.rfft2(bird_map(points_m, values)) * _PASSED
+    energy = 2 * float(np.sum(np.abs(found) ** 2)) - float(np.sum(np.abs(found[:, [0, -1]]) ** 2))
+    return found / (float(np.sqrt(energy / np.prod(_SHAPE))) or 1.0)
+
+
+def _passed() -> Float32[np.ndarray, "h w"]:
+    """What is left of each frequency: a little smoothed, without what is slow across the map, which says little."""
+    across, along = fft.fftfreq(_SHAPE[0])[:, None], fft.rfftfreq(_SHAPE[1])
+    smooth = np.exp(-2 * (np.pi * _SMOOTH) ** 2 * (across**2 + along**2))
+    mean = [np.sinc(_WIDE * each) / np.sinc(each) for each in (across, along)]
+    return (smooth * (1 - mean[0] * mean[1])).astype(np.float32)
+
+
+_PASSED = _passed()
 
 
 def _peak(

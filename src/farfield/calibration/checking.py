@@ -1,8 +1,9 @@
 """Does a given calibration fit the data? How far off is it, and did a sensor move during the drive?
 
-A camera is aligned from its given calibration on each half of the frames, the first and the second in time. It is
-called off where the edges' score over frames gains clearly and the camera moved by more than it moves on correct data,
-in pixels or on both halves alike; edges that fit nowhere much better than by chance tell nothing. It drifted where each
+A camera is aligned from its given calibration on all frames, and from there on each half, the first and the second in
+time. It is called off where the edges' score over frames gains clearly, on frames to which the camera was not fitted
+too, and it moved by more than it moves on correct data, in pixels or on both halves alike; edges that fit nowhere much
+better than by chance tell nothing. It drifted where each
 half's own camera fits that half clearly better than the other half's camera does. A K-Radar radar is refined from
 matched objects likewise; it takes some forty frames of a busy road to tell anything.
 """
@@ -14,7 +15,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved
+from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved, refine_edges
 from farfield.calibration.problems import Solution
 from farfield.calibration.radar_lidar import Evidence, RadarPose, refine_radar
 from farfield.errors import DatasetError
@@ -23,12 +24,13 @@ from farfield.geometry.cameras import Camera
 Verdict = Literal["fits", "off", "moved", "not told"]
 LEAST_FRAMES = 6
 _CLEAR = 3.0  # standard errors over frames
-_OTHER = 2.0  # the same, over half of them
+_OTHER = 2.0  # the same, over frames to which it was not fitted
 _OBSERVED = 3.0  # the same, against chance
 _FAR_RAD = np.radians(3.0)  # a camera turned so far meets edges by chance
 _FLOOR_RAD = np.radians(0.4)  # a median pixel may be off so far on correct data (0.32 on KITTI)
 _FLOORS = np.array([np.radians(0.5)] * 3 + [0.12] * 3)  # and a turn or a shift on which both halves agree
-_LEVEL = 2
+_LEVEL = 3
+"""The finest scale: what moves only near edges, as a shift along the view does, shows there alone."""
 _FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
 _RADAR_FLOOR = np.array([0.12, 0.12, np.radians(0.3)])
 _SIGMAS = 3.0
@@ -75,22 +77,25 @@ def check_camera(camera: Camera, views: Views) -> Check:
     halves = [np.arange(views.count) < views.count // 2, np.arange(views.count) >= views.count // 2]
     if views.count < LEAST_FRAMES:
         return _unsaid(views.count)
-    own = [align_edges(camera, _only(views, half), sigma=_FIRST) for half in halves]
-    scores = np.stack([edge_score(each, views, _LEVEL) for each in (camera, *own)])
+    whole = align_edges(camera, views, sigma=_FIRST)
+    own = [refine_edges(whole, _only(views, half), sigma=_FIRST) for half in halves]
+    given, *scores = (edge_score(each, views, _LEVEL) for each in (camera, whole, *own))
     chance = np.mean([edge_score(moved(camera, each), views, _LEVEL) for each in _far()], axis=0)
-    best = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
+    crossed = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
     mine = np.where(halves[0], scores[1], scores[2])
-    if _errors(best - chance) < _OBSERVED and _errors(mine - chance) < 2 * _OBSERVED:
+    if _errors(crossed - chance) < _OBSERVED and _errors(mine - chance) < 2 * _OBSERVED:
         return _unsaid(views.count)
-    change = np.stack([difference(each, camera) for each in own])
-    pixels = [_pixels(each, views) for each in (camera, *own)]
-    apart = float(np.nanmedian(np.linalg.norm(pixels[1] - pixels[2], axis=1)))
-    gains = [_errors(each - scores[0]) for each in scores[1:]]
+    found = (whole, *own)
+    change = [difference(each, camera) for each in found]
+    pixels = [_pixels(each, views) for each in (camera, *found)]
+    apart = float(np.nanmedian(np.linalg.norm(pixels[2] - pixels[3], axis=1)))
+    gains = [_errors(each - given) for each in scores]
     better = int(np.argmax(gains))  # one half may have gone astray
-    other = _errors((scores[1 + better] - scores[0])[halves[1 - better]])  # on frames to which it was not fitted
+    unseen = crossed - given if better == 0 else (scores[better] - given)[halves[2 - better]]
+    other = _errors(unseen)
     away = float(np.nanmedian(np.linalg.norm(pixels[1 + better] - pixels[0], axis=1)))
-    drift = min(_errors((mine - best)[half]) for half in halves)
-    agreed = np.where(np.sign(change[0]) == np.sign(change[1]), np.abs(change).min(axis=0), 0.0)
+    drift = min(_errors((mine - crossed)[half]) for half in halves)
+    agreed = np.where(np.sign(change[1]) == np.sign(change[2]), np.abs(change[1:]).min(axis=0), 0.0)
     floor_px = max(1.5, _FLOOR_RAD * float(camera.matrix[0, 0]))
     verdict: Verdict = "fits"
     if gains[better] > _CLEAR and other > _OTHER and (away > floor_px or (agreed > _FLOORS).any()):

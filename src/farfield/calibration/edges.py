@@ -5,26 +5,23 @@ and 1 pixels in turn in place of an inverse distance transform. Rings see uprigh
 compared with the picture's gradient across it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Float16, Int, Shaped
 from scipy import ndimage
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial.transform import Rotation
 
+from farfield.calibration.depth_jumps import LidarEdges
 from farfield.calibration.problems import Parameter, Told, unobserved, untold
 from farfield.geometry.cameras import Camera
 
 SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
-_JUMP_M = 0.5
-_LARGEST_JUMP_M = 5.0
-_BIN_DEG = 0.42
 _TURN = np.radians(0.1)
 _SHIFT_M = 0.01
-_REACH_M = 60.0
 _SHARES = np.array([0.6, 0.4])  # of upright and of level edges in a frame's score
 _CLEAR = 3.0  # times the usual gradient
 _LEAST_FRAMES = 7
@@ -37,25 +34,15 @@ PARAMETERS = (
 """Turns about, and shifts along, the camera's axes: x right (pitch), y down (yaw), z forward (roll)."""
 _SYSTEMATIC = np.array([*np.radians([0.05, 0.05, 0.05]), 0.015, 0.015, 0.015])
 """What more frames do not average away, one sigma: rays are 0.2 to 0.4 degrees apart; from simulated drives."""
-_VALLEYS = np.array([[2.5, 0.0, 0.0, 0.0, 8.7, 0.0], [0.0, 2.5, 0.0, -8.7, 0.0, 0.0]])
-"""Steps of :data:`PARAMETERS` that cancel at 20 m: pitch against y, yaw against x. Wrong maxima lie along them."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LidarEdges:
-    """Points at which the depth jumps, upright and level ones.
-
-    Args:
-        upright_m: Jumps along a ring, shape (n, 3).
-        upright_weight: Their weights, shape (n,).
-        level_m: Jumps from ring to ring, shape (m, 3).
-        level_weight: Their weights, shape (m,).
-    """
-
-    upright_m: Float[np.ndarray, "n 3"]
-    upright_weight: Float[np.ndarray, " n"]
-    level_m: Float[np.ndarray, "m 3"]
-    level_weight: Float[np.ndarray, " m"]
+_VALLEYS = np.array([[2.5, 0.0, 0.0, 0.0, 8.7, 0.0], [0.0, 2.5, 0.0, -8.7, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 20.0]])
+"""Steps of :data:`PARAMETERS` that cancel at 20 m: pitch against y, yaw against x; and the shift along the view, which
+moves far edges little. Wrong maxima lie along them."""
+_ROUNDS = 2
+_FINE = (-2, -1)
+_KEPT = 3
+_FARTHEST_PX = 1e4
+_MOST = np.array([15.0] * 3 + [30.0] * 3)
+"""How many steps one scale may move."""
 
 
 def moved(camera: Camera, delta: Float[np.ndarray, " 6"]) -> Camera:
@@ -70,66 +57,6 @@ def difference(found: Camera, reference: Camera) -> Float[np.ndarray, " 6"]:
     """The delta with which ``moved(reference, delta)`` is ``found``: turns in rad, shifts in metres, shape (6,)."""
     step = found.camera_T_lidar @ np.linalg.inv(reference.camera_T_lidar)
     return np.concatenate([Rotation.from_matrix(step[:3, :3]).as_rotvec(), step[:3, 3]])
-
-
-def lidar_edges(
-    points_m: Float[np.ndarray, "n 3"],
-    ring: Shaped[np.ndarray, " n"] | None = None,
-    *,
-    at_picture_m: Float[np.ndarray, "n 3"] | None = None,
-) -> LidarEdges:
-    """Find depth jumps in a sweep; rings are rebuilt from the elevation where the cloud has none.
-
-    Args:
-        points_m: Points in the LiDAR's own frame, each of the moment at which it was measured, shape (n, 3).
-        ring: Ring of each point.
-        at_picture_m: The same points deskewed to the moment of the picture, shape (n, 3): jumps are found between
-            rays as they were sent, and then moved.
-    """
-    points = points_m.astype(np.float64)
-    reach = np.linalg.norm(points, axis=1)
-    kept = (reach > 2.0) & (reach < _REACH_M)
-    points, reach = points[kept], reach[kept]
-    shift = np.zeros_like(points) if at_picture_m is None else at_picture_m[kept] - points
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
-    elevation = np.arcsin(points[:, 2] / reach)
-    row = np.floor(np.degrees(elevation) / _BIN_DEG).astype(int) if ring is None else ring[kept].astype(int)
-    upright = _jumps(points, shift, reach, azimuth, row, np.radians(0.6), both=True)
-    level = np.zeros((0, 3)), np.zeros(0)
-    if ring is not None:  # rebuilt rings are too rough to go from one to the next
-        column = np.floor(azimuth / np.radians(0.18)).astype(int)
-        level = _jumps(points, shift, reach, elevation, column, np.radians(1.2), both=False)
-    return LidarEdges(upright_m=upright[0], upright_weight=upright[1], level_m=level[0], level_weight=level[1])
-
-
-def _jumps(
-    points_m: Float[np.ndarray, "n 3"],
-    shift_m: Float[np.ndarray, "n 3"],
-    reach_m: Float[np.ndarray, " n"],
-    along: Float[np.ndarray, " n"],
-    line: Shaped[np.ndarray, " n"],
-    gap_rad: float,
-    *,
-    both: bool,
-) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-    """Edges between neighbours on a line, at the nearer range half way between the two rays, and their weights.
-
-    The near side must be no slope: the step before the jump is at most a third of it (the ground recedes from ring to
-    ring). Without ``both``, only what ends upwards counts: below, objects stand on the ground.
-    """
-    order = np.lexsort((along, line))
-    reach, step = reach_m[order], np.diff(reach_m[order])
-    beside = (np.diff(line[order]) == 0) & (np.diff(along[order]) < gap_rad)
-    far = np.abs(step) > np.maximum(_JUMP_M, 0.03 * np.minimum(reach[:-1], reach[1:]))
-    size = np.where(beside, np.abs(step), np.inf)
-    before, after = np.append(np.inf, size[:-1]), np.append(size[1:], np.inf)
-    flat = np.where(step > 0, before, after) < np.abs(step) / 3
-    at = np.flatnonzero(beside & far & flat & ((step > 0) | both))
-    rays = points_m[order] / reach[:, None]
-    middle = rays[at] + rays[at + 1]
-    middle *= (np.minimum(reach[at], reach[at + 1]) / np.linalg.norm(middle, axis=1))[:, None]
-    near = np.where(step[at] > 0, order[at], order[at + 1])
-    return middle + shift_m[near], np.sqrt(np.minimum(np.abs(step[at]), _LARGEST_JUMP_M))
 
 
 def image_edges(
@@ -243,16 +170,17 @@ def _sloped(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Values between pixels and their slopes a pixel across and down; 0 outside."""
     grid, step = views.levels[level], _step_px(SIGMAS_PX[level])
-    at = pixels / step
-    low = np.floor(at).astype(np.int64)
-    inside = np.all((low >= 0) & (low < np.array(grid.shape[:1:-1]) - 1), axis=1)
-    column, row = np.where(inside[:, None], low, 0).T
-    right, down = np.where(inside[:, None], at - low, 0.0).T
-    flat, width = grid.reshape(-1), grid.shape[3]
-    first = ((views.frame * 2 + views.axis) * grid.shape[2] + row) * width + column
-    corners = [flat[first + each].astype(np.float64) for each in (0, 1, width, width + 1)]
-    upper, lower = (one + (other - one) * right for one, other in (corners[:2], corners[2:]))
-    across = (corners[1] - corners[0]) * (1 - down) + (corners[3] - corners[2]) * down
+    height, width = grid.shape[2:]
+    u, v = pixels[:, 0] / step, pixels[:, 1] / step
+    column, row = np.floor(u), np.floor(v)
+    inside = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1)
+    right, down = np.where(inside, u - column, 0.0), np.where(inside, v - row, 0.0)
+    place = np.where(inside, row * width + column, 0.0).astype(np.int64)
+    first = (views.frame * 2 + views.axis) * (height * width) + place
+    flat = grid.reshape(-1)
+    one, two, three, four = (flat.take(first + each).astype(np.float64) for each in (0, 1, width, width + 1))
+    upper, lower = one + (two - one) * right, three + (four - three) * right
+    across = (two - one) * (1 - down) + (four - three) * down
     slope = np.column_stack([across, lower - upper]) / step
     return inside * (upper + (lower - upper) * down), inside[:, None] * slope
 
@@ -268,42 +196,64 @@ def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None =
     """
     scale = np.array([each.scale for each in PARAMETERS])
     prior = np.array([each.prior_sigma for each in PARAMETERS] if sigma is None else sigma) / scale
-    shape = partial(_Level, camera=camera, views=views, scale=scale, prior=prior, turns=np.zeros(0))
-    x, _ = _descended(shape, np.zeros(6), range(len(SIGMAS_PX)))
-    around = [x, *(x + sign * valley for valley in _VALLEYS for sign in (-1, 1))]
-    found = []
-    for place, each in enumerate(around):
-        told((1 + place) / (1 + len(around)))
-        found.append(_descended(shape, each, (-2, -1)))
-    return moved(camera, found[int(np.argmin([lacking for _, lacking in found]))][0] * scale)
+    whole = _Problem(camera=camera, views=views, scale=scale, prior=prior)
+    x, _ = whole.descended(np.zeros(6), range(len(SIGMAS_PX)))
+    best = whole.descended(x, _FINE)
+    for number in range(_ROUNDS):
+        told((1 + number) / (1 + _ROUNDS))
+        around = [whole.descended(best[0] + sign * valley, _FINE[:1]) for valley in _VALLEYS for sign in (-1, 1)]
+        ends = [whole.descended(each[0], _FINE[1:]) for each in sorted(around, key=_lacking)[:_KEPT]]
+        nearest = min(ends, key=_lacking)
+        if nearest[1] >= best[1]:
+            break
+        best = nearest
+    return moved(camera, best[0] * scale)
 
 
-def _descended(
-    shape: "Callable[..., _Level]", x: Float[np.ndarray, " 6"], levels: Iterable[int]
-) -> tuple[Float[np.ndarray, " 6"], float]:
-    """Where scale after scale leads to, and what is lacking there."""
-    lacking = np.inf
-    for level in levels:
-        problem = shape(level=level)
-        problem = replace(problem, turns=problem.jacobian(x))
-        done = minimize(problem.lacking, x, jac=True, method="L-BFGS-B", options={"maxiter": 40, "ftol": 1e-9})
-        x, lacking = done.x, float(done.fun)
-    return x, lacking
+def refine_edges(camera: Camera, views: Views, *, sigma: Sequence[float]) -> Camera:
+    """Move a camera that fits most frames to those given, at all scales or at the fine ones alone: the better one.
+
+    Arguments as for :func:`align_edges`.
+    """
+    scale = np.array([each.scale for each in PARAMETERS])
+    whole = _Problem(camera=camera, views=views, scale=scale, prior=np.array(sigma) / scale)
+    ends = [whole.descended(np.zeros(6), levels) for levels in (_FINE, range(len(SIGMAS_PX)))]
+    return moved(camera, min(ends, key=_lacking)[0] * scale)
+
+
+_Found = tuple[Float[np.ndarray, " 6"], float]
+
+
+def _lacking(found: _Found) -> float:
+    return found[1]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Level:
-    """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
-
-    ``turns`` are the derivatives of the pixels, shape (n, 2, 6), taken once: they hardly change within a degree.
-    """
+class _Problem:
+    """What is moved in steps of ``scale``, and how far it may be off."""
 
     camera: Camera
     views: Views
-    level: int
     scale: Float[np.ndarray, " 6"]
     prior: Float[np.ndarray, " 6"]
-    turns: Float[np.ndarray, "..."]
+
+    def descended(self, x: Float[np.ndarray, " 6"], levels: Iterable[int]) -> _Found:
+        """Where scale after scale leads to, and what is lacking there."""
+        lacking = np.inf
+        for level in levels:
+            problem = _Level(whole=self, level=level, at=x, base_px=self.pixels(x), turns=self.jacobian(x))
+            done = minimize(
+                problem.lacking,
+                x,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(x - _MOST, x + _MOST),
+                options={"maxiter": 40, "ftol": 1e-9},
+            )
+            there = replace(problem, at=done.x, base_px=self.pixels(done.x))
+            before, lacking = problem.lacking(x)[0], there.lacking(done.x)[0]
+            x, lacking = (done.x, lacking) if lacking < before else (x, before)  # or the pixels bent too far
+        return x, lacking
 
     def pixels(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2"]:
         there = replace(moved(self.camera, x * self.scale), width_px=0, height_px=0)
@@ -311,14 +261,32 @@ class _Level:
 
     def jacobian(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2 6"]:
         steps = np.eye(6)
-        return np.stack([(self.pixels(x + step) - self.pixels(x - step)) / 2 for step in steps], axis=-1)
+        turns = np.stack([(self.pixels(x + step) - self.pixels(x - step)) / 2 for step in steps], axis=-1)
+        return np.where(np.abs(turns) < _FARTHEST_PX, turns, 0.0)  # beside the image plane
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Level:
+    """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
+
+    Pixels move along ``turns``, shape (n, 2, 6), taken at ``at``, where each scale begins: within a degree they bend by
+    a tenth of a pixel.
+    """
+
+    whole: _Problem
+    level: int
+    at: Float[np.ndarray, " 6"]
+    base_px: Float[np.ndarray, "n 2"]
+    turns: Float[np.ndarray, "n 2 6"]
 
     def lacking(self, x: Float[np.ndarray, " 6"]) -> tuple[float, Float[np.ndarray, " 6"]]:
         """The value and its derivatives."""
-        found, slope = _sloped(self.views, self.pixels(x), self.level)
-        weight = self.views.weight / self.views.count
-        pull = _PULL * x / self.prior**2
-        uphill = np.einsum("nd,ndk->k", weight[:, None] * slope, self.turns)
+        views = self.whole.views
+        step = self.turns.reshape(-1, len(x)) @ (x - self.at)
+        found, slope = _sloped(views, self.base_px + step.reshape(-1, 2), self.level)
+        weight = views.weight / views.count
+        pull = _PULL * x / self.whole.prior**2
+        uphill = (weight[:, None] * slope).ravel() @ self.turns.reshape(-1, len(x))
         return float(-(weight @ found) + pull @ x), 2 * pull - uphill
 
 

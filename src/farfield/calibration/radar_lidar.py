@@ -35,6 +35,8 @@ _CLEAR = 2.0
 _LOOSE_S = 0.3
 _SAME_M = 0.25  # a frame
 _MAPS_SHARE = 0.5  # of the time
+_ROUNDS, _GAIN = 3, 1e-3
+_TURNS_RAD = np.radians([-0.5, -0.25, 0.0, 0.25, 0.5])
 SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
@@ -179,7 +181,8 @@ def calibrate_radar(
     costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
     order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
     best = int(order[0])
-    pose, pairs, solution = tried[best]
+    pose, pairs, solution = _polished(evidence, tried[best], guess)
+    costs[best] = _costs(evidence, pose, guess)
     rivals: dict[int, float] = {}
     for i in order[1:]:  # the best of each frame offset
         if tried[i][0].frames != pose.frames:
@@ -216,9 +219,37 @@ def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | Non
     found = _solved(evidence, value, frames - late, guess, PARAMETERS, GATES_M[-2:])
     if found is None:
         return None
-    x, y, yaw, time_s = (float(each) for each in found[1].value)
-    pose = RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames - late, time_offset_s=time_s)
-    return pose, *found
+    return _posed(found[1].value, frames - late, guess), *found
+
+
+def _posed(value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> RadarPose:
+    x, y, yaw, time_s = (float(each) for each in value)
+    return RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames, time_offset_s=time_s)
+
+
+def _polished(evidence: Evidence, found: _Tried, guess: RadarPose) -> _Tried:
+    """Solve again from turns about the matched objects' middle to each side, and keep what explains the peaks best.
+
+    Which of neighbouring peaks an object matches depends on where the search comes from, and holds it there.
+    """
+    least = float(np.nanmean(_costs(evidence, found[0], guess)))
+    for _ in range(_ROUNDS):
+        ends = [end for turn in _TURNS_RAD if (end := _turned(evidence, found, turn, guess)) is not None]
+        costs = [float(np.nanmean(_costs(evidence, end[0], guess))) for end in ends]
+        if not ends or min(costs) > least - _GAIN:
+            break
+        found, least = ends[int(np.argmin(costs))], min(costs)
+    return found
+
+
+def _turned(evidence: Evidence, found: _Tried, turn_rad: float, guess: RadarPose) -> _Tried | None:
+    """Where a solution leads to that is turned, with the time offset as it was guessed."""
+    pose, pairs, _ = found
+    middle, still = pairs.lidar_m.mean(axis=0, keepdims=True), np.zeros((1, 2))
+    value = np.array([pose.x_m, pose.y_m, pose.yaw_rad + turn_rad, guess.time_offset_s])
+    value[:2] += (place(pose.vector, middle, still, still[0, :1]) - place(value, middle, still, still[0, :1]))[0]
+    end = _solved(evidence, value, pose.frames, guess, PARAMETERS, GATES_M[-2:])
+    return None if end is None else (_posed(end[1].value, pose.frames, guess), *end)
 
 
 def _solved(

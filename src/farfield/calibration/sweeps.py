@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.edges import LidarEdges, lidar_edges
+from farfield.calibration.depth_jumps import LidarEdges, lidar_edges
 from farfield.datasets.base import Dataset
 from farfield.frame import Frame
 from farfield.frame.cloud import Cloud
