@@ -161,7 +161,9 @@ def test_k_radars_protocols_take_classes_coordinates_and_version_from_the_detect
     assert "hail" not in result.to_json()["conditions"]["weather"]
     assert result.settings["range_bins_m"] == [0.0, 20.0, 40.0, 60.0, 80.0]
     assert replace(found, reference="radar").score("kradar").settings["boxes_in"] == "radar"
-    assert found.score("kradar", boxes_in="radar", label="Sedan").settings["classes"] == ["vehicle"]
+    assert found.score("kradar", boxes_in="os2-64", label="Sedan").settings["classes"] == ["vehicle"]
+    with pytest.raises(ConfigError, match="Leave boxes_in out"):
+        found.score("kradar", boxes_in="radar")
     narrow = found.score("kradar-compat:rtnh_narrow")
     assert narrow.settings["classes"] == ["vehicle"]
     assert narrow.settings["label_version"] == "v2.1"
