@@ -31,7 +31,8 @@ from farfield.training.augmentation import augment
 from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig, TrainingConfig
-from farfield.training.loop import lay_out_gradients, one_cycle
+from farfield.training.loop import lay_out_gradients
+from farfield.training.rates import one_cycle
 from farfield.training.samples import TrainingSamples
 
 

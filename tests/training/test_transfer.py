@@ -24,8 +24,8 @@ from farfield.experiments.plan import Plan
 from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud
 from farfield.training.checkpoints import load_checkpoint
-from farfield.training.loop import Training, one_cycle
-from farfield.training.rates import groups_of, rates_of
+from farfield.training.loop import Training
+from farfield.training.rates import groups_of, one_cycle, rates_of
 from farfield.training.tensors import by_average, by_columns, by_kernel
 
 

@@ -247,7 +247,7 @@ def _turned(evidence: Evidence, found: _Tried, turn_rad: float, guess: RadarPose
     pose, pairs, _ = found
     middle, still = pairs.lidar_m.mean(axis=0, keepdims=True), np.zeros((1, 2))
     value = np.array([pose.x_m, pose.y_m, pose.yaw_rad + turn_rad, guess.time_offset_s])
-    value[:2] += (place(pose.vector, middle, still, still[0, :1]) - place(value, middle, still, still[0, :1]))[0]
+    value[:2] += (placed(pose.vector, middle, still, still[0, :1]) - placed(value, middle, still, still[0, :1]))[0]
     end = _solved(evidence, value, pose.frames, guess, PARAMETERS, GATES_M[-2:])
     return None if end is None else (_posed(end[1].value, pose.frames, guess), *end)
 

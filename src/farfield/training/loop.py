@@ -1,7 +1,6 @@
 """The training loop: plain PyTorch, with Lightning Fabric for devices and processes."""
 
 import json
-import math
 import time
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -15,7 +14,6 @@ from lightning_fabric import Fabric
 from torch import Tensor, nn
 
 from farfield.detectors.devices import fitting
-from farfield.detectors.inputs import Inputs
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
@@ -24,13 +22,13 @@ from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
 from farfield.training.freezing import frozen_now, hold, is_within
 from farfield.training.launching import launch, precision_of
-from farfield.training.method import DETECTOR, Batch, Method, Pace
-from farfield.training.rates import always_frozen, groups_of, rates_of, set_rates
+from farfield.training.method import DETECTOR, Method, Pace, total_of
+from farfield.training.rates import always_frozen, groups_of, one_cycle, rates_of, set_rates
 from farfield.training.reestimating import reestimate
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.stopping import Stop, stopping
-from farfield.training.streams import batch_shares, batches
+from farfield.training.streams import batch_of, batch_shares, batches
 from farfield.training.validating import Best, Validation, averaged, best_of, forget
 
 CHECKPOINT_NAME = "checkpoint.pt"
@@ -46,14 +44,6 @@ def lay_out_gradients(parameters: Iterable[nn.Parameter]) -> None:
     for parameter in parameters:
         if parameter.grad is not None and parameter.grad.stride() != parameter.stride():
             parameter.grad = torch.empty_like(parameter).copy_(parameter.grad)
-
-
-def one_cycle(step: int, config: TrainingConfig) -> float:
-    """Learning rate at a step: a cosine up over the warm-up, a cosine down to nearly nothing (Smith 2018)."""
-    peak, rise = config.learning_rate, max(1.0, config.warmup * config.steps)
-    if step < rise:
-        return peak * (0.1 + 0.9 * (1 - math.cos(math.pi * step / rise)) / 2)
-    return peak * (1e-3 + (1 - 1e-3) * (1 + math.cos(math.pi * (step - rise) / max(1.0, config.steps - rise))) / 2)
 
 
 @dataclass
@@ -216,7 +206,7 @@ class Training:
         self._seed_torch(fabric.global_rank)
         drawn = self._batches(counts, fabric, wanted.reestimate_batches)
         with fabric.autocast():
-            each = ({name: _batch(part, fabric) for name, part in batch.items()} for batch in drawn)
+            each = ({name: batch_of(part, fabric) for name, part in batch.items()} for batch in drawn)
             count = reestimate(self.modules[DETECTOR], each)
         report.say(f"batch statistics taken anew from {count} batches")
         for name, value in self.modules.state_dict().items():
@@ -264,7 +254,7 @@ class Training:
     def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:
         set_rates(optimizer, one_cycle(self.step, self.config))
         self._seed_torch(fabric.global_rank)
-        batch = {name: _batch(each, fabric) for name, each in samples.items()}
+        batch = {name: batch_of(each, fabric) for name, each in samples.items()}
         with fabric.autocast():
             losses = self.method.step(batch, self.step, partial(self._optimise, optimizer))
             whole = self.method.losses(batch, self.step) if losses is None else None
@@ -273,7 +263,7 @@ class Training:
             self._optimise(optimizer, whole, tuple(self.modules))
             losses = whole
         named = {name: float(value.detach()) for name, value in losses.items()}
-        return average_values({"loss": float(_total(losses).detach()), **named}, fabric.device)
+        return average_values({"loss": float(total_of(losses).detach()), **named}, fabric.device)
 
     def _optimise(self, optimizer: Any, losses: Mapping[str, Tensor], names: Collection[str]) -> None:
         """Minimise the sum of the losses over the parameters of some modules, one step."""
@@ -282,7 +272,7 @@ class Training:
         chosen = {id(parameter) for parameter in parameters}
         self.modules.zero_grad(set_to_none=True)
         with torch.autocast(parameters[0].device.type, enabled=False):
-            _total(losses).backward()
+            total_of(losses).backward()
         for parameter in self.modules.parameters():
             if id(parameter) not in chosen:
                 parameter.grad = None
@@ -368,7 +358,7 @@ class Training:
         if not self.held or self.step * _LOOKS // self.config.steps == (self.step - 1) * _LOOKS // self.config.steps:
             return {}
         with fabric.autocast():
-            return self.method.inspect({name: _batch(each, fabric) for name, each in self._held.items()})
+            return self.method.inspect({name: batch_of(each, fabric) for name, each in self._held.items()})
 
     @cached_property
     def _held(self) -> dict[str, list[Sample]]:
@@ -401,23 +391,3 @@ class Training:
         from torch.utils.tensorboard import SummaryWriter
 
         return SummaryWriter(str(self.folder), purge_step=self.step)
-
-
-def _total(losses: Mapping[str, Tensor]) -> Tensor:
-    """Sum of the losses, added in their order.
-
-    Raises:
-        ConfigError: If there is none.
-    """
-    if not losses:
-        raise ConfigError("Expected a training method to give at least one loss; got none.")
-    first, *others = losses.values()
-    return sum(others, start=first)
-
-
-def _batch(samples: list[Sample], fabric: Fabric) -> Batch:
-    """Samples as a batch on the process' device."""
-    names = samples[0].inputs
-    inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})
-    targets = [sample.targets for sample in samples if sample.targets is not None]
-    return Batch(inputs, targets, [sample.boxes for sample in samples if sample.boxes is not None])

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.contract import Network
 from farfield.detectors.inputs import Inputs
+from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.registry import Registry
 
@@ -197,3 +198,15 @@ METHODS: Registry[Callable[..., Method]] = Registry(
     },
 )
 """Methods by name: each is called with the detector's network and the experiment's further ``method`` settings."""
+
+
+def total_of(losses: Mapping[str, Tensor]) -> Tensor:
+    """Sum of the losses, added in their order.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    if not losses:
+        raise ConfigError("Expected a training method to give at least one loss; got none.")
+    first, *others = losses.values()
+    return sum(others, start=first)

@@ -93,3 +93,11 @@ def described(network: nn.Module, config: TrainingConfig) -> list[str]:
                 words += f", frozen for the first {last} of {config.steps} steps" if last else ""
             lines.append(f"{part}: {len(sizes)} tensors, {sum(sizes)} parameters, {words}")
     return lines
+
+
+def one_cycle(step: int, config: TrainingConfig) -> float:
+    """Learning rate at a step: a cosine up over the warm-up, a cosine down to nearly nothing (Smith 2018)."""
+    peak, rise = config.learning_rate, max(1.0, config.warmup * config.steps)
+    if step < rise:
+        return peak * (0.1 + 0.9 * (1 - math.cos(math.pi * step / rise)) / 2)
+    return peak * (1e-3 + (1 - 1e-3) * (1 + math.cos(math.pi * (step - rise) / max(1.0, config.steps - rise))) / 2)

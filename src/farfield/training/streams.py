@@ -5,11 +5,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
 import torch
+from lightning_fabric import Fabric
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
+from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError
-from farfield.training.method import Stream
+from farfield.training.method import Batch, Stream
 from farfield.training.samples import Sample, TrainingSamples
 
 Place = tuple[str, int]
@@ -125,3 +127,11 @@ def _by_stream(counts: Mapping[str, int], samples: Iterable[Sample]) -> dict[str
 def _one_thread(_: int) -> None:
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the training's, which ends its workers
+
+
+def batch_of(samples: list[Sample], fabric: Fabric) -> Batch:
+    """Samples as a batch on the process' device."""
+    names = samples[0].inputs
+    inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})
+    targets = [sample.targets for sample in samples if sample.targets is not None]
+    return Batch(inputs, targets, [sample.boxes for sample in samples if sample.boxes is not None])

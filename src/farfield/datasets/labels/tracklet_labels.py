@@ -204,7 +204,8 @@ def _of_all(one: _Object, path: Path) -> Iterator[Edit]:
             mend = "Lock its size (Ctrl+L), or give one of the boxes another track."
             raise ConfigError(f"{path}: an object has one {what} in all frames, got {sorted(values)}. {mend}")
     if one.span is not None and one.named:
-        yield _text(one.span, "objectType", escape(*one.named))
+        (named,) = one.named
+        yield _text(one.span, "objectType", escape(named))
     if one.sized:
         before, (after,) = one.size_m, one.sized
         one.size_m = after

@@ -296,7 +296,7 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}; got {name!r}")
     preset = PRESETS[name]
     weathers = () if weather is None else tuple(each.strip() for each in weather.split(","))
-    named = [("weather", each, WEATHERS) for each in weathers]
+    named: list[tuple[str, str, tuple[str, ...]]] = [("weather", each, WEATHERS) for each in weathers]
     named += [("traffic", changes["traffic"], SIDES)] if "traffic" in changes else []
     for what, value, known in named if time is None else [*named, ("time of day", time, TIMES)]:
         if value not in known:

@@ -93,8 +93,8 @@ class Fitter:
         prior = prior_of(known_name, size_m=size, extent=extent)  # type: ignore[arg-type]
         lane = 0.0 if prior.anchored else None  # most vehicles drive along the sensor's own way
         ego, height = sensor_place(frame, "radar" if request.kind == "peak" else "lidar")
-        known = {"yaw_rad": yaw, "lane_rad": lane, "fixed_size": locked, "ego_m": ego, "ego_z_m": height}
-        return Prior(**{**vars(prior), **known})
+        told = {"yaw_rad": yaw, "lane_rad": lane, "fixed_size": locked, "ego_m": ego, "ego_z_m": height}
+        return Prior(**{**vars(prior), **told})
 
     def _track(self, index: int, name: str) -> tuple[float | None, tuple[float, float, float] | None, bool]:
         """Yaw of a track in a frame, from its nearest keyframe; its size; whether that is locked."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from farfield.calibration.depth_jumps import LidarEdges
 from farfield.calibration.edges import (
     PARAMETERS,
-    LidarEdges,
     Views,
     align_edges,
     difference,
