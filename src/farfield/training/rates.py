@@ -1,5 +1,6 @@
 """Learning rates by part of the network, which the schedule of the training scales and does not overwrite."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
