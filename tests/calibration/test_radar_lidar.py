@@ -8,7 +8,8 @@ import pytest
 from farfield.calibration.bird import Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import PARAMETERS, Evidence, RadarPose, _polished, _solved, calibrate_radar
+from farfield.calibration.radar_lidar import Evidence, RadarPose, _polished, _solved, calibrate_radar
+from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_peaks, find_targets
 from farfield.errors import DatasetError
 

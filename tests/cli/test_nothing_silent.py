@@ -55,7 +55,7 @@ class TestColumns:
         folder = tmp_path / "own"
         folder.mkdir()
         np.random.default_rng(1).normal(size=(500, 4)).astype(np.float32).tofile(folder / "a.bin")
-        main(["doctor", str(folder), "--columns", "5", "--json"])
+        main(["doctor", str(folder), "--columns", "5", "--json", "-"])
         report = json.loads(capsys.readouterr().out)
         assert report["facts"]["clouds"]["lidar"]["points"] == 400
         assert main(["convert", str(folder), str(tmp_path / "out"), "--to", "kitti", "--columns", "5"]) == 0

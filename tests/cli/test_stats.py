@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_a_version_that_is_not_there_is_refused(tmp_path):
 
 def test_the_doctor_tells_what_a_tree_of_annotations_has(tmp_path, capsys):
     root = write_labels(tmp_path / "labels")
-    assert doctor.run(root, json=True) == 1  # without clouds nothing can be trained
+    assert doctor.run(root, json=Path("-")) == 1  # without clouds nothing can be trained
     report = json.loads(capsys.readouterr().out)
     told = {}
     for one in report["findings"]:

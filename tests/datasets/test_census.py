@@ -65,8 +65,11 @@ def test_counts_by_hand(tmp_path: Path) -> None:
         "Sedan": {"normal": 3, "heavy_snow": 0},
         "Bus or Truck": {"normal": 1, "heavy_snow": 1},
     }
-    assert census.table("name", "range")["Bus or Truck"] == {"0 to 20 m": 0, "150 to 200 m": 2}  # 90, -120 is 150 m off
-    assert census.table("range", "visibility") == {
+    between = ("20 to 40 m", "40 to 60 m", "60 to 80 m", "80 to 100 m", "100 to 150 m")  # empty, and in their places
+    ranges = dict.fromkeys(("0 to 20 m", *between), 0) | {"150 to 200 m": 2}  # 90, -120 is 150 m off
+    assert census.table("name", "range")["Bus or Truck"] == ranges
+    assert [*census.table("range", "visibility")] == [*ranges]
+    assert {name: row for name, row in census.table("range", "visibility").items() if any(row.values())} == {
         "0 to 20 m": {"seen by the radar": 2, "by the LiDAR only": 1, "not matched": 0},
         "150 to 200 m": {"seen by the radar": 1, "by the LiDAR only": 0, "not matched": 1},
     }

@@ -41,7 +41,7 @@ def test_one_finding_is_one_finding(capsys: pytest.CaptureFixture[str], count: i
 
 @pytest.mark.parametrize(
     ("share", "boxes", "clear"),
-    [(6 / 13, 13, False), (8 / 13, 13, False), (0.5, 100, True), (0.9, 13, True), (1, 3, False)],
+    [(6 / 13, 13, False), (8 / 13, 13, False), (0.5, 100, True), (0.9, 13, True), (1.0, 3, False)],
 )
 def test_a_heading_fault_needs_more_than_a_few_boxes(share: float, boxes: int, clear: bool) -> None:
     assert misfit_is_clear(share, boxes) == clear

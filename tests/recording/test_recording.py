@@ -76,5 +76,5 @@ def test_every_rig_has_a_writer_and_an_unknown_one_is_named(tmp_path: Path) -> N
         assert preset.rig == rig
         assert files_of(preset) is RIGS[rig]
         assert writer_for(preset, tmp_path).root == tmp_path or rig == "cirrus"
-    with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti; got drone"):
+    with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti, radiate; got drone"):
         files_of(replace(preset, rig="drone"))

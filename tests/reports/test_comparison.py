@@ -198,7 +198,7 @@ def test_the_effective_range_and_the_time_it_leaves():
     """Cirrus, introduction: at 75 mph 250, 120 and 70 m leave 7.5, 3.5 and 2 s."""
     from farfield.reports.sweeps_plot import effective_range_m, reaction_s
 
-    assert [round(reaction_s(each) * 2) / 2 for each in (250, 120, 70)] == [7.5, 3.5, 2.0]
+    assert [round(reaction_s(each) * 2) / 2 for each in (250.0, 120.0, 70.0)] == [7.5, 3.5, 2.0]
     cloud = {"range": {"count": [990, 9, 0, 1], "edges_m": [0.0, 50.0, 100.0, 200.0, 400.0]}}
     assert effective_range_m(cloud) == pytest.approx(100.0, abs=0.01)
     assert effective_range_m({"range": {"count": [0, 0], "edges_m": [0.0, 5.0, 10.0]}}) is None

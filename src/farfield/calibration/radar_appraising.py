@@ -10,20 +10,18 @@ from farfield.calibration.problems import appraise
 from farfield.calibration.radar_lidar import (
     GATES_M,
     LEAST_MATCHES,
-    PARAMETERS,
     SYSTEMATIC,
     Evidence,
-    Pairs,
     RadarCalibration,
     RadarPose,
     match_frame,
     match_objects,
-    notes_of,
     placed,
     polar,
     shares,
     whitened,
 )
+from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of
 from farfield.errors import DatasetError
 
 
@@ -58,7 +56,7 @@ def appraise_radar(
         pose=pose,
         solution=solution,
         echoes_above_m=above,
-        notes=notes_of(pose, solution, {}, pairs, above),
+        notes=notes_of(pose.frames, solution, {}, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals={},

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from farfield.calibration.bird import Start, correlate
 from farfield.calibration.moments import Moment
 from farfield.calibration.problems import Parameter, Solution, Told, solve, untold
+from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of
 from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
 from farfield.errors import DatasetError
 
@@ -31,7 +32,6 @@ _GLINT = 0.25  # of an object's width: by how much its brightest point is off it
 _ALIKE = 0.5  # correlation of what an object's matches err by
 _UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
 _BLOCK = 4  # neighbouring frames see the same objects
-_CLEAR = 2.0
 _LOOSE_S = 0.3
 _SAME_M = 0.25  # a frame
 _MAPS_SHARE = 0.5  # of the time
@@ -40,13 +40,6 @@ _TURNS_RAD = np.radians([-0.5, -0.25, 0.0, 0.25, 0.5])
 SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
-
-PARAMETERS = (
-    Parameter(name="x", unit="m", scale=0.01, prior_sigma=1.2),
-    Parameter(name="y", unit="m", scale=0.01, prior_sigma=1.2),
-    Parameter(name="yaw", unit="rad", scale=np.radians(0.1), prior_sigma=np.radians(2.0)),
-    Parameter(name="time offset", unit="s", scale=0.005, prior_sigma=0.03),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,19 +127,6 @@ class Evidence:
         return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Pairs:
-    """Matched objects: LiDAR place, width, velocity in m/s and whether it is known, lag, radar place, object."""
-
-    lidar_m: Float[np.ndarray, "n 3"]
-    width_m: Float[np.ndarray, " n"]
-    velocity_m_s: Float[np.ndarray, "n 2"]
-    lag_s: Float[np.ndarray, " n"]
-    radar_m: Float[np.ndarray, "n 3"]
-    track: Int[np.ndarray, " n"]
-    tracked: Bool[np.ndarray, " n"]
-
-
 def calibrate_radar(
     evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
 ) -> RadarCalibration:
@@ -194,7 +174,7 @@ def calibrate_radar(
         pose=pose,
         solution=solution,
         echoes_above_m=above,
-        notes=notes_of(pose, solution, rivals, pairs, above),
+        notes=notes_of(pose.frames, solution, rivals, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals=rivals,
@@ -373,24 +353,6 @@ def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " fra
     blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]
     spread = float(np.std(blocks, ddof=1) * np.sqrt(len(blocks)))
     return float(np.sum(blocks)) / max(spread, 1e-9)
-
-
-def notes_of(
-    pose: RadarPose, solution: Solution, rivals: dict[int, float], pairs: Pairs, above_m: float
-) -> tuple[str, ...]:
-    """What the data cannot tell, as sentences."""
-    notes = [*solution.unobserved, "x includes the mean range bias of the radar's echoes"]
-    notes.append(
-        f"z is not observed: kept as given (one cell of elevation is 0.7 m at 40 m; echoes lie {above_m:+.1f} m off)"
-    )
-    spread = float(np.percentile(pairs.velocity_m_s[:, 0], 90) - np.percentile(pairs.velocity_m_s[:, 0], 10))
-    if solution.sigma[3] > 0.6 * PARAMETERS[3].prior_sigma:
-        notes.append(f"x and time offset cannot be told apart here (speed spread {spread:.1f} m/s)")
-    close = sorted(offset for offset, worse in rivals.items() if worse < _CLEAR)
-    if close:
-        named = ", ".join(f"{offset - pose.frames:+d}" for offset in close)
-        notes.append(f"frame offset is not certain: {named} frames explain the objects nearly as well")
-    return tuple(dict.fromkeys(notes))
 
 
 def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:

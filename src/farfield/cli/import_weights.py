@@ -70,7 +70,9 @@ def _read_settings(path: Path) -> dict[str, object]:
     try:
         settings = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: expected YAML with the detector's settings, found {plain(error)}.") from error
+        raise ConfigError(
+            f"{path}: expected a YAML file with the detector's settings, found: {plain(error)}."
+        ) from error
     if not isinstance(settings, dict):
         raise ConfigError(f"{path}: expected a mapping such as grid: {{range_m: 70.4}}, found {settings!r}.")
     return {str(key): value for key, value in settings.items()}

@@ -58,7 +58,7 @@ def run(
         return 0
     plan.announce(report)
     for line in plan.rehearse():
-        report.say(line)
+        print(line)
     return 0
 
 

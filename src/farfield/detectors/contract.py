@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, final, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -63,7 +63,7 @@ class DetectorConfig(BaseModel, ABC):
         return renamed(settings, cls.old_names)
 
     @model_validator(mode="after")
-    def _possible_lengths(self) -> Self:
+    def _possible_lengths(self) -> "DetectorConfig":
         check_lengths(self)
         return self
 

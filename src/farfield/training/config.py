@@ -135,7 +135,9 @@ class TakingConfig(_Settings):
 class StatisticsConfig(_Settings):
     """Batch statistics taken anew on the target's frames, before the first step."""
 
-    reestimate_batches: int = Field(200, ge=1)
+    reestimate_batches: int = Field(
+        200, ge=1, description="batches from which batch normalisation takes its statistics"
+    )
 
 
 class StartConfig(TakingConfig):

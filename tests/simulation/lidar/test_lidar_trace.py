@@ -117,5 +117,5 @@ def test_glass_lets_most_shots_through(rng: np.random.Generator) -> None:
 
 def test_missing_embreex_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(MissingExtraError, match=r"farfield\[simulate\]"):
+    with pytest.raises(MissingExtraError, match=r"\[simulate\]"):
         Tracer(box([1, 1, 1], [0, 0, 0], 0))

@@ -94,19 +94,18 @@ def test_sizes_that_count_as_usual_are_those_of_the_data_set(tmp_path: Path):
 
 
 def test_label_files_that_are_not_edited_are_not_promised_to_be_written(tmp_path: Path):
-    """KITTI raw's tracklets: their boxes are begun with, and saved in another format."""
-    drive = tmp_path / "drive"
-    (drive / "velodyne_points" / "data").mkdir(parents=True)
-    (drive / "velodyne_points" / "data" / "0000000000.bin").write_bytes(np.ones((9, 4), "<f4").tobytes())
-    pose = "<item><tx>10</tx><ty>2</ty><tz>-1</tz><rx>0</rx><ry>0</ry><rz>0.5</rz></item>"
-    sizes = "<objectType>Car</objectType><h>1.5</h><w>1.9</w><l>4.6</l><first_frame>0</first_frame>"
-    text = f"<b><tracklets><item>{sizes}<poses>{pose}</poses></item></tracklets></b>"
-    (drive / "tracklet_labels.xml").write_text(text)
+    """A folder of one's own: its boxes are begun with, and saved in another format."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "0000.bin").write_bytes(np.ones((9, 4), "<f4").tobytes())
+    row = {"label": "vehicle", "centre_m": [10.0, 2.0, -1.0], "size_m": [4.6, 1.9, 1.5], "yaw_rad": 0.5}
+    text = json.dumps({"boxes": [row]})
+    (folder / "0000.json").write_text(text)
     with pytest.raises(ConfigError, match=r"--write.*Leave it out.*--to"):
-        annotated(drive, write=True)
-    known = annotated(drive)
+        annotated(folder, write=True)
+    known = annotated(folder)
     try:
         assert [row.box[:2] for row in known.rows(0)] == [(10.0, 2.0)]
     finally:
         known.close()
-    assert (drive / "tracklet_labels.xml").read_text() == text
+    assert (folder / "0000.json").read_text() == text

@@ -32,7 +32,7 @@ def test_a_message_is_read_into_its_class():
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("", "Invalid JSON"),
+        ("", "expected JSON"),
         ("[1]", "message"),
         ('{"op": "shell"}', "message"),
         ('{"id": "x"}', "message"),

@@ -172,7 +172,8 @@ _KRADAR_RIG = Mounting(height_m=(1.55, 1.65))
 _KITTI_RIG = Mounting(height_m=(1.73, 1.73))
 _KITTI_ROADS = ("urban", "suburban", "alleyway", "highway")  # its city, residential and road drives
 _RADIATE_RIG = Mounting(height_m=(1.8, 1.8))
-_RADIATE_ROADS = ("urban", "suburban", "highway", "university", "mountain", "shoulder", "alleyway", "parking_lot")
+_RADIATE_TOWNS = ("urban", "suburban", "highway", "university")
+_RADIATE_ROADS = (*_RADIATE_TOWNS, *("mountain", "shoulder", "alleyway", "parking_lot"))
 _KRADAR_DEFAULT = (*OUSTER_LINES, "cam-front", "sparse", "cube")
 
 PRESETS: dict[str, Preset] = {

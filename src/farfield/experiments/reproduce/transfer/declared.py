@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.experiments.reproduce.grid import Score, Simulated, Tree
 from farfield.files.atomic import read_bytes
 
@@ -170,6 +170,4 @@ def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> T
         tree = yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
         return Table.model_validate(json.loads(json.dumps({**tree, **(changes or {})})))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise FileFormatError(path, where=where, expected="a declared table", found=first["msg"]) from None
+        raise FileFormatError(path, where="the file", expected="a declared table", found=plain(error)) from None
