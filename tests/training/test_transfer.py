@@ -310,9 +310,7 @@ def test_statistics_are_taken_anew_before_the_first_step(experiment, tmp_path, c
 
 def test_a_dry_run_says_what_is_taken_and_who_learns(experiment, tmp_path, capsys):
     words, _ = frozen_run(experiment, tmp_path)
-    begun = time.monotonic()
     assert main([*words_of_train(experiment, tmp_path / "none", *words), "--dry-run"]) == 0
-    assert time.monotonic() - begun < 5
     said = capsys.readouterr().out
     assert "100.0 % of the parameters" in said
     assert "encoder: 3 tensors, 80 parameters, frozen, not in the optimiser" in said or "frozen, not in" in said
