@@ -52,13 +52,14 @@ class Hand:
                 return at
             page.page.mouse.move(*(at if inside else middle))
             before = page.tell("stage.eye.distance")
-            if before >= 700:  # all of the scene was passed by: back to the road ahead
-                page.press("Enter")
+            if not inside and before >= 800:  # all of the scene was passed by: back to the road ahead, not to what is selected
+                page.press("Escape", "Escape", "Enter")
                 continue
             turns = 1 if inside and 0.4 <= near < 5 else 4  # far from it a hand turns the wheel faster
             page.page.mouse.wheel(0, turns * (60 if not inside or near >= 2 else -60))
             page.until(f"stage.eye.distance !== {before}")
-        raise AssertionError(f"the wheel did not bring {place} into sight")
+        eye = page.tell("stage.eye.target"), page.tell("stage.eye.distance")
+        raise AssertionError(f"the wheel did not bring {place} into sight: it is at {at} of {area}, the eye {eye}")
 
     def choose(self, name: str, kind: str = "") -> None:
         """Choose class and type of what is drawn next, with nothing selected."""
