@@ -269,7 +269,8 @@ def test_two_processes_freeze_alike(experiment, tmp_path):
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command += ["-m", "farfield.cli", *words_of_train(experiment, tmp_path, *words, "training.devices=2")]
     start = next(word for word in words if "start" in word).replace('"backbone": 0.5', '"backbone": 1.0')
-    subprocess.run([*command, "-o", start], check=True, env=ENVIRONMENT, capture_output=True)
+    done = subprocess.run([*command, "-o", start], env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     averaged = load_weights(tmp_path / "tiny" / "weights.safetensors")[0].state_dict()
     assert parts_equal(averaged, theirs, "encoder")
     assert parts_equal(averaged, theirs, "backbone")
