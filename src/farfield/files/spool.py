@@ -57,7 +57,8 @@ class Spool(MutableMapping[K, V]):
         return dict, (dict(self),)
 
     def __del__(self) -> None:
-        self._file.close()
+        if hasattr(self, "_file"):  # it may have failed to open
+            self._file.close()
 
 
 class Each(Mapping[K, W], Generic[K, V, W]):
