@@ -52,7 +52,9 @@ class Hand:
                 return at
             page.page.mouse.move(*(at if inside else middle))
             before = page.tell("stage.eye.distance")
-            if not inside and before >= 800:  # all of the scene was passed by: back to the road ahead, not to what is selected
+            if (
+                not inside and before >= 800
+            ):  # all of the scene was passed by: back to the road ahead, not to what is selected
                 page.press("Escape", "Escape", "Enter")
                 continue
             turns = 1 if inside and 0.4 <= near < 5 else 4  # far from it a hand turns the wheel faster
