@@ -16,7 +16,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "experiments.md"
 
 def test_the_page_is_today_s() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    assert put_into(page) == page, "run: python -m farfield.experiments.keys, and put it between the page's marks"
+    assert put_into(page) == page, "run: python -m farfield.experiments.keys docs/experiments.md"
 
 
 def test_every_key_has_a_row_and_every_row_a_meaning() -> None:

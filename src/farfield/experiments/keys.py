@@ -1,14 +1,15 @@
 """Every key of an experiment's YAML file as a table, from the types.
 
-``python -m farfield.experiments.keys`` prints it.
+``python -m farfield.experiments.keys docs/experiments.md`` writes it into the page.
 """
 
 import enum
 import json
 import re
+import sys
 import types
 from collections.abc import Iterator
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
@@ -18,6 +19,7 @@ from pydantic_core import PydanticUndefined
 from farfield.detectors import DETECTORS
 from farfield.detectors.contract import DetectorConfig
 from farfield.experiments.schema import DataConfig, Experiment
+from farfield.files.atomic import write_text
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
 _HEAD = "| key | type | default | what it is |\n|---|---|---|---|\n"
@@ -138,4 +140,6 @@ def put_into(page: str) -> str:
 
 
 if __name__ == "__main__":
-    print(tables())
+    for _name in sys.argv[1:]:
+        _page = Path(_name)
+        write_text(_page, put_into(_page.read_text(encoding="utf-8")))

@@ -123,11 +123,6 @@ def write_boxes_csv_parts(path: Path | str, parts: Iterable[BoxRows]) -> None:
             handle.write(text.encode())
 
 
-def format_boxes_csv(rows: BoxRows) -> str:
-    """The text that :func:`write_boxes_csv` writes."""
-    return "".join(format_boxes_csv_parts([rows]))
-
-
 def format_boxes_csv_parts(parts: Iterable[BoxRows]) -> Iterator[str]:
     """The text that :func:`write_boxes_csv_parts` writes, piece by piece; errors are the same."""
     names, begun = [*_NEEDED, "score"], False

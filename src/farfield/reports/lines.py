@@ -1,27 +1,11 @@
-"""An evaluation on the terminal: a line with its subject, and a table of all classes."""
+"""An evaluation on the terminal: the table of all classes that stands under a result's own."""
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from farfield.metrics.protocol import Protocol, protocol_of
-from farfield.metrics.result import table, value_at
-from farfield.metrics.subject import subject_of
+from farfield.metrics.result import table
 from farfield.reports.tables import NOTHING, heading, shown
-
-
-def line_of(result: Mapping[str, Any]) -> str:
-    """What a result is of, and its figures of the whole and by range as JSON.
-
-    Args:
-        result: Result JSON.
-    """
-    protocol, subject = protocol_of(result), subject_of(result)
-    about = f"{result.get('label')}; {result.get('protocol')}" if subject is None else str(subject)
-    parts = {"overall": result, **(result.get("ranges") or {})}
-    names = _figures(protocol, result)
-    brief = {part: None if tree is None else _rounded(protocol, tree, names) for part, tree in parts.items()}
-    return f"{about}: {json.dumps(brief)}"
 
 
 def _figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
@@ -30,11 +14,6 @@ def _figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
     if protocol.several_classes or protocol.per_cent:
         return list(stated.figures)
     return [name for name in (stated.main, stated.beside) if name]
-
-
-def _rounded(protocol: Protocol, tree: Mapping[str, Any], names: list[str]) -> dict[str, float | None]:
-    values = {protocol.title(name): value_at(tree, name) for name in names}
-    return {title: None if value is None else round(value, 4) for title, value in values.items()}
 
 
 def classes_of(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
