@@ -8,6 +8,7 @@ are trained as docs/detectors.md tells; those that are absent are left out.
 """
 
 import argparse
+from functools import partial
 from typing import Any
 
 from _report import ROOT, header, progress
