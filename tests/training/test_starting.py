@@ -16,12 +16,14 @@ from small import SMALL, small_detector
 from test_training import words_of_train
 
 from farfield.cli import main
+from farfield.detectors.contract import OfAnchor
+from farfield.detectors.features import FeatureMap
 from farfield.detectors.weights import load_weights, resolve_weights, save_weights
 from farfield.errors import ConfigError
 from farfield.experiments.schema import load_experiment
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.freezing import frozen_modules, frozen_names
-from farfield.training.starting import start_network
+from farfield.training.starting import nearest_sizes, start_network
 
 SHIPPED = "pointpillars-cirrus-sim"
 OTHER_CLASSES = {
@@ -67,7 +69,8 @@ def test_other_classes_take_the_rows_of_those_that_are_shared(name, tmp_path):
         new, old, was = (tree[key].movedim(axis, 0) for tree in (ours.state_dict(), theirs.state_dict(), before))
         assert len(mine) == len(new)
         for row, word in enumerate(mine):
-            assert torch.equal(new[row], old[other.index(word)] if word in other else was[row])
+            like = word._replace(label="vehicle") if isinstance(word, OfAnchor) and "tram" in word else word
+            assert torch.equal(new[row], old[other.index(like)] if like in other else was[row])
             assert ("tram" in str(word)) == (word not in other)
 
 
@@ -79,6 +82,33 @@ def test_shared_classes_score_as_before_training(tmp_path):
     features = torch.randn(50, ours.head.heat.in_features)
     mine, other = ours.head.heat(features), theirs.head.heat(features)
     torch.testing.assert_close(mine[:, [2, 0]], other, rtol=0, atol=1e-6)
+
+
+def test_a_new_class_has_the_box_of_the_anchor_nearest_in_size(tmp_path):
+    """Its boxes start as those of theirs, in units of its own anchor; its logits start anew."""
+    sizes = {"vehicle": [4.2, 2.0, 1.6], "large_vehicle": [9.0, 2.6, 3.2], "pedestrian": [0.8, 0.7, 1.7]}
+    anchors = {name: {"size_m": size, "z_m": -1.0} for name, size in sizes.items()}
+    theirs, path = stored(tmp_path, "pointpillars", anchors=anchors)
+    mine = {"van": {"size_m": [5.0, 2.0, 2.0], "z_m": -1.0}, "pedestrian": anchors["pedestrian"]}
+    mine["tram"] = {"size_m": [30.0, 2.6, 3.4], "z_m": 0.0}
+    ours = small_detector("pointpillars", seed=8, anchors=mine)
+    assert nearest_sizes(ours.config.anchor_sizes_m, sizes) == {"van": "vehicle", "tram": "large_vehicle"}
+    before = ours.head.weight.clone()
+    found = start_network(ours, str(path))
+    assert "anchor of van from vehicle, nearest in size" in found.by_class["head.weight"]
+    assert "anchor of tram from large_vehicle" in str(found)
+    assert found.classes == {"shared": ["pedestrian"], "fresh": ["van", "tram"]}
+    features = torch.randn(2, ours.head.in_channels, 5, 4)
+    one, other = (
+        network.head(FeatureMap(values=features, cell_m=1.0, origin_m=(0.0, 0.0))) for network in (ours, theirs)
+    )
+    codes, there = (maps.codes.unflatten(1, (-1, 6)) for maps in (one, other))
+    order = [0, 1, 4, 5, 2, 3]  # slots of vehicle, pedestrian, large_vehicle there
+    torch.testing.assert_close(codes, there[:, :, order], rtol=0, atol=1e-6)
+    logits, others = (maps.logits.unflatten(1, (-1, 6)) for maps in (one, other))
+    torch.testing.assert_close(logits[:, :, 2:4], others[:, :, 4:6], rtol=0, atol=1e-6)
+    assert torch.equal(ours.head.weight[:2], before[:2]), "logits of a new class"
+    assert nearest_sizes({"any": (1.0, 1.0, 1.0)}, {}) == {}
 
 
 def test_a_permuted_list_of_equal_length_is_no_match_by_shape(tmp_path):

@@ -264,17 +264,44 @@ def test_frozen_parts_keep_every_bit_until_they_thaw(experiment, tmp_path):
     assert not parts_equal(averaged, theirs, "backbone")
 
 
+def in_two(words):
+    """Run the command line in two processes; what they said is shown where they end badly."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command += ["-m", "farfield.cli", *words, "-o", "training.devices=2"]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_two_processes_freeze_alike(experiment, tmp_path):
     words, theirs = frozen_run(experiment, tmp_path, steps=8)
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command += ["-m", "farfield.cli", *words_of_train(experiment, tmp_path, *words, "training.devices=2")]
     start = next(word for word in words if "start" in word).replace('"backbone": 0.5', '"backbone": 1.0')
-    done = subprocess.run([*command, "-o", start], env=ENVIRONMENT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    in_two([*words_of_train(experiment, tmp_path, *words), "-o", start])
     averaged = load_weights(tmp_path / "tiny" / "weights.safetensors")[0].state_dict()
     assert parts_equal(averaged, theirs, "encoder")
     assert parts_equal(averaged, theirs, "backbone")
     assert not parts_equal(averaged, theirs, "head")
+
+
+def test_two_processes_thaw_at_the_step_of_one(experiment, tmp_path):
+    """The backbone goes with the fifth of eight steps: from there on it normalises by each batch."""
+    words, theirs = frozen_run(experiment, tmp_path, steps=8)
+    words.append("training.learning_rate=1e-4")  # larger ones turn the last digits of two processes into the first
+    in_two(words_of_train(experiment, tmp_path / "two", *words))
+    assert main(words_of_train(experiment, tmp_path / "one", *words)) == 0
+    late = next(word for word in words if "start" in word).replace('"backbone": 0.5', '"backbone": 1.0')
+    assert main(words_of_train(experiment, tmp_path / "never", *words, late)) == 0
+    one, two, never = (
+        [json.loads(line)["loss"] for line in (tmp_path / name / "tiny" / "log.jsonl").read_text().splitlines()]
+        for name in ("one", "two", "never")
+    )
+    assert two == pytest.approx(one, rel=1e-5)
+    assert never[:4] == one[:4]
+    assert min(abs(a - b) for a, b in zip(never[4:], one[4:], strict=True)) > 3 * max(
+        abs(a - b) for a, b in zip(two, one, strict=True)
+    ), "what thawing does is larger than the roundings of two processes"
+    weights = load_weights(tmp_path / "two" / "tiny" / "weights.safetensors")[0].state_dict()
+    assert parts_equal(weights, theirs, "encoder")
+    assert not parts_equal(weights, theirs, "backbone")
 
 
 @pytest.mark.parametrize("reach", [4, 12], ids=["before it thaws", "after"])
@@ -322,3 +349,22 @@ def test_a_dry_run_says_what_is_taken_and_who_learns(experiment, tmp_path, capsy
 def test_a_start_said_in_few_words_is_known_as_before(experiment):
     settings = load_experiment(experiment, ["training.start_from=pointpillars-cirrus-sim"])
     assert settings.training.model_dump()["start"] == {"weights": "pointpillars-cirrus-sim", "freeze": ()}
+
+
+def test_the_score_before_and_after_taking_statistics_anew_is_told(experiment, tmp_path, capsys):
+    """No step is taken: the weights are those that were loaded, with other statistics."""
+    _, path = stored(tmp_path, "pointpillars", widths=[8, 16, 16], depths=[0, 0, 0], neck_width=16)
+    start = {"weights": str(path), "statistics": {"reestimate_batches": 3}}
+    words = [*STILL, f"training.start={json.dumps(start)}", "training.steps=0", "training.batch_size=2"]
+    words.append("training.validation={frames: 2}")
+    assert main(words_of_train(experiment, tmp_path, *words)) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    kept = json.loads((tmp_path / "tiny" / "statistics.json").read_text())
+    assert kept["batches"] == 3
+    assert 0 <= kept["before"] <= 1
+    assert 0 <= kept["after"] <= 1
+    assert f"{kept['before']:.3f} mean AP on held-out frames before, {kept['after']:.3f} after" in said
+    theirs, ours = (load_weights(each)[0].state_dict() for each in (path, tmp_path / "tiny" / "weights.safetensors"))
+    moved = {name for name, value in ours.items() if not torch.equal(value, theirs[name])}
+    assert moved
+    assert all(name.endswith(("running_mean", "running_var", "num_batches_tracked")) for name in moved)

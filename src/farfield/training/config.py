@@ -189,7 +189,11 @@ class ValidationConfig(_Settings):
 class TrainingConfig(_Settings):
     """The loop. ``start_from: WEIGHTS`` is short for ``start: {weights: WEIGHTS}``."""
 
-    steps: int = Field(2000, ge=1, description="updates; a run whose number is raised goes on to the new one")
+    steps: int = Field(
+        2000,
+        ge=0,
+        description="updates; a run whose number is raised goes on to the new one; 0: only what start takes",
+    )
     batch_size: int = Field(4, ge=1, description="frames a step, over all processes")
     learning_rate: float = Field(3e-3, gt=0, description="peak of the one-cycle schedule")
     weight_decay: float = Field(0.01, ge=0, description="AdamW's, of matrices and kernels")

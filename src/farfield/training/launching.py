@@ -1,5 +1,6 @@
 """The start of a training's processes on their devices, by Lightning Fabric, which takes a second to import."""
 
+import atexit
 import os
 from datetime import timedelta
 
@@ -33,7 +34,15 @@ def launch(config: TrainingConfig) -> Fabric:
         precision="bf16-mixed" if precision == "bf16" else "32-true",
     )
     fabric.launch()
+    if several:
+        atexit.register(_disconnect)
     return fabric
+
+
+def _disconnect() -> None:
+    """Close the connections before the interpreter goes: gloo's threads else may meet a process that is gone."""
+    if distributed.is_available() and distributed.is_initialized():
+        distributed.destroy_process_group()
 
 
 def precision_of(config: TrainingConfig) -> str:

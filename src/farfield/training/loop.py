@@ -17,19 +17,20 @@ from farfield.detectors.devices import fitting
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
+from farfield.training.averaging import averaged, follow, state_of, take_over
 from farfield.training.checkpoints import Run, load_run, prolonged, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
-from farfield.training.freezing import frozen_now, hold, is_within
+from farfield.training.freezing import frozen_now, hold
 from farfield.training.launching import launch, precision_of
 from farfield.training.method import DETECTOR, Method, Pace, total_of
 from farfield.training.rates import always_frozen, groups_of, one_cycle, rates_of, set_rates
-from farfield.training.reestimating import reestimate
+from farfield.training.reestimating import keep_reestimated, reestimate
 from farfield.training.report import Report
 from farfield.training.samples import Sample, TrainingSamples
 from farfield.training.stopping import Stop, stopping
 from farfield.training.streams import batch_of, batch_shares, batches
-from farfield.training.validating import Best, Validation, averaged, best_of, forget
+from farfield.training.validating import Best, Validation, best_of, forget
 
 CHECKPOINT_NAME = "checkpoint.pt"
 _TOO_LARGE = (
@@ -204,13 +205,20 @@ class Training:
         if wanted is None or self.step:
             return
         self._seed_torch(fabric.global_rank)
+        scored = [self._score(average) if fabric.is_global_zero else None]
         drawn = self._batches(counts, fabric, wanted.reestimate_batches)
         with fabric.autocast():
             each = ({name: batch_of(part, fabric) for name, part in batch.items()} for batch in drawn)
             count = reestimate(self.modules[DETECTOR], each)
-        report.say(f"batch statistics taken anew from {count} batches")
-        for name, value in self.modules.state_dict().items():
-            average[name].copy_(value)
+        take_over(average, self.modules.state_dict())
+        if fabric.is_global_zero:
+            report.say(keep_reestimated(self.folder, count, [*scored, self._score(average)]))
+
+    def _score(self, average: Mapping[str, Tensor]) -> float | None:
+        """The averaged weights' score on held-out frames, if there are any."""
+        if self.validation is None:
+            return None
+        return self.validation.score(averaged(self.modules[DETECTOR], average, f"{DETECTOR}."))
 
     def _optimizer(self) -> torch.optim.Optimizer:
         network, start = self.modules[DETECTOR], self.config.start
@@ -289,14 +297,9 @@ class Training:
 
     def _average(self, average: dict[str, Tensor]) -> None:
         """Exponential average of weights and statistics; it follows closely at first and slowly later."""
-        decay = min(self.config.average_decay, (1 + self.step) / (10 + self.step))
         frozen = {f"{DETECTOR}.{part}" for part in self._held_now or ()}
-        with torch.no_grad():
-            for name, value in self.modules.state_dict().items():
-                if any(is_within(name, part) for part in frozen):
-                    average[name].copy_(value)
-                    continue
-                average[name].lerp_(value.to(average[name].device, torch.float32), 1 - decay)
+        state, decay = self.modules.state_dict(), self.config.average_decay
+        follow(average, state, step=self.step, decay=decay, frozen=frozen)
 
     def _export(self, average: Mapping[str, Tensor], best: Best | None = None) -> None:
         """Write the averaged weights of the modules that the method exports, as ordinary detectors; or the best so far.
@@ -305,12 +308,11 @@ class Training:
         """
         reached = {} if best is None else {"validation": {"step": best.step, "score": best.score}}
         for stem, module in self.method.exported().items():
-            state = self.modules[module].state_dict()
-            averaged = {name: average[f"{module}.{name}"].to(value.dtype) for name, value in state.items()}
+            state = state_of(self.modules[module], average, f"{module}.")
             path = self.folder / f"{best_of(stem) if best is not None else stem}.safetensors"
             stream = self.method.meant_for().get(stem)
             provenance = {**self.provenance, **({} if stream is None else {"stream": stream}), **reached}
-            save_weights(path, averaged, config=self.modules[module].config, provenance=provenance)
+            save_weights(path, state, config=self.modules[module].config, provenance=provenance)
 
     def check(self) -> None:
         """Refuse a folder that holds another run, before anything is written there.
@@ -329,8 +331,7 @@ class Training:
             self.provenance = {**self.provenance, "prolonged": longer}
         self.modules.load_state_dict(run.modules)
         optimizer.load_state_dict(run.optimizer)
-        for name in average:
-            average[name].copy_(run.average[name])
+        take_over(average, run.average)
         self.step = run.step
 
     def _save(self, optimizer: Any, average: dict[str, Tensor]) -> None:
@@ -341,8 +342,8 @@ class Training:
         """The averaged weights' score on held-out frames where it is due; the best weights are written."""
         if self.validation is None or not self.validation.due(self.step, self.config.steps):
             return {}
-        network = averaged(self.modules[DETECTOR], average, f"{DETECTOR}.")
-        score, best = self.validation.score(network), Best.read(self.folder)
+        score, best = self._score(average), Best.read(self.folder)
+        assert score is not None
         better = best is None or score >= best.score
         if better:
             best = Best(self.step, score)

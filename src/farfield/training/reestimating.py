@@ -1,13 +1,19 @@
 """Batch statistics of a network taken anew on the frames that it is going to learn from, without any gradient."""
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import torch
 from torch import nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from farfield.detectors.contract import Network
+from farfield.files.atomic import write_text
 from farfield.training.method import Batch
+
+STATISTICS_NAME = "statistics.json"
+"""In a run's folder: from how many batches its statistics were taken anew, and the scores before and after."""
 
 
 def norms_of(network: nn.Module) -> list[_BatchNorm]:
@@ -46,3 +52,22 @@ def reestimate(network: Network, batches: Iterable[Mapping[str, Batch]]) -> int:
     for norm, momentum in zip(norms, momenta, strict=True):
         norm.momentum = momentum
     return count
+
+
+def keep_reestimated(folder: Path, batches: int, scores: Sequence[float | None]) -> str:
+    """Write what taking the statistics anew did, as ``statistics.json``.
+
+    Args:
+        folder: The run's.
+        batches: How many batches they were taken from.
+        scores: Mean AP on held-out frames before and after, neither of them trained a step; None without such frames.
+
+    Returns:
+        The same as a sentence.
+    """
+    before, after = scores
+    write_text(folder / STATISTICS_NAME, json.dumps({"batches": batches, "before": before, "after": after}) + "\n")
+    said = f"batch statistics taken anew from {batches} batches"
+    if before is None or after is None:
+        return said
+    return f"{said}: {before:.3f} mean AP on held-out frames before, {after:.3f} after"

@@ -1,22 +1,25 @@
 """Start a training from other weights: what of them fits is taken, made to fit, or left; all of it is reported.
 
 For each tensor of the network, in this order: the same name (after ``rename``) and shape, taken; rows of classes, by
-the class' name; columns of the input, by theirs; the mean over columns where nobody names them; another odd kernel, or
-one of two dimensions, into the middle; else the network's own first values. A file of which little fits must not pass
-in silence: taking less than ``least_taken`` of the parameters is an error.
+the class' name, and the numbers of a new class' anchor from that of theirs nearest in size; columns of the input, by
+theirs; the mean over columns where nobody names them; another odd kernel, or one of two dimensions, into the middle;
+else the network's own first values. A file of which little fits must not pass in silence: taking less than
+``least_taken`` of the parameters is an error.
 """
 
 import hashlib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from difflib import SequenceMatcher
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from farfield.detectors.contract import ClassRows, InputColumns, Network
+from farfield.detectors.contract import ClassRows, InputColumns, Network, OfAnchor
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.config import TakingConfig
@@ -101,6 +104,7 @@ class _Theirs:
     tensors: Mapping[str, Tensor]
     network: Network | None = None
     rows: ClassRows = field(default_factory=dict)
+    sizes_m: Mapping[str, Sequence[float]] = field(default_factory=dict)
     columns: InputColumns = field(default_factory=dict)
 
 
@@ -194,6 +198,7 @@ def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _
         tensors=_renamed(trained.state_dict(), rename),
         network=trained,
         rows=_renamed(trained.class_rows(), rename),
+        sizes_m=trained.config.anchor_sizes_m,
         columns=_renamed(trained.input_columns(), rename),
     )
 
@@ -219,12 +224,13 @@ def _fit(
         return "training.start.head is fresh"
     if other is None:
         return "the weights have no such tensor"
-    pairs = _OTHER if other_classes else _pairs(rows.get(name), theirs.rows.get(name), own, other)
+    like = nearest_sizes(network.config.anchor_sizes_m, theirs.sizes_m)
+    pairs = _OTHER if other_classes else _pairs(rows.get(name), theirs.rows.get(name), own, other, like)
     if not isinstance(pairs, str) and pairs is not None:
-        axis, here, there = pairs
+        axis, here, there, words = pairs
         own.movedim(axis, 0)[here] = other.movedim(axis, 0)[there].to(own.dtype)
         count = own.numel() // own.shape[axis] * len(here)
-        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class"
+        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class{words}"
     mine, known = columns.get(name), theirs.columns.get(name)
     named_alike = mine is None or known is None or list(mine[1]) == list(known[1])
     if pairs is None and own.shape == other.shape and named_alike:
@@ -312,9 +318,13 @@ def _unsaid(network: Network, trained: Network | None) -> set[str]:
 
 
 def _pairs(
-    mine: tuple[int, Sequence[Any]] | None, known: tuple[int, Sequence[Any]] | None, own: Tensor, other: Tensor
-) -> tuple[int, list[int], list[int]] | str | None:
-    """Rows to take and their rows there along an axis; None for the whole tensor, a text for nothing and why."""
+    mine: tuple[int, Sequence[Any]] | None,
+    known: tuple[int, Sequence[Any]] | None,
+    own: Tensor,
+    other: Tensor,
+    like: Mapping[str, str],
+) -> tuple[int, list[int], list[int], str] | str | None:
+    """Rows to take, their rows there, along which axis, in words; None for the whole, a text for nothing and why."""
     shapes = f"{tuple(other.shape)} there, {tuple(own.shape)} here"
     if mine is None or known is None or list(mine[1]) == list(known[1]):
         return None if own.shape == other.shape else shapes
@@ -322,9 +332,35 @@ def _pairs(
     rest, rest_there = (tuple(t.shape[:axis] + t.shape[axis + 1 :]) for t in (own, other))
     if rest != rest_there or len(names) != own.shape[axis] or len(others) != other.shape[axis]:
         return shapes
-    place = {name: row for row, name in enumerate(others)}
-    here = [row for row, name in enumerate(names) if name in place]
-    return (axis, here, [place[names[row]] for row in here]) if here else "no class of theirs"
+    place, pairs, sized = {name: row for row, name in enumerate(others)}, list[tuple[int, int]](), dict[str, str]()
+    for row, name in enumerate(names):
+        if name not in place and isinstance(name, OfAnchor) and name.label in like:
+            sized[name.label] = like[name.label]
+            name = name._replace(label=like[name.label])
+        if name in place:
+            pairs.append((row, place[name]))
+    words = "".join(f"; anchor of {new} from {old}, nearest in size" for new, old in sized.items())
+    return (axis, [row for row, _ in pairs], [row for _, row in pairs], words) if pairs else "no class of theirs"
+
+
+def nearest_sizes(mine_m: Mapping[str, Sequence[float]], theirs_m: Mapping[str, Sequence[float]]) -> dict[str, str]:
+    """For each class of ours that is none of theirs, that of theirs whose anchor is nearest in size.
+
+    Nearest is the least sum, over length, width and height, of the logarithm of the two sizes' ratio, without sign.
+
+    Args:
+        mine_m: Length, width and height of our anchors, metres, by class.
+        theirs_m: The same of theirs.
+    """
+    return {
+        name: min(theirs_m, key=partial(_unlike, size, theirs_m))
+        for name, size in mine_m.items()
+        if name not in theirs_m and theirs_m
+    }
+
+
+def _unlike(size_m: Sequence[float], others_m: Mapping[str, Sequence[float]], name: str) -> float:
+    return sum(abs(math.log(one / other)) for one, other in zip(size_m, others_m[name], strict=True))
 
 
 def _differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], where: str = "") -> Iterator[str]:

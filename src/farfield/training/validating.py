@@ -1,14 +1,11 @@
 """Scores on held-out frames while a training runs, and the weights that did best."""
 
-import copy
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from torch import Tensor, nn
 
 from farfield.datasets import Dataset
 from farfield.detection import detect
@@ -82,14 +79,6 @@ class Validation:
 
 def _renamed(annotation: Annotation, aliases: Mapping[str, str]) -> Annotation:
     return replace(annotation, boxes=annotation.boxes.relabel(aliases)) if aliases else annotation
-
-
-def averaged(network: nn.Module, average: Mapping[str, Tensor], prefix: str) -> Any:
-    """A copy of a network with averaged weights and statistics, in evaluation mode; ``prefix`` begins their names."""
-    copied = copy.deepcopy(network)
-    state = {name: average[prefix + name].to(value.dtype) for name, value in copied.state_dict().items()}
-    copied.load_state_dict(state)
-    return copied.eval()
 
 
 def best_of(stem: str) -> str:

@@ -9,6 +9,7 @@ the target, if there are any, decide nothing.
 import re
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,14 +58,57 @@ def adapt(
         DatasetError: If there are no frames.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
+    folder = Path(out)
+    job = _job(detector, data, folder, source, labels, bulk, report, choices)
+    folder.mkdir(parents=True, exist_ok=True)
+    if overwrite:
+        clear(folder)
+    return job.run()
+
+
+def rehearsed(
+    detector: str | Path,
+    data: Path | str | Dataset,
+    *,
+    out: Path | str,
+    source: Path | str | None = None,
+    labels: Path | str | Dataset | None = None,
+    **choices: Any,
+) -> list[str]:
+    """What :func:`adapt` would do, in lines, checked as far as it is before anything is written; writes nothing.
+
+    Args:
+        detector: As of ``adapt``, and so the others.
+        data: The sweeps.
+        out: Folder of the adaptation.
+        source: Labelled frames.
+        labels: Labelled frames to score on.
+        **choices: See :class:`Choices`.
+
+    Raises:
+        ConfigError, DatasetError, FarfieldError: As ``adapt`` before it begins.
+    """
+    return _job(detector, data, Path(out), source, labels, None, None, choices).rehearsed()
+
+
+def _job(
+    detector: str | Path,
+    data: Path | str | Dataset,
+    folder: Path,
+    source: Path | str | None,
+    labels: Path | str | Dataset | None,
+    bulk: Bulk | None,
+    report: Report | None,
+    choices: Mapping[str, Any],
+) -> Job:
+    """The work, checked; nothing is written."""
     began = time.monotonic()
-    chosen, folder = choices_of(choices), Path(out)
     job = Job(
         start=str(detector),
         given=None if source is None else Path(source),
         data=data if isinstance(data, Dataset) else open_dataset(data),
         folder=folder,
-        choices=chosen,
+        choices=choices_of(choices),
         bulk=bulk or Bulk(),
         report=report or Report(),
         began=began,
@@ -72,10 +116,7 @@ def adapt(
     )
     check_folder(folder)
     job.check()
-    folder.mkdir(parents=True, exist_ok=True)
-    if overwrite:
-        clear(folder)
-    return job.run()
+    return job
 
 
 def clear(folder: Path) -> None:

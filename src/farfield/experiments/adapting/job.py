@@ -28,11 +28,13 @@ from farfield.experiments.adapting.rounds import (
     steps_wanted,
 )
 from farfield.experiments.adapting.settings import Choices, Settled, load_settled, save_settled, spread
-from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of, source_frames
+from farfield.experiments.adapting.source import FOLDER, Learnt, learnt_by, simulation_of, source_frames
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
 from farfield.metrics.detections import Detections
+from farfield.recording.frames import bytes_needed
+from farfield.recording.wanted import planned
 from farfield.reports.adapted_scores import HeldScores
 from farfield.training.report import Report
 
@@ -158,6 +160,19 @@ class Job:
             self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
         if self.held is not None:
             as_trained(self.held.frames, self.detector)[0].cloud(next(iter(config.clouds)))
+
+    def rehearsed(self) -> list[str]:
+        """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""
+        choices, steps = self.choices, steps_wanted(self.choices, self.learnt)
+        lines = ["source: the labelled frames of " + str(self.given)] if self.given is not None else []
+        if self.given is None:
+            wanted = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
+            recording = planned(wanted, self.folder / FOLDER)
+            room = bytes_needed(recording, sum(recording.plan)) / 1e9
+            lines.append(f"source: {sum(recording.plan)} frames of {wanted.preset}, simulated, at most {room:.2f} GB")
+        searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"
+        limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
+        return [*lines, f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
 
     def run(self) -> Adapted:
         """Do all that is not done yet."""
