@@ -63,7 +63,7 @@ def test_shipped_experiments_and_docs_use_today_s_names():
 @pytest.mark.parametrize("name", bundled_weights())
 def test_shipped_weights_load_under_today_s_names(name):
     network, provenance = load_weights(bundled_weights()[name])
-    assert network.config.grid.range_m == 250.0
+    assert network.config.grid.range_m == (72.0 if name.endswith("kradar-sim") else 250.0)
     detector = of(provenance["experiment"]["detector"]).detector
     assert detector == network.config
     assert build_detector(detector).state_dict().keys() == network.state_dict().keys()

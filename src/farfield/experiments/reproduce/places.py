@@ -2,7 +2,7 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
 from farfield.experiments.reproduce.grid import Grid, Simulated
 from farfield.recording import record
+from farfield.recording.frames import bytes_needed
+from farfield.recording.simulated import Recorded
 
 _DIGITS = 8
 
@@ -96,12 +98,27 @@ def provide(
     return time.monotonic() - began
 
 
-def simulate(wanted: Simulated, path: Path, **how: Any) -> None:
+def wanting(sets: Iterable[tuple[Simulated | None, Path]]) -> str:
+    """What is to be simulated, in words: frames and room of the sets that are not there; writes nothing.
+
+    Args:
+        sets: What is simulated, if it is, and where.
+    """
+    frames, size = 0, 0.0
+    for wanted, path in sets:
+        if wanted is not None and not path.exists():
+            recording = simulate(wanted, path, dry_run=True).recording
+            frames += sum(recording.plan)
+            size += bytes_needed(recording, sum(recording.plan))
+    return f"{frames} simulated frames, at most {size / 1e9:.2f} GB" if frames else "no frame to simulate"
+
+
+def simulate(wanted: Simulated, path: Path, **how: Any) -> Recorded:
     """Simulate a set into a folder, with the fast cache of its clouds where its layout has one."""
     from farfield.recording.rigs import files_of
     from farfield.simulation import find_preset
 
-    record(
+    return record(
         wanted.preset,
         path,
         frames=wanted.sequences * wanted.frames,

@@ -23,7 +23,7 @@ from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
 from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, Pace, measure, measure_simulating
 from farfield.experiments.reproduce.needs import needs_of
-from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
+from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide, wanting
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
 from farfield.experiments.reproduce.scenarios import scenarios_of, seeds_of
 from farfield.experiments.reproduce.scoring import Scoring
@@ -128,6 +128,20 @@ class Reproduction:
         outline = self._planned()
         write_text(self.out / PLAN, json.dumps({"asked": self._asked, "outline": outline.to_json()}, indent=1) + "\n")
         return outline
+
+    def rehearsed(self) -> list[str]:
+        """What there is to do, in lines, measuring and writing nothing; the plan too where one was made before."""
+        places, settings = self.places, self.settings
+        jobs = self.jobs(places)
+        steps = {job.network: settings.steps_for(job.network) for job in jobs}
+        sets = [*places.values(), *self.sheet_places.values()]
+        kept = _read(self.out / PLAN)
+        known = kept.get("asked") == self._asked
+        return [
+            f"{len(jobs)} trainings; steps: {', '.join(f'{name} {count}' for name, count in steps.items())}",
+            wanting((place.simulated, place.path) for place in sets),
+            *(planning.described(planning.outline_of(kept["outline"])) if known else ()),
+        ]
 
     @property
     def _asked(self) -> Tree:

@@ -2,6 +2,7 @@
 
 from farfield.experiments.reproduce.transfer.deciding import cells_of, lines_of
 from farfield.experiments.reproduce.transfer.declared import Table, load_table, runs_of
+from farfield.experiments.reproduce.transfer.planning import outline
 from farfield.experiments.reproduce.transfer.running import Transfer
 
-__all__ = ["Table", "Transfer", "cells_of", "lines_of", "load_table", "runs_of"]
+__all__ = ["Table", "Transfer", "cells_of", "lines_of", "load_table", "outline", "runs_of"]

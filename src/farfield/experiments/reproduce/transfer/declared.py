@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +30,10 @@ class World(_Declared):
     words: str
     train: Simulated
     val: Simulated
+    of: str = Field("", description="the world whose data it sees in a form of its own, else its own data")
     options: Tree = Field(default_factory=dict, description="options of the reader")
     floor_options: Tree = Field(default_factory=dict, description="the same where the floor is taken: all cells")
-    form: Tree = Field(description="settings of common_radar but for the floor")
+    form: Tree = Field(description="settings of common_radar; the floor is taken of the training set unless given")
 
 
 class Arm(_Declared):
@@ -44,6 +46,8 @@ class Arm(_Declared):
     flip: float = Field(0.5, ge=0, le=1)
     drop_doppler: float = Field(0.0, ge=0, le=1)
     reestimate_batches: int = Field(0, ge=0, description="take the batch statistics anew before the first step")
+    freeze: tuple[str, ...] = Field((), description="parts of the network that stay as they came")
+    steps: int | None = Field(None, ge=0, description="all of the table's unless given; 0: scored as it came")
 
 
 class Compared(_Declared):
@@ -80,6 +84,12 @@ class Table(_Declared):
                 raise ValueError(f"{name}: expected a world among {', '.join(self.worlds)}; got {row.world!r}")
             if row.start and (source is None or source.start or 1.0 not in self.shares_of(row.start)):
                 raise ValueError(f"{name}: expected to start from a row of all frames that starts from none")
+            if row.steps == 0 and not row.start:
+                raise ValueError(f"{name}: expected a row without steps to start from another")
+        for name, world in self.worlds.items():
+            other = self.worlds.get(world.of, world)
+            if (world.of and world.of not in self.worlds) or (world.train, world.val) != (other.train, other.val):
+                raise ValueError(f"{name}: expected the data of another world, train and val alike; got {world.of!r}")
         for each in self.comparisons:
             unknown = [name for name in (each.a, each.b) if name not in self.rows]
             if unknown:
@@ -89,6 +99,18 @@ class Table(_Declared):
     def shares_of(self, row: str) -> tuple[float, ...]:
         """The shares of the target's frames that a row has."""
         return self.rows[row].shares or self.shares
+
+    @property
+    def every_share(self) -> tuple[float, ...]:
+        """All shares that some row has, in order."""
+        return tuple(sorted({share for row in self.rows for share in self.shares_of(row)}))
+
+    def frames_of(self, row: str, share: float) -> int:
+        """Number of frames of its world that a row sees at a share of it, whole sequences."""
+        arm = self.rows[row]
+        train = self.worlds[arm.world].train
+        frames = math.floor(share * train.sequences + 0.5) * train.frames
+        return frames if arm.steps != 0 else min(frames, arm.reestimate_batches * self.training["batch_size"])
 
     @property
     def digest(self) -> str:
@@ -141,9 +163,11 @@ def experiment_tree(table: Table, run: TransferRun, *, data: Path, start: Path |
     """
     row, world = table.rows[run.row], table.worlds[table.rows[run.row].world]
     training: dict[str, Any] = {**table.training, "seed": run.seed}
+    if row.steps is not None:
+        training["steps"] = row.steps
     if start is not None:
         again = {"statistics": {"reestimate_batches": row.reestimate_batches}} if row.reestimate_batches else {}
-        training["start"] = {"weights": str(start), **again}
+        training["start"] = {"weights": str(start), **again, **({"freeze": row.freeze} if row.freeze else {})}
     return {
         "name": run.folder,
         "data": {"path": str(data), "clouds": ["radar"], "part": (0.0, run.share), "options": world.options},

@@ -15,9 +15,9 @@ from farfield.detection import detect
 from farfield.detectors.runtime import Detector
 from farfield.experiments.plan import Plan, annotated_frames, part_of
 from farfield.experiments.reproduce.jobs import code_digest
-from farfield.experiments.reproduce.places import simulate
+from farfield.experiments.reproduce.places import simulate, wanting
 from farfield.experiments.reproduce.scoring import json_of_sample
-from farfield.experiments.reproduce.transfer.deciding import by_row, cells_of, lines_of
+from farfield.experiments.reproduce.transfer.deciding import lines_of, tree_of
 from farfield.experiments.reproduce.transfer.declared import Table, TransferRun, experiment_tree, runs_of
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
@@ -44,11 +44,17 @@ class Sets:
 
     def path(self, world: str, part: str) -> Path:
         """Folder of a world's ``"train"`` or ``"val"`` set."""
-        return self.folder / f"{world}-{part}"
+        return self.folder / f"{self.table.worlds[world].of or world}-{part}"
+
+    def wanting(self) -> str:
+        """What is to be simulated, in words."""
+        worlds = self.table.worlds.items()
+        training = [(world.train, self.path(name, "train")) for name, world in worlds]
+        return wanting([*training, *((world.val, self.path(name, "val")) for name, world in worlds)])
 
     def provide(self, **how: Any) -> None:
         """Simulate what is not there yet, and take the floors of the training sets."""
-        for name, world in self.table.worlds.items():
+        for name, world in ((name, world) for name, world in self.table.worlds.items() if not world.of):
             for part, wanted in (("train", world.train), ("val", world.val)):
                 simulate(wanted, self.path(name, part), **how)
         kept = self._floors()
@@ -64,7 +70,9 @@ class Sets:
         world = self.table.worlds[name]
         data = open_dataset(self.path(name, "train"), **world.floor_options)
         step = max(1, len(data) // self.table.floor_frames)
-        form = CommonRadar(floor_db=(0.0,), **world.form)
+        form = CommonRadar(**{"floor_db": (0.0,), **world.form})
+        if "floor_db" in world.form:
+            return form
         return form.fitted(data[index] for index in range(0, len(data), step))
 
     def form(self, world: str, *, drop_doppler: float = 0.0) -> Any:
@@ -101,7 +109,7 @@ class Doing:
             self._train(wanted, home)
         trained_s = time.monotonic() - began
         clock = {"training_s": round(trained_s, 1), "processor_s": 0.0}
-        kept = self._score(wanted, home)
+        kept = self.score(wanted, home)
         clock["processor_s"] = round(time.process_time() - busy, 1)
         write_text(home / SCORES, json.dumps({**kept, "clock": clock}) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
@@ -118,11 +126,14 @@ class Doing:
         data = annotated_frames(part_of(seen, (0.0, wanted.share)), "skip")
         Plan(experiment, home, data={LABELLED: data}).run()
 
-    def _score(self, wanted: TransferRun, home: Path) -> dict[str, Any]:
+    def score(self, wanted: TransferRun, home: Path) -> dict[str, Any]:
+        """Detect in the world's ``"val"`` set with the weights in a folder, and score."""
         table = self.sets.table
         data = self.sets.seen(table.rows[wanted.row].world, "val")
         found = detect(Detector.load(home / WEIGHTS), data, cloud=CLOUD, annotated_only=True)
-        settings = table.score.settings
+        settings: dict[str, Any] = {
+            name: tuple(each) if isinstance(each, list) else each for name, each in table.score.settings.items()
+        }
         taken = sample(
             found, figure(table.metric), protocol=table.score.protocol, replicates=table.replicates, **settings
         )
@@ -158,6 +169,7 @@ class Transfer:
 
     def run(self) -> None:
         """Simulate, then do all runs: first those that others start from."""
+        self.runs_folder.mkdir(parents=True, exist_ok=True)
         self.sets.provide(workers=self.workers, progress=self._bar("simulating"), report=self.said)
         setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'detection', 'metrics'))}"
         journal = Journal(self.runs_folder / ".journal.jsonl", setting)
@@ -172,22 +184,21 @@ class Transfer:
     @property
     def runs_folder(self) -> Path:
         """Folder of the floors and of all runs; a table that declares something else has another."""
-        folder = self.out / "runs" / self.table.digest[:8]
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder
+        return self.out / "runs" / self.table.digest[:8]
 
     def _bar(self, what: str) -> Callable[[Iterable[int]], Iterable[int]]:
         return iter if self.progress is None else self.progress(what)
 
     def write(self) -> list[str]:
-        """Write ``transfer.txt`` and ``transfer.json`` of the runs that are done; returns the text's lines."""
+        """Write ``transfer.txt``, ``transfer.json`` and ``report.html`` of the runs done; returns the text's lines."""
+        from farfield.reports.transfer import write_transfer
+
         scores = self.scores()
         lines = lines_of(self.table, scores)
-        cells = [cell.to_json() for cell in cells_of(self.table, by_row(scores))]
-        kept = [{name: value for name, value in each.items() if name != "sample"} for each in scores]
-        said = {"declared": self.table.digest, "runs": kept, "comparisons": cells}
+        tree = tree_of(self.table, scores, sum(map(len, runs_of(self.table))))
         write_text(self.out / "transfer.txt", "\n".join([*lines, ""]))
-        write_text(self.out / "transfer.json", json.dumps(said, indent=1) + "\n")
+        write_text(self.out / "transfer.json", json.dumps(tree, indent=1) + "\n")
+        write_transfer(self.out / "report.html", tree)
         return lines
 
     def scores(self) -> list[dict[str, Any]]:
