@@ -1,9 +1,9 @@
 """Calibrations from random starts against the simulator's truth, with the CPU time of a start.
 
-Simulates K-Radar's car on three roads by day and one by night, 80 frames each in eight runs of ten, pictures in four of
-them. They stay in --data, as does every start that is done: a second run goes on where the first ended, and the table
-says how many starts each row has. Every solver starts from random errors; the starts of a road share its drive, so that
-their errors are not independent.
+Simulates K-Radar's car on three roads by day and one by night, 295 frames of half a minute each, pictures in
+twenty of them. They stay in --data, as does every start that is done: a second run goes on where the first ended, and
+the table says how many starts each row has. Every solver starts from random errors; the starts of a road share its
+drive, so that their errors are not independent.
 
     python benchmarks/calibration.py --data data/calibration --output benchmarks/results/calibration.txt
 """
@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import header
+from _report import header, progress
+from calibration_doctor import planted_radar
 from scipy.spatial.transform import Rotation
 
 from farfield.calibration.edges import (
@@ -32,6 +33,7 @@ from farfield.calibration.edges import (
 from farfield.calibration.jobs import KRADAR_NODE_M
 from farfield.calibration.moments import read_moments
 from farfield.calibration.pairs import calibrate_pairs
+from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
 from farfield.calibration.registration import register
 from farfield.calibration.sweeps import sweep_edges
@@ -39,6 +41,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.files.atomic import write_text
+from farfield.frame import Frame
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, pose
 from farfield.simulation import find_preset, simulate_frame
@@ -46,9 +49,11 @@ from farfield.simulation.rigs.drive import drive_of
 
 ROADS = (("urban", "day", 0), ("highway", "day", 1), ("suburban", "day", 2), ("urban", "night", 3))
 SEED = 5
-RUNS = (30, 95, 160, 225, 62, 127, 192, 257)
-PICTURED = 4  # runs with pictures
+FRAMES = 295
+PICTURED = tuple(start + step for start in (30, 95, 160, 225) for step in range(10) if (start + step) % 2 == 0)
 CAMERA_FRAMES = 20
+PAIRED_FRAMES, PAIRED_DRAWS = 10, 100
+PLANTED = (("correct", 0.0), ("deg", 1.0), ("deg", 2.0), ("cm", 20.0), ("cm", 40.0))
 
 
 def simulated(folder: Path, road: str, light: str, sequence: int) -> tuple[Dataset, float]:
@@ -56,16 +61,13 @@ def simulated(folder: Path, road: str, light: str, sequence: int) -> tuple[Datas
     preset = find_preset("kradar-sim", road=road, time=light, weather="normal", duration_s=30.0)
     writer = KRadarWriter(folder / f"{road}-{light}")
     late_s = drive_of(preset, SEED, sequence).mounted.radar_offset_s
-    if (writer.root / "done").exists():
-        return open_dataset(writer.root, format="kradar"), late_s
-    for run, index in ((run, start + step) for run, start in enumerate(RUNS) for step in range(10)):
-        sensors = ("os2-64", "sparse", *(("cam-front",) if index % 2 == 0 and run < PICTURED else ()))
+    there = {int(path.stem.split("_")[1]) - 1 for path in writer.root.glob("*/frame_record/*.json")}  # sweeps from 1
+    absent = [index for index in range(FRAMES) if index not in there]
+    for index in progress(absent, f"simulating {road} {light}"):
+        sensors = ("os2-64", "sparse", *(("cam-front",) if index in PICTURED else ()))
         sensors += ("os1-128",) if index in (30, 160) else ()
-        frame = simulate_frame(preset, seed=SEED, sequence=sequence, index=index, sensors=sensors)
-        if not writer.paths(frame)["record"].exists():
-            writer.write(frame)
+        writer.write(simulate_frame(preset, seed=SEED, sequence=sequence, index=index, sensors=sensors))
     writer.finish()
-    (writer.root / "done").touch()
     return open_dataset(writer.root, format="kradar"), late_s
 
 
@@ -103,6 +105,18 @@ def radar_starts(open_road: Callable[[], tuple[Dataset, float]], numbers: Sequen
             "frames": found.pose.frames,
             "seconds": time.process_time() - began,
         }
+
+
+def radar_checks(open_road: Callable[[], tuple[Dataset, float]], number: int) -> str:
+    """What the doctor says of the right calibration and of planted errors, with sigmas of x, y and yaw together."""
+    data, _ = open_road()
+    evidence = Evidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
+    given, said = RadarPose(x_m=-2.54, y_m=0.3, z_m=0.7), []
+    for kind, size in PLANTED:
+        rng = np.random.default_rng((number, int(10 * size), len(kind)))
+        found = check_radar(planted_radar(given, kind, size, rng), evidence)
+        said.append(f"{found.verdict} {found.evidence:.1f}")
+    return "".join(f"{each:>14}" for each in said)
 
 
 def started(
@@ -169,10 +183,7 @@ def camera_starts(
 
 def pairs_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> list[str]:
     """Picked pairs with 2 px of hand noise, from nothing; twelve with a focal length 20 % off."""
-    frame = open_road()[0][0]
-    truth = frame.cameras["cam-front"]
-    points = frame.clouds["os2-64"].points_m.astype(float)
-    points = points[truth.project(points)[2] & (np.linalg.norm(points, axis=1) < 40) & (points[:, 2] > -1.2)]
+    scenes = [_scene(frame) for frame in pictured(open_road()[0], PAIRED_FRAMES)]
     rng, rows = np.random.default_rng(2), []
     for name, count, far, focal in (
         ("8 at random", 8, False, False),
@@ -180,7 +191,8 @@ def pairs_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> li
         ("12 at random, focal length free", 12, False, True),
     ):
         away, bound = [], []
-        for _ in range(starts):
+        for draw in range(starts):
+            truth, points = scenes[draw % len(scenes)]
             picked = points[rng.permutation(len(points))[: 40 if far else count]]
             picked = spread(picked, truth, count) if far else picked
             seen = truth.project(picked)[0] + rng.normal(0, 2, (count, 2))
@@ -196,6 +208,19 @@ def pairs_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> li
         least = "" if focal else f"; least possible {np.median(bound):.3f} and {np.percentile(bound, 90):.3f}"
         rows.append(f"{name}: {starts} draws, {turn:.3f} degrees median, {worst:.3f} at 90 %{length}{least}")
     return rows
+
+
+def pictured(data: Dataset, count: int) -> list[Frame]:
+    """Frames with pictures, spread over the drive."""
+    keys = [frame for frame in data if frame.images]
+    return keys[:: max(1, len(keys) // count)][:count]
+
+
+def _scene(frame: Frame) -> tuple[Camera, np.ndarray]:
+    """The camera, and the points within 40 m and above the road that it sees."""
+    camera = frame.cameras["cam-front"]
+    points = frame.clouds["os2-64"].points_m.astype(float)
+    return camera, points[camera.project(points)[2] & (np.linalg.norm(points, axis=1) < 40) & (points[:, 2] > -1.2)]
 
 
 def least_turns(camera: Camera, points_m: np.ndarray, rng: np.random.Generator, sigma_px: float = 2.0) -> np.ndarray:
@@ -223,7 +248,8 @@ def spread(points_m: np.ndarray, camera: Camera, count: int) -> np.ndarray:
 def lidars_row(open_road: Callable[[], tuple[Dataset, float]], starts: int) -> str:
     """os1-128 against os2-64 from +-1 degree, +-0.2 m."""
     data, _ = open_road()
-    frames = [each for each in (data[i] for i in range(len(data))) if "os1-128" in each.clouds]
+    both = [i for i in range(len(data)) if any(path.parent.name == "os1-128" for path in data.files(i))]
+    frames = [data[i] for i in both]
     targets, sources = ([each.clouds[name].points_m for each in frames] for name in ("os2-64", "os1-128"))
     truth = frames[0].sensors["os1-128"].frame_T_sensor
     assert truth is not None
@@ -248,7 +274,12 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=30)
     parser.add_argument("--camera-starts", type=int, default=30)
     parser.add_argument("--roads", nargs="+", default=[f"{road} {light}" for road, light, _ in ROADS])
-    parser.add_argument("--seconds", type=float, default=np.inf, help="for each row, after which no start begins")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=np.inf,
+        help="for each row, after which no start begins; 0 prints what is there",
+    )
     options = parser.parse_args()
     sets = {
         (road, light): partial(simulated, options.data, road, light, number)
@@ -258,7 +289,7 @@ def main() -> None:
     lines = [
         header(),
         f"at most {options.starts} starts a road for the radar, {options.camera_starts} for the camera; "
-        f"{10 * len(RUNS)} frames a road, a drive each",
+        f"{FRAMES} frames a road, a drive each",
     ]
     print("\n".join(lines), flush=True)
     for line in _tables(sets, options):
@@ -273,17 +304,24 @@ def _tables(
 ) -> Iterator[str]:
     """Lines of all tables as they become known."""
     kept = Kept(options.data / "rows.json")
-    yield "Picked pairs, 2 px of noise, from nothing; least possible: drawn from the Cramer-Rao bound"
-    yield from kept.rows("pairs", "urban day", partial(pairs_row, partial(simulated, options.data, *ROADS[0]), 30))
+    yield f"Picked pairs in one of {PAIRED_FRAMES} frames, 2 px of noise, from nothing; least: the Cramer-Rao bound"
+    yield from kept.rows(
+        "pairs", "urban day", partial(pairs_row, partial(simulated, options.data, *ROADS[0]), PAIRED_DRAWS)
+    )
     yield "\nRadar-LiDAR from +-2 m, +-3 degrees, +-3 frames; median and worst errors; covered: within 2 sigma"
     yield "road            starts  frames   x cm   y cm yaw deg  dt ms | worst x     y     yaw   covered   CPU s"
     for (road, light), opened in sets.items():
-        done = options.data / f"radar-{road}-{light}.jsonl"
+        done = options.data / f"radar-{road}-{light}-{FRAMES}.jsonl"
         yield f"{road + ' ' + light:<15} {radar_row(opened, options.starts, done, options.seconds)}"
+    yield "\nThe doctor's check of the radar over the drive: right, and with planted errors; verdict, sigmas"
+    yield f"{'road':<16}" + "".join(f"{f'{kind} {size:g}' if size else kind:>14}" for kind, size in PLANTED)
+    for number, ((road, light), opened) in enumerate(sets.items()):
+        yield from kept.rows("radar checks", f"{road} {light}", partial(radar_checks, opened, number))
     if options.camera_starts:
         yield "\nos1-128 against os2-64 from +-1 degree, +-0.2 m, two frames"
         for (road, light), opened in sets.items():
-            yield from kept.rows("lidars", f"{road} {light}", partial(lidars_row, opened, 3))
+            if options.seconds > 0 or kept.has("lidars", f"{road} {light}"):
+                yield from kept.rows("lidars", f"{road} {light}", partial(lidars_row, opened, 3))
     yield f"\nLiDAR-camera by edges, {CAMERA_FRAMES} frames, +-0.1 m; largest of three angles and of three shifts"
     yield "road            start    n  med. deg   worst med. cm  worst  edge px  < .2, 8  covered   CPU s"
     for (road, light), opened in sets.items():
@@ -297,6 +335,10 @@ class Kept:
     """Rows that an earlier run printed."""
 
     path: Path
+
+    def has(self, table: str, road: str) -> bool:
+        """Whether there are such rows."""
+        return self.path.exists() and f"{table}:{road}" in json.loads(self.path.read_text(encoding="utf-8"))
 
     def rows(self, table: str, road: str, make: Callable[[], str | list[str]]) -> list[str]:
         """The rows of this table and road; made, and kept, if there are none yet."""

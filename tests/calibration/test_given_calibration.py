@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from farfield.calibration.checking import check_camera, check_radar
+from farfield.calibration.checking import check_camera
 from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refine_edges
 from farfield.calibration.moments import Moment
+from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_lidar import Evidence, RadarPose
 from farfield.geometry.cameras import Camera
 
@@ -109,17 +110,24 @@ def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:
 
 def test_a_radars_errors_are_found() -> None:
     evidence = road(np.random.default_rng(3))
-    assert check_radar(POSE, evidence).verdict == "fits"
-    turned = check_radar(replace(POSE, yaw_rad=np.radians(1.0)), evidence)
+    assert check_radar(POSE, evidence, least=8).verdict == "fits"
+    turned = check_radar(replace(POSE, yaw_rad=np.radians(1.0)), evidence, least=8)
     assert turned.verdict == "off"
     assert turned.degrees == pytest.approx(1.0, abs=0.2)
-    aside = check_radar(replace(POSE, y_m=POSE.y_m - 0.3), evidence)
+    aside = check_radar(replace(POSE, y_m=POSE.y_m - 0.3), evidence, least=8)
     assert aside.verdict == "off"
     assert aside.cm == pytest.approx(30, abs=8)
 
 
+def test_few_frames_of_a_radar_are_not_judged() -> None:
+    found = check_radar(replace(POSE, yaw_rad=np.radians(3.0)), road(np.random.default_rng(3)))
+    assert found.verdict == "not told"
+    assert found.needed >= 80
+
+
 def test_a_radar_that_turned_during_the_drive_is_found() -> None:
-    found = check_radar(replace(POSE, yaw_rad=0.0), road(np.random.default_rng(4), turn_late=np.radians(2.0)))
+    evidence = road(np.random.default_rng(4), turn_late=np.radians(2.0))
+    found = check_radar(replace(POSE, yaw_rad=0.0), evidence, least=8)
     assert found.claimed
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.calibration.bird import Start, correlate
+from farfield.calibration.bird import Maps, Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import Evidence, RadarPose, _polished, _solved, calibrate_radar
+from farfield.calibration.radar_lidar import Evidence, RadarPose, _folded, _polished, _solved, calibrate_radar
 from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_peaks, find_targets
-from farfield.errors import DatasetError
+from farfield.errors import ConfigError, DatasetError
 
 TRUTH = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, yaw_rad=0.012, frames=1, time_offset_s=0.02)
 EGO_M_S = 14.0
@@ -75,6 +75,30 @@ def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
     assert abs(pose.y_m - TRUTH.y_m) < 0.06
 
 
+def test_no_whole_frame_stays_in_the_time_offset() -> None:
+    """Radar frame n + 2 at 0.12 s is radar frame n + 1 at 0.02 s: one calibration, named by the nearest frame."""
+    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    value = np.add(TRUTH.vector, [0.0, 0.0, 0.0, evidence.period_s])
+    guess = replace(TRUTH, time_offset_s=0.0)
+    found = _folded(evidence, value, TRUTH.frames + 1, guess)
+    assert found is not None
+    assert found[0].frames == TRUTH.frames
+    assert abs(found[0].time_offset_s - TRUTH.time_offset_s) < 0.01
+    end = calibrate_radar(evidence, replace(guess, frames=TRUTH.frames + 3))
+    assert (end.pose.frames, abs(end.pose.time_offset_s) <= evidence.period_s / 2) == (TRUTH.frames, True)
+
+
+def test_a_rough_start_does_not_draw_the_solution() -> None:
+    evidence = Evidence.of(road(np.random.default_rng(0), 3))
+    ends = []
+    for sign in (-1, 1):
+        off = replace(TRUTH, y_m=TRUTH.y_m + 2 * sign, yaw_rad=TRUTH.yaw_rad + np.radians(3) * sign, time_offset_s=0.0)
+        found = _solved(evidence, TRUTH.vector, TRUTH.frames, off, PARAMETERS, (0.8, 0.8))
+        assert found is not None
+        ends.append(found[1].value)
+    assert (np.abs(ends[1] - ends[0])[1:3] < [0.001, np.radians(0.01)]).all()
+
+
 def test_a_platoon_hides_the_time_and_it_is_said() -> None:
     evidence = Evidence.of(road(np.random.default_rng(2), 20, oncoming=False))
     found = calibrate_radar(evidence, RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, frames=1))
@@ -84,9 +108,20 @@ def test_a_platoon_hides_the_time_and_it_is_said() -> None:
 
 def test_maps_find_the_shift() -> None:
     moments = road(np.random.default_rng(3), 12)
-    best = correlate(moments, Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
+    best = correlate(Maps(moments), Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
     assert abs(best.x_m - TRUTH.x_m) < 2.0
     assert abs(best.y_m - TRUTH.y_m) < 0.5
+
+
+def test_later_starts_find_what_earlier_ones_correlated() -> None:
+    maps = Maps(road(np.random.default_rng(3), 6))
+    first = correlate(maps, Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))
+    known = dict(maps.summed)
+    again = correlate(maps, Start(frames=0, yaw_rad=0.0, x_m=-1.9, y_m=0.3, score=0.0))
+    assert maps.summed == known
+    assert again[0].x_m == pytest.approx(first[0].x_m)
+    with pytest.raises(ConfigError, match="at most 9 m"):
+        correlate(maps, first[0], reach_m=12.0)
 
 
 def test_targets_have_velocities_and_keep_their_numbers() -> None:

@@ -45,3 +45,18 @@ def test_each_verdict_is_a_sentence(verdict: str, severity: str, words: str) -> 
     assert found.severity == severity
     assert words in found.what
     assert bool(found.mend) == (severity == "warn")
+
+
+def test_it_is_said_how_many_frames_would_tell() -> None:
+    check = Check(
+        verdict="not told",
+        degrees=0.0,
+        cm=0.0,
+        px=0.0,
+        drift_degrees=0.0,
+        drift_cm=0.0,
+        frames=24,
+        evidence=1.0,
+        needed=130,
+    )
+    assert "about 130 frames needed to find errors of 40 cm and 1 degree" in _finding("radar", check, "").what

@@ -6,7 +6,8 @@ speed decides, so the best few of each frame offset are kept for the objects to 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex64, Float, Float32
@@ -14,12 +15,16 @@ from scipy import fft
 
 from farfield.calibration.moments import Moment
 from farfield.calibration.problems import Told, untold
+from farfield.errors import ConfigError
 
 CELL_M = 0.4
 _SHAPE = (192, 160)  # 76.8 m ahead, 32 m to each side
 _SMOOTH = 0.7
 _WIDE = 25
 _MOST = 40  # sweeps that are turned; more tell nothing new
+_ORIGIN_M = 4.0  # the maps' origins lie on these steps, so that later starts find what earlier ones correlated
+_REACH_M, _FARTHEST = 9.0, 30  # cells that are kept: reach, half a step of the origin, and a margin
+_STEP_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,39 +46,81 @@ class Start:
     score: float
 
 
+_Spectra = Mapping[int, Complex64[np.ndarray, "h w"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Maps of both sensors over a drive, and their correlations, kept for later starts.
+
+    Args:
+        moments: Frames of one sequence.
+        summed: Correlations over all shifts by yaw, origin and frame offset; none where no frames meet.
+    """
+
+    moments: Sequence[Moment]
+    summed: dict[tuple[int, float, float, int], Float[np.ndarray, "rows columns"] | None] = field(default_factory=dict)
+
+    @cached_property
+    def radar(self) -> _Spectra:
+        """Spectra of the radar's maps by number of the frame."""
+        return {each.number: _spectrum(each.echoes_m, each.power_db) for each in self.moments}
+
+    def correlated(
+        self, turn: int, origin_m: tuple[float, float], offsets: Sequence[int]
+    ) -> list[Float[np.ndarray, "rows columns"] | None]:
+        """Correlations with the sweeps turned by so many steps and shifted to an origin, for each frame offset."""
+        keys = [(turn, *origin_m, offset) for offset in offsets]
+        new = [key for key in keys if key not in self.summed]
+        if new:
+            every = -(-len(self.moments) // _MOST)
+            lidar = {
+                each.number: _spectrum(_moved(each.points_m, turn * _STEP_RAD, origin_m), None)
+                for each in self.moments[::every]
+            }
+            self.summed.update({key: _summed(lidar, self.radar, key[3]) for key in new})
+        return [self.summed[key] for key in keys]
+
+
 def correlate(
-    moments: Sequence[Moment],
+    maps: Maps,
     guess: Start,
     *,
     reach_m: float = 3.0,
     frames: int = 4,
     yaw_rad: float = np.radians(4.0),
-    step_rad: float = np.radians(0.5),
     told: Told = untold,
 ) -> list[Start]:
     """Best explanation of each frame offset, best first.
 
     Args:
-        moments: Frames of one sequence.
+        maps: Of the frames of one sequence.
         guess: Where to look around.
-        reach_m: How far x and y may be off.
+        reach_m: How far x and y may be off, at most 9 m.
         frames: How many frames the offset may be off.
         yaw_rad: How far the yaw may be off.
-        step_rad: Step of the yaw.
         told: Is told the share that is done; may raise to end it.
+
+    Raises:
+        ConfigError: If ``reach_m`` is more.
     """
-    radar = {each.number: _spectrum(each.echoes_m, each.power_db) for each in moments}
+    if reach_m > _REACH_M:
+        raise ConfigError(f"radar-lidar: expected reach_m of at most {_REACH_M:g} m, got {reach_m:g}")
     best: dict[int, Start] = {}
-    count, every = round(yaw_rad / step_rad), -(-len(moments) // _MOST)
+    origin_m = round(guess.x_m / _ORIGIN_M) * _ORIGIN_M, round(guess.y_m / _ORIGIN_M) * _ORIGIN_M
+    around = guess.x_m - origin_m[0], guess.y_m - origin_m[1]
+    offsets = range(guess.frames - frames, guess.frames + frames + 1)
+    middle, count = round(guess.yaw_rad / _STEP_RAD), round(yaw_rad / _STEP_RAD)
     for step in range(-count, count + 1):
         told((step + count) / (2 * count + 1))
-        yaw = guess.yaw_rad + step_rad * step
-        lidar = {each.number: _spectrum(_moved(each.points_m, yaw, guess), None) for each in moments[::every]}
-        for offset in range(guess.frames - frames, guess.frames + frames + 1):
-            found = _peak(lidar, radar, offset, reach_m)
-            if found and (offset not in best or found[0] > best[offset].score):
-                x, y = guess.x_m + found[1], guess.y_m + found[2]
-                best[offset] = Start(frames=offset, yaw_rad=float(yaw), x_m=x, y_m=y, score=found[0])
+        for offset, values in zip(offsets, maps.correlated(middle + step, origin_m, offsets), strict=True):
+            if values is None:
+                continue
+            found = _peak(values, around, reach_m)
+            if offset not in best or found[0] > best[offset].score:
+                x, y = origin_m[0] + found[1], origin_m[1] + found[2]
+                yaw = float((middle + step) * _STEP_RAD)
+                best[offset] = Start(frames=offset, yaw_rad=yaw, x_m=x, y_m=y, score=found[0])
     return sorted(best.values(), key=_by_score, reverse=True)
 
 
@@ -81,10 +128,12 @@ def _by_score(start: Start) -> float:
     return start.score
 
 
-def _moved(points_m: Float[np.ndarray, "n 3"], yaw_rad: float, guess: Start) -> Float[np.ndarray, "n 2"]:
+def _moved(
+    points_m: Float[np.ndarray, "n 3"], yaw_rad: float, shift_m: tuple[float, float]
+) -> Float[np.ndarray, "n 2"]:
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     x, y = points_m[:, 0], points_m[:, 1]
-    return np.column_stack([cos * x - sin * y + guess.x_m, sin * x + cos * y + guess.y_m])
+    return np.column_stack([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]])
 
 
 def bird_map(
@@ -118,24 +167,32 @@ def _passed() -> Float32[np.ndarray, "h w"]:
 _PASSED = _passed()
 
 
-def _peak(
-    lidar: Mapping[int, Complex64[np.ndarray, "h w"]],
-    radar: Mapping[int, Complex64[np.ndarray, "h w"]],
-    offset: int,
-    reach_m: float,
-) -> tuple[float, float, float] | None:
+def _summed(lidar: _Spectra, radar: _Spectra, offset: int) -> Float[np.ndarray, "rows columns"] | None:
+    """Correlation over the shifts up to a dozen metres, the mean of the frames."""
     pairs = [(each, radar[number + offset]) for number, each in lidar.items() if number + offset in radar]
     if not pairs:
         return None
-    cross = sum(np.conj(one) * other for one, other in pairs)
+    cross = np.zeros_like(pairs[0][0])
+    for one, other in pairs:
+        cross += np.conj(one) * other
     values = fft.irfft2(cross, s=_SHAPE) / len(pairs)
+    rolled = np.roll(values, (_FARTHEST, _FARTHEST), axis=(0, 1))
+    return np.array(rolled[: 2 * _FARTHEST + 1, : 2 * _FARTHEST + 1])
+
+
+def _peak(
+    values: Float[np.ndarray, "rows columns"], around_m: tuple[float, float], reach_m: float
+) -> tuple[float, float, float]:
+    """The best within reach, and its shift."""
     reach = int(np.ceil(reach_m / CELL_M))
-    window = np.roll(values, (reach + 1, reach + 1), axis=(0, 1))[: 2 * reach + 3, : 2 * reach + 3]
+    near = [round(each / CELL_M) - reach for each in around_m]
+    top_row, left = (_FARTHEST + each - 1 for each in near)
+    window = values[top_row : top_row + 2 * reach + 3, left : left + 2 * reach + 3]
     row, column = np.unravel_index(np.argmax(window[1:-1, 1:-1]), (2 * reach + 1, 2 * reach + 1))
     top = float(window[row + 1, column + 1])
     dx = _parabola(window[row : row + 3, column + 1])
     dy = _parabola(window[row + 1, column : column + 3])
-    return top, CELL_M * (float(row) - reach + dx), CELL_M * (float(column) - reach + dy)
+    return top, CELL_M * (float(row) + near[0] + dx), CELL_M * (float(column) + near[1] + dy)
 
 
 def _parabola(three: Float[np.ndarray, " 3"]) -> float:

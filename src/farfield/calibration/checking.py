@@ -4,11 +4,9 @@ A camera is aligned from its given calibration on all frames, and from there on 
 time. It is called off where the edges' score over frames gains clearly, on frames to which the camera was not fitted
 too, and it moved by more than it moves on correct data, in pixels or on both halves alike; edges that fit nowhere much
 better than by chance tell nothing. It drifted where each
-half's own camera fits that half clearly better than the other half's camera does. A K-Radar radar is refined from
-matched objects likewise; it takes some forty frames of a busy road to tell anything.
+half's own camera fits that half clearly better than the other half's camera does. ``radar_checking`` checks radars.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,9 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved, refine_edges
-from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import Evidence, RadarPose, refine_radar
-from farfield.errors import DatasetError
 from farfield.geometry.cameras import Camera
 
 Verdict = Literal["fits", "off", "moved", "not told"]
@@ -32,9 +27,6 @@ _FLOORS = np.array([np.radians(0.5)] * 3 + [0.12] * 3)  # and a turn or a shift 
 _LEVEL = 3
 """The finest scale: what moves only near edges, as a shift along the view does, shows there alone."""
 _FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
-_RADAR_FLOOR = np.array([0.12, 0.12, np.radians(0.3)])
-_SIGMAS = 3.0
-_TOLD = np.array([0.12, np.radians(0.35)])  # sigma of y and yaw: with more, a radar is not judged
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +42,7 @@ class Check:
         drift_cm: Their largest shift.
         frames: Frames used.
         evidence: Standard errors by which the found one is better, or sigmas by which it is away.
+        needed: How many frames would tell, where these do not; 0 where that is not known, or no number would.
     """
 
     verdict: Verdict
@@ -60,6 +53,7 @@ class Check:
     drift_cm: float
     frames: int
     evidence: float
+    needed: int = 0
 
     @property
     def claimed(self) -> bool:
@@ -76,15 +70,15 @@ def check_camera(camera: Camera, views: Views) -> Check:
     """
     halves = [np.arange(views.count) < views.count // 2, np.arange(views.count) >= views.count // 2]
     if views.count < LEAST_FRAMES:
-        return _unsaid(views.count)
-    whole = align_edges(camera, views, sigma=_FIRST)
+        return unsaid(views.count)
+    whole = align_edges(camera, views, sigma=_FIRST, most=None)
     own = [refine_edges(whole, _only(views, half), sigma=_FIRST) for half in halves]
     given, *scores = (edge_score(each, views, _LEVEL) for each in (camera, whole, *own))
     chance = np.mean([edge_score(moved(camera, each), views, _LEVEL) for each in _far()], axis=0)
     crossed = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
     mine = np.where(halves[0], scores[1], scores[2])
     if _errors(crossed - chance) < _OBSERVED and _errors(mine - chance) < 2 * _OBSERVED:
-        return _unsaid(views.count)
+        return unsaid(views.count)
     found = (whole, *own)
     change = [difference(each, camera) for each in found]
     pixels = [_pixels(each, views) for each in (camera, *found)]
@@ -116,7 +110,8 @@ def check_camera(camera: Camera, views: Views) -> Check:
     )
 
 
-def _unsaid(frames: int) -> Check:
+def unsaid(frames: int) -> Check:
+    """What is said where so many frames tell nothing."""
     return Check(
         verdict="not told", degrees=0.0, cm=0.0, px=0.0, drift_degrees=0.0, drift_cm=0.0, frames=frames, evidence=0.0
     )
@@ -154,52 +149,3 @@ def _pixels(camera: Camera, views: Views) -> Float[np.ndarray, "n 2"]:
 def _sizes(change: Float[np.ndarray, " 6"]) -> tuple[float, float]:
     """Largest turn in degrees and largest shift in centimetres."""
     return float(np.degrees(np.abs(change[:3]).max())), 100 * float(np.abs(change[3:]).max())
-
-
-def check_radar(given: RadarPose, evidence: Evidence) -> Check:
-    """Check a K-Radar radar's x, y and yaw by the objects that both sensors see.
-
-    Args:
-        given: The calibration as the files have it.
-        evidence: Frames in runs of consecutive ones.
-    """
-    count = len(evidence.moments)
-    try:
-        whole = refine_radar(evidence, given)
-    except DatasetError:
-        return _unsaid(count)
-    if (whole.sigma[1:3] > _TOLD).any():
-        return _unsaid(count)
-    change = whole.value[:3] - given.vector[:3]
-    limit = np.maximum(_SIGMAS * whole.sigma[:3], _RADAR_FLOOR)
-    sigmas = float((np.abs(change) / whole.sigma[:3]).max())
-    verdict: Verdict = "off" if (np.abs(change) > limit).any() else "fits"
-    apart = np.zeros(3)
-    halves = [] if verdict == "off" else [_half(evidence, given, late=late) for late in (False, True)]
-    found = [each for each in halves if each is not None]
-    if len(found) == 2:
-        apart = found[1].value[:3] - found[0].value[:3]
-        spread = np.hypot(found[0].sigma[:3], found[1].sigma[:3])
-        told = (spread[1:] < 2 * _TOLD).all()
-        if told and (np.abs(apart) > np.maximum(_SIGMAS * spread, 1.5 * _RADAR_FLOOR)).any():
-            verdict, sigmas = "moved", float((np.abs(apart) / spread).max())
-    return Check(
-        verdict=verdict,
-        degrees=float(np.degrees(abs(change[2]))),
-        cm=100 * float(np.abs(change[:2]).max()),
-        px=0.0,
-        drift_degrees=float(np.degrees(abs(apart[2]))),
-        drift_cm=100 * float(np.abs(apart[:2]).max()),
-        frames=count,
-        evidence=sigmas,
-    )
-
-
-def _half(evidence: Evidence, given: RadarPose, *, late: bool) -> Solution | None:
-    middle: Sequence[int] = sorted(evidence.targets)
-    limit = middle[len(middle) // 2]
-    kept = {number: each for number, each in evidence.targets.items() if (number >= limit) == late}
-    try:
-        return refine_radar(replace(evidence, targets=kept), given)
-    except DatasetError:
-        return None

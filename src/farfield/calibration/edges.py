@@ -40,6 +40,7 @@ moves far edges little. Wrong maxima lie along them."""
 _ROUNDS = 2
 _FINE = (-2, -1)
 _KEPT = 3
+_ROUGH, _ROUGH_ENDS = 6000, 1e-7  # edges with which the search is done, and where it ends
 _FARTHEST_PX = 1e4
 _MOST = np.array([15.0] * 3 + [30.0] * 3)
 """How many steps one scale may move."""
@@ -185,29 +186,52 @@ def _sloped(
     return inside * (upper + (lower - upper) * down), inside[:, None] * slope
 
 
-def align_edges(camera: Camera, views: Views, *, sigma: Sequence[float] | None = None, told: Told = untold) -> Camera:
+def align_edges(
+    camera: Camera,
+    views: Views,
+    *,
+    sigma: Sequence[float] | None = None,
+    most: int | None = _ROUGH,
+    told: Told = untold,
+) -> Camera:
     """Move the camera so that edges meet, from coarse to fine; a soft prior keeps what the edges do not tell.
 
     Args:
         camera: The start: +-1 degree, +-10 cm.
         views: Frames.
         sigma: How far the start may be off: turns in rad and shifts in m, of :data:`PARAMETERS` unless given.
+        most: About how many edges wrong maxima are searched with; all of them if None. The end is found with all.
         told: Is told the share that is done; may raise to end it.
     """
     scale = np.array([each.scale for each in PARAMETERS])
     prior = np.array([each.prior_sigma for each in PARAMETERS] if sigma is None else sigma) / scale
     whole = _Problem(camera=camera, views=views, scale=scale, prior=prior)
-    x, _ = whole.descended(np.zeros(6), range(len(SIGMAS_PX)))
+    every = len(views.points_m) // most if most else 1
+    rough = replace(whole, views=_thinned(views, every), ends=_ROUGH_ENDS) if every > 1 else whole
+    x, _ = rough.descended(np.zeros(6), range(len(SIGMAS_PX)))
     best = whole.descended(x, _FINE)
     for number in range(_ROUNDS):
         told((1 + number) / (1 + _ROUNDS))
-        around = [whole.descended(best[0] + sign * valley, _FINE[:1]) for valley in _VALLEYS for sign in (-1, 1)]
-        ends = [whole.descended(each[0], _FINE[1:]) for each in sorted(around, key=_lacking)[:_KEPT]]
+        around = [rough.descended(best[0] + sign * valley, _FINE[:1]) for valley in _VALLEYS for sign in (-1, 1)]
+        ends = [rough.descended(each[0], _FINE[1:]) for each in sorted(around, key=_lacking)[:_KEPT]]
         nearest = min(ends, key=_lacking)
+        if rough is not whole:
+            nearest = whole.descended(nearest[0], _FINE[1:])
         if nearest[1] >= best[1]:
             break
         best = nearest
     return moved(camera, best[0] * scale)
+
+
+def _thinned(views: Views, every: int) -> Views:
+    """The same pictures with every so many-th edge, weights as large in all."""
+    return replace(
+        views,
+        points_m=views.points_m[::every],
+        frame=views.frame[::every],
+        axis=views.axis[::every],
+        weight=views.weight[::every] * every,
+    )
 
 
 def refine_edges(camera: Camera, views: Views, *, sigma: Sequence[float]) -> Camera:
@@ -236,6 +260,7 @@ class _Problem:
     views: Views
     scale: Float[np.ndarray, " 6"]
     prior: Float[np.ndarray, " 6"]
+    ends: float = 1e-9  # where the score gains less, a scale is done
 
     def descended(self, x: Float[np.ndarray, " 6"], levels: Iterable[int]) -> _Found:
         """Where scale after scale leads to, and what is lacking there."""
@@ -248,7 +273,7 @@ class _Problem:
                 jac=True,
                 method="L-BFGS-B",
                 bounds=Bounds(x - _MOST, x + _MOST),
-                options={"maxiter": 40, "ftol": 1e-9},
+                options={"maxiter": 40, "ftol": self.ends},
             )
             there = replace(problem, at=done.x, base_px=self.pixels(done.x))
             before, lacking = problem.lacking(x)[0], there.lacking(done.x)[0]

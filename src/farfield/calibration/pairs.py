@@ -21,6 +21,7 @@ from farfield.geometry.poses import pose, transform_points
 LEAST_PAIRS = 6
 PAIRS_FOR_FOCAL = 12
 _REPROJECTION_PX = 12.0
+_HUBER = 3.0  # sigmas: a lower limit would hold back two of five good picks of two coordinates each
 _FOCAL = Parameter(name="focal length", unit="", scale=0.002, prior_sigma=0.3)
 
 
@@ -73,7 +74,7 @@ def calibrate_pairs(
     wide = tuple(replace(each, prior_sigma=each.prior_sigma * 30) for each in POSE)
     parameters = (*wide, _FOCAL) if focal else wide
     residuals = partial(_residuals, points_m=points_m, pixels=pixels, camera=start, sigma_px=sigma_px)
-    solution = solve(residuals, np.zeros(len(parameters)), parameters)
+    solution = solve(residuals, np.zeros(len(parameters)), parameters, huber=_HUBER)
     found = changed(start, solution.value)
     return PairCalibration(camera=found, solution=solution, residual_px=solution.after * sigma_px, inlier=inlier)
 

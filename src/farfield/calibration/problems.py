@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from farfield.errors import ConfigError
 
 _HUBER = 1.345
+_ROUNDS, _STILL = 20, 1e-3  # of the reweighting; steps of ``scale``
 _NAMED = 0.35  # share of a direction from which a parameter is named
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
 Told = Callable[[float], None]
@@ -84,6 +85,7 @@ def solve(
     *,
     group: Int[np.ndarray, " n"] | None = None,
     share: Float[np.ndarray, " n"] | None = None,
+    begin: Float[np.ndarray, " k"] | None = None,
     huber: float = _HUBER,
     steps: int = 50,
 ) -> Solution:
@@ -95,12 +97,13 @@ def solve(
 
     Args:
         residuals: From values, shape (k,), to n residuals of d components, divided by their sigma.
-        start: Values to begin with; the priors' means too.
+        start: The priors' means, and values to begin with unless ``begin`` is given.
         parameters: What each value is.
         group: Block of frames of each residual, shape (n,); each its own unless given.
         share: For how many observations each residual counts, shape (n,): less than one where several err alike.
+        begin: Values to begin with, shape (k,).
         huber: From how many sigma a residual counts linearly.
-        steps: Most evaluations of the Jacobian in each of the rounds.
+        steps: Most evaluations of the Jacobian in each of the rounds that a plain step does not serve.
 
     Raises:
         ConfigError: If there are no residuals, or they are not finite at the start.
@@ -113,17 +116,18 @@ def solve(
         raise ConfigError("calibration: expected finite residuals at the start, got none; give a nearer start")
     own = np.ones(len(first)) if share is None else share
     total = _Whole(residuals, start, scale, prior)
-    x, weight, converged = np.zeros(len(start)), own * _weights(first, huber), False
-    for _ in range(10):
-        done = least_squares(total.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
-        moved, x = float(np.abs(done.x - x).max()), done.x
+    x = np.zeros(len(start)) if begin is None else (np.asarray(begin, dtype=np.float64) - start) / scale
+    weight, converged = own * _weights(residuals(start + x * scale), huber), False
+    for _ in range(_ROUNDS):
+        found, done = total.stepped(x, weight, steps)
+        moved, x = float(np.abs(found - x).max()), found
         weight = own * _weights(residuals(start + x * scale), huber)
-        converged = bool(done.success) and moved < 1e-3
+        converged = done and moved < _STILL
         if converged:
             break
     value = start + x * scale
-    found = appraise(residuals, value, parameters, group=group, share=share, huber=huber, weight=weight)
-    return replace(found, before=np.linalg.norm(first, axis=1), converged=converged)
+    solution = appraise(residuals, value, parameters, group=group, share=share, huber=huber, weight=weight)
+    return replace(solution, before=np.linalg.norm(first, axis=1), converged=converged)
 
 
 def appraise(
@@ -187,6 +191,20 @@ class _Whole:
     def weighted(self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
         found = self.residuals(self.start + x * self.scale) * np.sqrt(weight)[:, None]
         return np.concatenate([found.ravel(), x / self.prior])
+
+    def stepped(
+        self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"], steps: int
+    ) -> tuple[Float[np.ndarray, " k"], bool]:
+        """A Gauss-Newton step, for the weights change after it anyway; a whole descent where that leads uphill."""
+        here = self.weighted(x, weight)
+        eye = 0.1 * np.eye(len(x))
+        slope = np.stack([(self.weighted(x + e, weight) - self.weighted(x - e, weight)) / 0.2 for e in eye], axis=1)
+        step = -np.linalg.solve(slope.T @ slope, slope.T @ here) if np.isfinite(slope).all() else np.zeros(len(x))
+        there = self.weighted(x + step, weight)
+        if step.any() and float(there @ there) <= float(here @ here) * (1 + 1e-9):
+            return x + step, True
+        done = least_squares(self.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
+        return done.x, bool(done.success)
 
 
 def _weights(residuals: Float[np.ndarray, "n d"], huber: float) -> Float[np.ndarray, " n"]:

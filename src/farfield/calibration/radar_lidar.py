@@ -7,16 +7,15 @@ the prior on dt stands. A mean range bias of the radar moves with x and is part 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
-from farfield.calibration.bird import Start, correlate
+from farfield.calibration.bird import Maps, Start, correlate
 from farfield.calibration.moments import Moment
 from farfield.calibration.problems import Parameter, Solution, Told, solve, untold
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of
+from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of, standing
 from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
 from farfield.errors import DatasetError
 
@@ -31,7 +30,7 @@ LEAST_MATCHES = 12
 _GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
 _ALIKE = 0.5  # correlation of what an object's matches err by
 _UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
-_BLOCK = 4  # neighbouring frames see the same objects
+_FOLDS = 4  # times that whole frames may move from the time offset into the frame offset
 _LOOSE_S = 0.3
 _SAME_M = 0.25  # a frame
 _MAPS_SHARE = 0.5  # of the time
@@ -126,6 +125,16 @@ class Evidence:
         targets = dict(zip(peaks, find_targets(moments), strict=True))
         return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
 
+    @cached_property
+    def maps(self) -> Maps:
+        """Bird's-eye maps; what one start correlates, later ones find again."""
+        return Maps(self.moments)
+
+    @cached_property
+    def speeds(self) -> Mapping[int, Float[np.ndarray, "n 2"]]:
+        """Velocities of the targets of each frame in m/s, the usual one where they are not known."""
+        return {number: _speeds(each, self.period_s) for number, each in self.targets.items()}
+
 
 def calibrate_radar(
     evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
@@ -144,7 +153,7 @@ def calibrate_radar(
     """
     around = Start(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
     starts = correlate(
-        evidence.moments, around, reach_m=reach_m, frames=frames, told=lambda done: told(_MAPS_SHARE * done)
+        evidence.maps, around, reach_m=reach_m, frames=frames, told=lambda done: told(_MAPS_SHARE * done)
     )
     tried: list[_Tried] = []
     for place, start in enumerate(starts):
@@ -161,12 +170,15 @@ def calibrate_radar(
     costs = np.array([_costs(evidence, pose, guess) for pose, _, _ in tried])
     order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
     best = int(order[0])
-    pose, pairs, solution = _polished(evidence, tried[best], guess)
+    end = _polished(evidence, tried[best], guess)
+    if abs(end[0].time_offset_s) > evidence.period_s / 2:
+        end = _folded(evidence, end[0].vector, end[0].frames, guess) or end
+    pose, pairs, solution = end
     costs[best] = _costs(evidence, pose, guess)
     rivals: dict[int, float] = {}
     for i in order[1:]:  # the best of each frame offset
         if tried[i][0].frames != pose.frames:
-            rivals.setdefault(tried[i][0].frames, _standing(costs[i], costs[best]))
+            rivals.setdefault(tried[i][0].frames, standing(costs[i], costs[best]))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
     solution = replace(solution, covariance=solution.covariance + np.diag(SYSTEMATIC**2))
     residual = polar(solution.value, pairs)
@@ -194,12 +206,23 @@ def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | Non
     first = _solved(evidence, value, frames, guess, loose, GATES_M)
     if first is None:
         return None
-    late = round(float(first[1].value[3] / evidence.period_s))
-    value = first[1].value - [0.0, 0.0, 0.0, late * evidence.period_s]
-    found = _solved(evidence, value, frames - late, guess, PARAMETERS, GATES_M[-2:])
-    if found is None:
-        return None
-    return _posed(found[1].value, frames - late, guess), *found
+    return _folded(evidence, first[1].value, frames, guess)
+
+
+def _folded(evidence: Evidence, value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> _Tried | None:
+    """Solve again from a solution, with whole frames of its time offset in the frame offset, until none is left."""
+    found = None
+    for _ in range(_FOLDS):
+        late = round(float(value[3] / evidence.period_s))
+        value, frames = value - [0.0, 0.0, 0.0, late * evidence.period_s], frames - late
+        found = _solved(evidence, value, frames, guess, PARAMETERS, GATES_M[-2:])
+        if found is None:
+            return None
+        value = found[1].value
+        if abs(value[3]) <= evidence.period_s / 2:
+            break
+    assert found is not None
+    return _posed(value, frames, guess), *found
 
 
 def _posed(value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> RadarPose:
@@ -240,15 +263,20 @@ def _solved(
     parameters: tuple[Parameter, ...],
     gates_m: tuple[float, ...],
 ) -> tuple[Pairs, Solution] | None:
-    """Match and solve in turn, with a narrower gate each time."""
-    found = None
+    """Match and solve in turn, with a narrower gate each time; the prior then stands where the last solution did.
+
+    It holds what the data do not tell, and does not draw what they tell weakly towards a rough start.
+    """
+    found, mean = None, guess.vector
     for gate_m in gates_m:
         pairs = match_objects(evidence, value, frames, gate_m)
         if len(pairs.track) < LEAST_MATCHES:
             return None
         rows = partial(whitened, pairs=pairs)
-        solution = solve(rows, guess.vector, parameters, group=pairs.track, share=shares(pairs, value))
+        counted = shares(pairs, value)
+        solution = solve(rows, mean, parameters, group=pairs.track, share=counted, begin=value)
         value, found = solution.value, (pairs, solution)
+        mean = np.append(value[:3], guess.time_offset_s)
     return found
 
 
@@ -295,6 +323,11 @@ def match_objects(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: in
     )
 
 
+def _squares(at: Float[np.ndarray, "n 2"], peaks_m: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
+    """Squared distances from each to each: for dozens faster than a tree."""
+    return np.asarray((at[:, :1] - peaks_m[:, 0]) ** 2 + (at[:, 1:] - peaks_m[:, 1]) ** 2)
+
+
 def match_frame(
     evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
 ) -> tuple[np.ndarray, ...]:
@@ -302,12 +335,12 @@ def match_frame(
     targets = evidence.targets[number]
     peaks = evidence.peaks[other].place_m if other in evidence.peaks else np.zeros((0, 3))
     kept, partner = np.zeros(len(targets.place_m), dtype=bool), np.zeros(len(targets.place_m), dtype=int)
-    speed = _speeds(targets, evidence.period_s)
+    speed = evidence.speeds[number]
     if len(kept) and len(peaks):
-        at = placed(value, targets.place_m, speed, targets.lag_s)
-        distance, partner = (np.asarray(each) for each in cKDTree(peaks[:, :2]).query(at))
-        back = np.asarray(cKDTree(at).query(peaks[:, :2])[1])
-        kept = (distance < gate_m) & (back[partner] == np.arange(len(at)))
+        away = _squares(placed(value, targets.place_m, speed, targets.lag_s), peaks)
+        partner = away.argmin(axis=1)
+        row = np.arange(len(kept))
+        kept = (away[row, partner] < gate_m**2) & (away.argmin(axis=0)[partner] == row)
     width = targets.size_m.max(axis=1, initial=0.0)
     columns = (targets.place_m, width, speed, targets.lag_s, np.isfinite(targets.velocity[:, 0]))
     return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
@@ -339,20 +372,12 @@ def _costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.nd
         targets = evidence.targets.get(other - pose.frames)
         if targets is None or not len(targets.place_m) or not len(peaks.place_m):
             continue
-        at = placed(pose.vector, targets.place_m, _speeds(targets, evidence.period_s), targets.lag_s)
-        distance, _ = cKDTree(at).query(peaks.place_m[:, :2])
+        at = placed(pose.vector, targets.place_m, evidence.speeds[other - pose.frames], targets.lag_s)
+        square = _squares(at, peaks.place_m).min(axis=0)
         near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
         sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
-        costs[row] = float(np.minimum((distance / sigma) ** 2, 9.0).sum())
+        costs[row] = float(np.minimum(square / sigma**2, 9.0).sum())
     return costs + 0.5 * float(away @ away) / max(int(np.isfinite(costs).sum()), 1)
-
-
-def _standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
-    """By how many standard errors a rival is worse, over the frames that both have, in blocks."""
-    gap = costs - best
-    blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]
-    spread = float(np.std(blocks, ddof=1) * np.sqrt(len(blocks)))
-    return float(np.sum(blocks)) / max(spread, 1e-9)
 
 
 def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:
@@ -371,4 +396,5 @@ def refine_radar(evidence: Evidence, guess: RadarPose) -> Solution:
     found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, GATES_M)
     if found is None:
         raise DatasetError(f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer")
-    return replace(found[1], covariance=found[1].covariance + np.diag(SYSTEMATIC**2))
+    _, _, solution = _polished(evidence, (_posed(found[1].value, guess.frames, guess), *found), guess)
+    return replace(solution, covariance=solution.covariance + np.diag(SYSTEMATIC**2))

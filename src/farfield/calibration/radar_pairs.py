@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from farfield.calibration.problems import Parameter, Solution
 
 _CLEAR = 2.0
+_BLOCK = 4  # neighbouring frames see the same objects
 
 PARAMETERS = (
     Parameter(name="x", unit="m", scale=0.01, prior_sigma=1.2),
@@ -46,3 +47,11 @@ def notes_of(
         named = ", ".join(f"{offset - frames:+d}" for offset in close)
         notes.append(f"frame offset is not certain: {named} frames explain the objects nearly as well")
     return tuple(dict.fromkeys(notes))
+
+
+def standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
+    """By how many standard errors a rival is worse, over the frames that both have, in blocks."""
+    gap = costs - best
+    blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]
+    spread = float(np.std(blocks, ddof=1) * np.sqrt(len(blocks)))
+    return float(np.sum(blocks)) / max(spread, 1e-9)

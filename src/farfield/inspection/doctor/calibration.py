@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from farfield.calibration.checking import Check, check_camera, check_radar
+from farfield.calibration.checking import Check, check_camera
 from farfield.calibration.edges import Views, views_of
 from farfield.calibration.jobs import KRADAR_NODE_M, chosen
 from farfield.calibration.moments import read_moments
+from farfield.calibration.radar_checking import ASKED_M, ASKED_RAD, check_radar
 from farfield.calibration.radar_lidar import Evidence, RadarPose
 from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
@@ -67,10 +68,17 @@ def _finding(name: str, found: Check, mend: str) -> Finding:
         "fits": f"fits {found.frames} frames (aligning moves it by {size})",
         "off": f"does not fit: {size} away from where {found.frames} frames put it",
         "moved": f"the sensor moved during the drive: {drift} between its first and second half",
-        "not told": f"{found.frames} frames do not tell: too few, or nothing that both sensors see",
+        "not told": f"{found.frames} frames do not tell: {_lacking(found)}",
     }[found.verdict]
     severity: Severity = "warn" if found.claimed else "ok"
     return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if found.claimed else "")
+
+
+def _lacking(found: Check) -> str:
+    if not found.needed:
+        return "too few, or nothing that both sensors see"
+    asked = f"{100 * ASKED_M:.0f} cm and {np.degrees(ASKED_RAD):.0f} degree"
+    return f"about {found.needed} frames needed to find errors of {asked}"
 
 
 def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, Views]:
