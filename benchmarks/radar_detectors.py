@@ -1,15 +1,16 @@
 """The K-Radar paper's Table 4 in shape: radar and LiDAR detectors by weather, on simulated K-Radar drives.
 
 usage: python benchmarks/radar_detectors.py [--runs RUN ...] [--against A B] [--data DATA] [--seed SEED]
-                                            [--drives N] [--frames N] [--weather WEATHER]
+                                            [--drives N] [--frames N] [--weather WEATHER] [--into NAME]
 
-A RUN is the folder of a finished training: ``farfield train NAME-kradar-sim`` makes the default ones,
-others have one setting more (``-o training.seed=1``, ``-o detector.positions=metres``), as their lines say. Drives of
-seed 11 are learnt from, those of seed 12 (58 drives, 348 frames) served to choose settings, and by default a run is
-scored on those of seed 13, which chose nothing. ``--weather sleet --seed 14 --drives 232 --frames 464`` scores on
-drives in that weather alone, more of them than the mixed set holds. Scores are kept beside the weights, by data set, so
-that a cut run goes on where it stopped. The simulator's LiDAR window takes snow and ice ("icing"): the LiDAR's figures
-in sleet and heavy snow follow from that input as well.
+A RUN is the folder of a finished training, or the name of weights that ship: ``farfield train NAME-kradar-sim`` makes
+the default ones, others have one setting more (``-o training.seed=1``, ``-o detector.positions=metres``), as their
+lines say. Drives of seed 11 are learnt from, those of seed 12 (58 drives, 348 frames) served to choose settings, and by
+default a run is scored on those of seed 13, which chose nothing. ``--weather sleet --seed 14 --drives 232
+--frames 464`` scores on drives in that weather alone, more of them than the mixed set holds. Scores are kept beside the
+weights (in runs/shipped for those that ship), by data set, so that a cut run goes on where it stopped. The simulator's
+LiDAR window takes snow and ice ("icing"): the LiDAR's figures in sleet and heavy snow follow from that input as well.
+``ship_radar_weights.py`` calls this for the weights that ship.
 
 ``--against A B`` tells how far the mean of the runs A lies above that of the runs B, with a 95 % interval: what the
 difference would have been, had other drives been drawn, the same ones for both.
@@ -28,7 +29,7 @@ from _report import ROOT, header, progress
 
 from farfield.api import load_detector, open_dataset
 from farfield.detection import detect
-from farfield.detectors.weights import resolve_weights
+from farfield.detectors.weights import bundled_weights, resolve_weights
 from farfield.files.atomic import write_text
 from farfield.metrics import Detections
 from farfield.metrics.bootstrap import Bootstrap, replicate_weights
@@ -54,7 +55,8 @@ def evaluated(run: str, data: Any, fingerprint: str, *, draws: bool) -> dict[str
     """
     weights = resolve_weights(run)
     key = hashlib.sha256(weights.read_bytes() + fingerprint.encode()).hexdigest()
-    kept = weights.with_name(f"{weights.stem}-kradar-{fingerprint[:8]}.json")
+    beside = ROOT / "runs" / "shipped" if weights in bundled_weights().values() else weights.parent
+    kept = beside / f"{weights.stem}-kradar-{fingerprint[:8]}.json"
     if kept.is_file():
         known = json.loads(kept.read_text())
         enough = not draws or len(known.get("resampled", {}).get("total", [])) == REPLICATES
@@ -72,6 +74,7 @@ def evaluated(run: str, data: Any, fingerprint: str, *, draws: bool) -> dict[str
     if draws:
         results["resampled"] = resampled(found)
     results["parameters"] = sum(parameter.numel() for parameter in detector.network.parameters())
+    kept.parent.mkdir(parents=True, exist_ok=True)
     write_text(kept, json.dumps(results))
     return results
 
@@ -166,13 +169,14 @@ def main() -> None:
     simulated.add_argument("--drives", type=int, default=116)
     simulated.add_argument("--frames", type=int, default=696, help="of all drives together")
     simulated.add_argument("--weather", choices=WEATHERS, help="of every drive")
+    simulated.add_argument("--into", help="another name of their folder below data/")
     simulated.add_argument("--workers", type=int, default=0)
     options = parser.parse_args()
     compared = {name for pair in options.against for side in pair for name in side.split(",")}
     if unknown := compared - {Path(run).name for run in options.runs}:
         parser.error(f"--against: expected names of --runs, got {', '.join(sorted(unknown))}")
     print(header(), "\n", sep="")
-    folder = options.data or ROOT / "data" / f"kradar-sim-{options.weather or 'test'}"
+    folder = options.data or ROOT / "data" / (options.into or f"kradar-sim-{options.weather or 'test'}")
     if options.data is None:
         record(
             *("kradar-sim", folder),

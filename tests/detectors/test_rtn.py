@@ -1,5 +1,8 @@
 """RTN: its trunks beside their published sizes, the dense map, the neck."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,8 +11,9 @@ torch = pytest.importorskip("torch")
 from torch import nn
 
 from farfield.detectors import build_detector
+from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.kradar.backbone import RadarNeck
-from farfield.detectors.kradar.resnet import Bottleneck, ResNet
+from farfield.detectors.kradar.resnet import Bottleneck, ResNet, StridedPointwise
 from farfield.detectors.kradar.rtn import RTNConfig
 
 CLASSIFIER = 2048 * 1000 + 1000
@@ -92,3 +96,34 @@ def test_settings_that_do_not_fit_are_refused():
         RTNConfig(trunk="resnext101", planes=10, group_width=8)
     with pytest.raises(ValueError, match="as long as wide"):
         RTNConfig(grid={"cell_m": [0.4, 0.8, 0.4]})
+
+
+NARROW = """
+import torch
+from farfield.detectors.kradar.resnet import Bottleneck
+torch.manual_seed(0)
+block = Bottleneck(8, 8, stride=2).to(memory_format=torch.channels_last)
+for _ in range(10):
+    image = torch.randn(3, 8, 180, 80).to(memory_format=torch.channels_last)
+    block(image.requires_grad_()).square().mean().backward()
+"""
+
+
+def test_a_narrow_strided_block_ends_its_steps():
+    """oneDNN's backward pass of a 1 x 1 convolution with a stride crashed there, on AVX-512."""
+    done = subprocess.run([sys.executable, "-c", NARROW], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("channels", [8, 24])
+def test_a_strided_shortcut_is_the_convolution_that_it_stands_for(channels):
+    torch.manual_seed(1)
+    own, plain = StridedPointwise(channels, 16, 2), torch.nn.Conv2d(channels, 16, 1, 2, bias=False)
+    plain.load_state_dict(own.state_dict())
+    for height, width in ((12, 8), (7, 9), (1, 1)):
+        image = torch.randn(2, channels, height, width)
+        torch.testing.assert_close(own(image), plain(image), rtol=1e-5, atol=1e-5)
+    norm = torch.nn.BatchNorm2d(16)
+    norm.running_mean.normal_()
+    both = torch.nn.Sequential(own, norm).eval()
+    torch.testing.assert_close(fold_batch_norm(both)(image), both(image), rtol=1e-5, atol=1e-5)

@@ -2,7 +2,8 @@
 
 The figures are records: ``benchmarks/detectors.py`` measures them and writes ``weights_data/figures.json`` with the
 split, its checksum, the machine and the commit; ``benchmarks/shipped_figures.py`` takes speeds and the shipped weights'
-scores from the results that the pages quote. Nothing here is measured while it is read.
+scores, those of the radar experiments by weather too, from the results that the pages quote. Nothing here is measured
+while it is read.
 """
 
 import json
@@ -22,6 +23,7 @@ class Entry:
         name: Its name in an experiment's ``detector.name``.
         paper: Where it comes from.
         weights: Name of its bundled weights, for ``load_detector``; empty if none ship.
+        further: Names of others that ship, such as those for another sensor.
         parameters: Number of trained parameters of the recorded network, or None.
         frame_ms: Milliseconds a frame from points to boxes by precision.
         scores: DDS figures by cloud, range and epsilon: ``scores["gaussian"]["150-250"]["0.006"]``.
@@ -34,6 +36,7 @@ class Entry:
     name: str
     paper: str
     weights: str = ""
+    further: tuple[str, ...] = ()
     parameters: int | None = None
     frame_ms: dict[str, float] = field(default_factory=dict)
     scores: dict[str, dict[str, dict[str, float | None]]] = field(default_factory=dict)
@@ -41,6 +44,29 @@ class Entry:
     setting: dict[str, Any] = field(default_factory=dict)
     origin: str = "farfield"
     broken: str = ""
+
+
+@dataclass(frozen=True)
+class ByWeather:
+    """What bundled weights reach in each weather, on simulated K-Radar drives.
+
+    Args:
+        weights: Their name.
+        detector: The detector's.
+        cloud: The cloud that they read.
+        parameters_m: Number of trained parameters, millions.
+        schedule: What they were trained with.
+        ap_3d: AP of Sedan at IoU 0.3 in per cent, in total and by weather; None where nothing is annotated.
+        ap_bev: The same seen from above.
+    """
+
+    weights: str
+    detector: str
+    cloud: str
+    parameters_m: float
+    schedule: str
+    ap_3d: dict[str, float | None]
+    ap_bev: dict[str, float | None]
 
 
 @cache
@@ -59,12 +85,15 @@ def catalogue() -> list[Entry]:
     for name in DETECTORS:
         origin, broken = DETECTORS.origin(name), DETECTORS.broken(name)
         record = known.get(name, {}) if origin == "farfield" else {}
-        weights = record.get("weights", "")
+        own = [record["weights"]] if record.get("weights") in shipped else []
+        own += [each for each in shipped if each.startswith(f"{name}-") and each not in own]
+        own = own if origin == "farfield" else []
         entries.append(
             Entry(
                 name=name,
                 paper="" if broken else DETECTORS[name].paper,
-                weights=weights if weights in shipped else "",
+                weights=own[0] if own else "",
+                further=tuple(own[1:]),
                 parameters=record.get("parameters"),
                 frame_ms=record.get("frame_ms", {}),
                 scores=record.get("scores", {}),
@@ -77,6 +106,14 @@ def catalogue() -> list[Entry]:
     return entries
 
 
-def _bundled_names() -> set[str]:
+def by_weather() -> list[ByWeather]:
+    """What the bundled weights for K-Radar's sensors reach in each weather; none where nothing was recorded."""
+    recorded = figures().get("radar", {}).get("weights", {})
+    shipped = _bundled_names()
+    return [ByWeather(weights=name, **known) for name, known in recorded.items() if name in shipped]
+
+
+def _bundled_names() -> list[str]:
     folder = files("farfield.detectors") / "weights_data"
-    return {path.name.removesuffix(".safetensors") for path in folder.iterdir() if path.name.endswith(".safetensors")}
+    names = (path.name for path in folder.iterdir())
+    return sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol, final, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
@@ -30,6 +30,21 @@ Channels = Annotated[int, Field(ge=1, le=4096)]
 ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
 """By names of tensors: along which axis rows belong to classes, and what each row is, such as (class, heading, number);
 equal in two networks where they mean the same."""
+
+
+class OfAnchor(NamedTuple):
+    """A row that gives a number of an anchor's box: in units of the anchor, so that another of its size can have it.
+
+    Attributes:
+        label: The anchor's class.
+        heading: Which of its headings.
+        number: Which number.
+    """
+
+    label: str
+    heading: int
+    number: int
+
 
 InputColumns = Mapping[str, tuple[int, Sequence[str]]]
 """By names of tensors that meet a network's input: along which axis its columns lie, and what each is."""
@@ -82,6 +97,11 @@ class DetectorConfig(BaseModel, ABC):
     @abstractmethod
     def class_names(self) -> tuple[str, ...]:
         """The classes that the detector tells apart."""
+
+    @property
+    def anchor_sizes_m(self) -> Mapping[str, tuple[float, float, float]]:
+        """Length, width and height of each class' anchor, metres; none without anchors."""
+        return {}
 
     @property
     @abstractmethod

@@ -4,7 +4,7 @@ Every anchor gives one logit for its class, a box code of seven numbers and two 
 OpenPCDet it gives a logit for each class, whichever its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from farfield.detectors.anchors.assigning import AnchorAssigner
 from farfield.detectors.anchors.device import boxes_there
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
-from farfield.detectors.contract import ClassRows, DetectorConfig
+from farfield.detectors.contract import ClassRows, DetectorConfig, OfAnchor
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import box_loss, direction_loss, focal_loss
 from farfield.detectors.nms import rotated_nms
@@ -43,6 +43,11 @@ class AnchorHeadConfig(DetectorConfig):
     def class_names(self) -> tuple[str, ...]:
         """The classes that have an anchor."""
         return tuple(self.anchors)
+
+    @property
+    def anchor_sizes_m(self) -> Mapping[str, tuple[float, float, float]]:
+        """Length, width and height of each class' anchor, metres."""
+        return {name: anchor.size_m for name, anchor in self.anchors.items()}
 
 
 class AnchorMaps(NamedTuple):
@@ -94,7 +99,8 @@ class AnchorHead(nn.Conv2d):
         headings = range(self.anchors.per_cell // len(self.anchors.names))
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
         said = [f"logit of {name}" for name in self.anchors.names] if self.config.head == "openpcdet" else ["logit"]
-        channels = [(*slot, what) for what in (*said, *range(_BOX_NUMBERS)) for slot in slots]
+        logits = [(*slot, what) for what in said for slot in slots]
+        channels = [*logits, *(OfAnchor(*slot, number) for number in range(_BOX_NUMBERS) for slot in slots)]
         return {"weight": (0, channels), "bias": (0, channels)}
 
     def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:

@@ -4,9 +4,26 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 EXPANSION = 4
 """A bottleneck's output has four times its planes (ResNet, table 1)."""
+
+
+class StridedPointwise(nn.Conv2d):
+    """A 1 x 1 convolution with a stride, as one without on every stride-th cell: the same function.
+
+    oneDNN 3's own, on AVX-512 with channels last and fewer than 16 input channels, writes past its memory in the
+    backward pass: a crash of the process, or one later.
+    """
+
+    def __init__(self, c_in: int, c_out: int, stride: int) -> None:
+        super().__init__(c_in, c_out, 1, stride, bias=False)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Map (b, c_in, h, w) to (b, c_out, h / stride, w / stride)."""
+        down, across = self.stride
+        return functional.conv2d(image[:, :, ::down, ::across], self.weight, self.bias)
 
 
 class Bottleneck(nn.Module):
@@ -38,7 +55,7 @@ class Bottleneck(nn.Module):
         )
         self.shortcut: nn.Module = nn.Identity()
         if stride != 1 or c_in != c_out:
-            self.shortcut = nn.Sequential(nn.Conv2d(c_in, c_out, 1, stride, bias=False), nn.BatchNorm2d(c_out))
+            self.shortcut = nn.Sequential(StridedPointwise(c_in, c_out, stride), nn.BatchNorm2d(c_out))
 
     def forward(self, image: Tensor) -> Tensor:
         """Map (b, c_in, h, w) to (b, 4 * planes, h / stride, w / stride)."""

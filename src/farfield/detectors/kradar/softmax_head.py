@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.contract import ClassRows, range_weights
+from farfield.detectors.contract import ClassRows, OfAnchor, range_weights
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import at_least_single
 from farfield.detectors.nms import rotated_nms
@@ -173,7 +173,7 @@ class SoftmaxHead(nn.Module):
         """What each output channel is: the background or an anchor, and of an anchor one of the numbers of its box."""
         headings = range(self.anchors.per_cell // len(self.anchors.names))
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
-        logits, codes = ["background", *slots], [(*slot, number) for slot in slots for number in range(_NUMBERS)]
+        logits, codes = ["background", *slots], [OfAnchor(*slot, n) for slot in slots for n in range(_NUMBERS)]
         parts: dict[str, Sequence[Any]] = {"classes": logits, "boxes_of_anchors": codes}
         return {f"{part}.{kind}": (0, rows) for part, rows in parts.items() for kind in ("weight", "bias")}
 
