@@ -186,6 +186,20 @@ def test_overlay_has_a_line_for_every_cloud_of_every_side(sides):
     assert len({line.get_linestyle() for line in figure.axes[2].lines if line.get_label()[0] == "<"}) == 2
 
 
+def test_no_panel_of_lines_where_no_cloud_has_one(rng):
+    few = full_side(rng, "few", False)
+    for name, cloud in few.summary["clouds"].items():
+        found = cloud.get("points_in_vehicles")
+        if found:
+            found |= {"slope": None, "boxes": [0] * len(found["boxes"])}
+            assert len(few.arrays[f"points/{name}"]["range_m"])
+    figure = plots.points_in_vehicles((few, few))
+    shown = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
+    assert shown
+    assert not [title for title in shown if title.startswith("Medians")]
+    assert not figure.legends
+
+
 def test_written_files_read_back(sides, tmp_path):
     path = write_comparison(tmp_path / "new" / "folder", sides, title="A & B")
     assert path.name == "comparison.html"
@@ -214,6 +228,9 @@ def test_sweeps_stand_side_by_side(rng, tmp_path):
         np.save(tmp_path / name / "0.npy", rng.uniform([1, -20, -2, 0], [60, 20, 1, 1], (500, 4)).astype(np.float32))
     sides = [side_of(ff.open_dataset(tmp_path / name), name) for name in ("a", "b")]
     figure = from_above(sides)
+    first = figure.axes[0]
+    assert first.get_xlabel() == "y (m)"
+    assert first.get_xlim()[0] > first.get_xlim()[1], "y points left, as from above"
     shown = [axes for axes in figure.axes if axes.collections]
     assert [len(axes.collections[0].get_offsets()) for axes in shown] == [500, 500]
     assert all("at 75 mph" in axes.get_title(loc="left") for axes in shown)

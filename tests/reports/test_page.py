@@ -86,7 +86,7 @@ def test_equal_evaluations_give_equal_pages(evaluation: Evaluation, page_text: s
 
 def test_page_without_pictures_and_without_annotation(tmp_path: Path) -> None:
     empty = {"protocol": "dds", "dds": {"0": {"dds": None}}, "ap": {"0.5": None}, "ranges": {"0-70": None}}
-    path = write_report(tmp_path / "deep" / "page.html", title="empty", results={"none": empty})
+    path = write_report(tmp_path / "deep" / "page.html", Evaluation(title="empty", results={"none": empty}))
     text = path.read_text()
     assert "Nothing is annotated" in text
     assert "does not say whether" in text

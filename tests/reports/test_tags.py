@@ -49,6 +49,36 @@ def test_predicted_boxes_bear_class_and_score_in_the_image() -> None:
     assert tags(camera_picture(image, CAMERA, predicted=behind)) == set()
 
 
+def test_a_report_s_camera_picture_has_the_points_and_the_colours_of_classes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Cirrus, Figure 5: the cloud projected into the image, boxes in a colour a class."""
+    from matplotlib.collections import LineCollection, PathCollection
+    from matplotlib.colors import to_rgba
+
+    from farfield.reports import pictures
+    from farfield.reports.evaluation import FrameView
+    from farfield.vocabulary.classes import CLASS_COLOURS
+
+    drawn: list = []
+    monkeypatch.setattr(pictures, "figure_uri", lambda figure, *_, **__: drawn.append(figure) or "data:,")
+    image = np.zeros((120, 200, 3), dtype=np.uint8)
+    near = np.array([[10.0, 0, 0], [60, 10, 1], [-10, 0, 0]])
+    points = ff.Frame.of(ff.Cloud(near), FOUND.plain(), images={"front": image}, cameras={"front": CAMERA})
+    view = FrameView(frame=points, predictions={"lidar": FOUND})
+    shown = pictures.frame_pictures(view, pictures.Drawing(score_min=0.0))
+    axes = drawn[-1].axes[0]
+    (scattered,) = [each for each in axes.collections if isinstance(each, PathCollection)]
+    pixels, _, visible = CAMERA.project(near)
+    assert visible.tolist() == [True, True, False]
+    np.testing.assert_allclose(scattered.get_offsets(), pixels[:2])
+    assert scattered.get_array().tolist() == pytest.approx([10.0, np.hypot(60, 10)], rel=1e-6)
+    lines = [each for each in axes.collections if isinstance(each, LineCollection)]
+    colours = {tuple(colour) for each in lines for colour in each.get_colors()}
+    assert colours == {to_rgba(CLASS_COLOURS[name]) for name in ("vehicle", "pedestrian")}
+    assert {each.get_linestyle()[0][1] is None for each in lines} == {True, False}, "annotated solid, predicted dashed"
+    assert "points of lidar" in shown[-1].caption
+    assert "dashed" in shown[-1].caption
+
+
 def test_show_draws_sure_boxes_and_says_so() -> None:
     frame = ff.Frame.of(CLOUD)
     figure = ff.show(frame, FOUND)

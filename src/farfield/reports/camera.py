@@ -1,4 +1,4 @@
-"""Camera pictures with boxes projected into them."""
+"""Camera pictures with points and boxes projected into them."""
 
 from typing import TYPE_CHECKING
 
@@ -7,8 +7,9 @@ from jaxtyping import Float, UInt8
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.reports.style import ANNOTATED, PREDICTED, house_style, new_figure
+from farfield.reports.style import POINT, house_style, new_figure
 from farfield.reports.tags import tags_of
+from farfield.vocabulary.classes import CLASS_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,34 +50,55 @@ def camera_picture(
     *,
     annotated: Boxes | None = None,
     predicted: Boxes | None = None,
+    points_m: Float[np.ndarray, "n 3"] | None = None,
     title: str = "",
 ) -> "Figure":
-    """Draw an image with projected boxes; without a calibration the image alone.
+    """Draw an image with projected points and boxes, in a colour a class (Cirrus, Figure 5); else the image alone.
 
     Args:
         image: Shape (height, width, 3), uint8.
-        camera: Its calibration, or None.
-        annotated: Annotated boxes.
-        predicted: Predicted boxes.
+        camera: Its calibration, or None: then nothing is projected.
+        annotated: Annotated boxes, drawn solid.
+        predicted: Predicted boxes, dashed where there are annotated ones too.
+        points_m: Points in the frame of the boxes, shape (n, 3), drawn in a colour by range.
         title: Title.
     """
-    from matplotlib.collections import LineCollection
-
     height, width = image.shape[:2]
     with house_style():
         figure = new_figure(11.0, 11.0 * height / width + (0.3 if title else 0.0))
         axes = figure.add_subplot()
         axes.imshow(image, interpolation="antialiased")
-        for boxes, colour, line_width in ((annotated, ANNOTATED, 2.0), (predicted, PREDICTED, 1.2)):
-            if camera is not None and boxes is not None:
-                axes.add_collection(LineCollection(box_lines(boxes, camera), colors=colour, linewidths=line_width))
-                if boxes is predicted or predicted is None:
-                    _draw_tags(axes, boxes, camera, colour)
+        if camera is not None:
+            if points_m is not None:
+                _draw_points(axes, points_m, camera)
+            for boxes, line_width in ((annotated, 2.0), (predicted, 1.2)):
+                if boxes is not None:
+                    style = "dashed" if boxes is predicted and annotated is not None else "solid"
+                    _draw_boxes(axes, boxes, camera, line_width, style, tagged=boxes is predicted or predicted is None)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         axes.set_axis_off()
         if title:
             axes.set_title(title)
     return figure
+
+
+def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], camera: Camera) -> None:
+    pixels, _, visible = camera.project(points_m)
+    range_m = np.hypot(points_m[:, 0], points_m[:, 1])[visible]
+    seen = pixels[visible]
+    axes.scatter(seen[:, 0], seen[:, 1], c=range_m, s=1.2, cmap="viridis_r", linewidths=0, zorder=1)
+
+
+def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, style: str, *, tagged: bool) -> None:
+    from matplotlib.collections import LineCollection
+
+    labels = np.asarray(boxes.label)
+    for name in dict.fromkeys(labels.tolist()):
+        of_class, colour = boxes[labels == name], CLASS_COLOURS.get(name, POINT)
+        lines = LineCollection(box_lines(of_class, camera), colors=colour, linewidths=line_width, linestyles=style)
+        axes.add_collection(lines)
+        if tagged:
+            _draw_tags(axes, of_class, camera, colour)
 
 
 def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 _MAPS = ("Blues", "Oranges")
+LEAST_BOXES = 5
+"""In a distance bin, of which a median is drawn."""
 _SHARES = {limit: float(share) for limit, share in SHARES_NEAR_HORIZON.items()}
 _QUANTILES = {quantile: float(level) for quantile, level in ROW_QUANTILES_DB.items()}
 
@@ -66,7 +68,10 @@ def elevation(sides: Sequence[Side]) -> "Figure | None":
 
 
 def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
-    """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them."""
+    """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them.
+
+    Without a median or a line there is no such panel.
+    """
     drawn = [
         (series, series[0].arrays[f"points/{series[1]}"])
         for series in _series(sides)
@@ -74,14 +79,15 @@ def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
     ]
     if not drawn:
         return None
-    columns = 2 if len(drawn) in (1, 3) else 3
-    rows = -(-(len(drawn) + 1) // columns)
+    overlaid = any(_is_known(cloud["points_in_vehicles"]) for (_, _, cloud, *_), _ in drawn)
+    count = len(drawn) + overlaid
+    columns = min(count, 2 if count in (2, 4) else 3)
+    rows = -(-count // columns)
     with house_style():
         figure = new_figure(11.0, 0.5 + 3.5 * rows)
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         panels = list(grid.ravel())
-        overlay = panels[len(drawn)]
-        for axes in panels[len(drawn) + 1 :]:
+        for axes in panels[count:]:
             axes.set_visible(False)
         for axes, ((side, name, cloud, colour, dash), found) in zip(panels, drawn, strict=False):
             _draw_boxes(axes, found, _MAPS[SIDES.index(colour)])
@@ -89,9 +95,9 @@ def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
             _draw_medians(axes, fit, INK, "-")
             slope = "too few boxes for a line" if fit["slope"] is None else _fit_words(fit)
             axes.set_title(f"{side.title}, {name}\n{len(found['range_m']):,} boxes; {slope}")
-            _draw_medians(overlay, fit, colour, dash, label=f"{side.title}, {name}")
-        overlay.set_title("Medians and lines together\n")
-        for axes in panels[: len(drawn) + 1]:
+            if overlaid:
+                _draw_medians(panels[len(drawn)], fit, colour, dash, label=f"{side.title}, {name}")
+        for axes in panels[:count]:
             axes.set(xscale="log", yscale="log", xlim=(5, 320), ylim=(0.4, 2e4))
             axes.set_xticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
             axes.set_yticks([0.5, 1, 10, 100, 1000, 10000], ["0", "1", "10", "100", "1,000", "10,000"])
@@ -101,8 +107,15 @@ def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
             axes.set_xlabel("distance (m)")
         for axes in grid[:, 0]:
             axes.set_ylabel("points in the box")
-        _legend(figure, overlay)
+        if overlaid:
+            panels[len(drawn)].set_title("Medians and lines together\n")
+            _legend(figure, panels[len(drawn)])
     return figure
+
+
+def _is_known(fit: Mapping[str, Any]) -> bool:
+    """Whether boxes are enough for a median or a line."""
+    return fit["slope"] is not None or any(boxes >= LEAST_BOXES for boxes in fit["boxes"])
 
 
 def _draw_boxes(axes: "Axes", found: Mapping[str, np.ndarray], colours: str) -> None:
@@ -131,7 +144,7 @@ def _fit_words(fit: Mapping[str, Any]) -> str:
 def _draw_medians(axes: "Axes", fit: Mapping[str, Any], colour: str, dash: Any, *, label: str = "") -> None:
     edges = np.asarray(fit["edges_m"])
     centre = np.sqrt(edges[:-1] * edges[1:])
-    enough = [(x, max(y, 0.5)) for x, y, n in zip(centre, fit["median"], fit["boxes"], strict=True) if n >= 5]
+    enough = [(x, max(y, 0.5)) for x, y, n in zip(centre, fit["median"], fit["boxes"], strict=True) if n >= LEAST_BOXES]
     if enough:
         x, y = np.array(enough).T
         axes.plot(x, y, ls="none", marker="o", ms=3.6, mfc="white" if dash != "-" else colour, mec=colour, zorder=4)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.files.atomic import write_text
+from farfield.metrics.conventions import protocol_family
 from farfield.metrics.presenting import Presentation, edges_m
 from farfield.metrics.protocol import protocol_of
 from farfield.reports import words
@@ -20,6 +21,7 @@ from farfield.reports.sensing import kind_of
 from farfield.reports.style import PATTERNS, figure_uri
 from farfield.reports.tables import heading, range_name, rows
 from farfield.reports.template import render_template
+from farfield.vocabulary.kradar import REGIONS_M, Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
 from farfield.vocabulary.studio import studio_link
 
@@ -28,29 +30,13 @@ _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
 
 
 def write_report(
-    path: Path | str,
-    *,
-    title: str,
-    results: Mapping[str, Mapping[str, Any]],
-    frames: Sequence[FrameView] = (),
-    settings: Mapping[str, Any] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-    objects: Mapping[str, Mapping[str, Any]] | None = None,
-    parts: Mapping[str, Mapping[str, Any]] | None = None,
-    shown_score: float = SHOWN_SCORE,
-    progress: Progress = iter,
+    path: Path | str, evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress: Progress = iter
 ) -> Path:
     """Write the report page, all or nothing.
 
     Args:
         path: The HTML file to write.
-        title: Its title.
-        results: Result JSON (what ``farfield score`` writes) by pattern or data set name.
-        frames: Frames to show.
-        settings: What the detector and the run were set to.
-        provenance: Versions, seed, commit, data fingerprint, ``simulated`` (bool), ``trained_on``.
-        objects: Annotated objects by result name, see :func:`farfield.reports.objects.annotated_objects`.
-        parts: Figures by condition and sector and rows of all classes, see :class:`Evaluation`.
+        evaluation: What it shows.
         shown_score: Predictions below this score are left out of pictures.
         progress: Wraps the frames while they are drawn.
 
@@ -58,19 +44,7 @@ def write_report(
         The path.
     """
     path = Path(path)
-    page = render(
-        Evaluation(
-            title=title,
-            results=results,
-            frames=list(frames),
-            settings=settings or {},
-            provenance=provenance or {},
-            objects=objects or {},
-            parts=parts or {},
-        ),
-        shown_score=shown_score,
-        progress=progress,
-    )
+    page = render(evaluation, shown_score=shown_score, progress=progress)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
@@ -83,7 +57,13 @@ def render(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress
     protocol, edges = protocol_of(first), edges_m(first) or RANGES_M
     shown = protocol.presentation(first)
     kinds = {kind_of(view.frame, name) for view in evaluation.frames for name in view.frame.clouds}
-    drawing = Drawing(labels=scored_labels(results), score_min=shown_score, finding=shown.finding, edges_m=tuple(edges))
+    drawing = Drawing(
+        labels=scored_labels(results),
+        score_min=shown_score,
+        finding=shown.finding,
+        edges_m=tuple(edges),
+        region_m=_region(first, evaluation.frames),
+    )
     own_parts = with_own_parts(results, evaluation.parts)
     tables = condition_tables(own_parts, shown.figures, protocol, shown.kinds)
     return render_template(
@@ -125,6 +105,15 @@ def _convention(result: Mapping[str, Any]) -> dict[str, Any]:
     protocol = protocol_of(result)
     known = {**protocol.depends_on(settings), **beside}
     return {"protocol": result.get("protocol"), **{protocol.setting_title(name): v for name, v in known.items()}}
+
+
+def _region(result: Mapping[str, Any], frames: Sequence[FrameView]) -> Bounds | None:
+    """The region in which boxes count, where it is a K-Radar's and the frames stand in the radar's coordinates."""
+    region = (result.get("settings") or {}).get("region")
+    if protocol_family(result) != "kradar" or any(view.frame.reference != "radar" for view in frames):
+        return None
+    bounds = REGIONS_M.get(region) if isinstance(region, str) else region
+    return tuple(bounds) if isinstance(bounds, list | tuple) and len(bounds) == 6 else None
 
 
 def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> Picture | None:

@@ -4,6 +4,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.presenting import Finding
@@ -16,6 +19,7 @@ from farfield.reports.power_map import power_map
 from farfield.reports.sensing import kind_of, returns_word
 from farfield.reports.style import figure_uri
 from farfield.reports.words import pattern_note, pattern_title
+from farfield.vocabulary.kradar import Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 _DPI = 110  # of the points, which are counted at as many
@@ -47,12 +51,22 @@ class Drawing:
         score_min: Predictions below it are left out.
         finding: When an annotated box counts as found.
         edges_m: Edges of the range bins, which arcs mark.
+        region_m: x, y and z from and to: where boxes count, in the frames' coordinates; None for everywhere.
     """
 
     labels: Collection[str] | None = None
     score_min: float = SHOWN_SCORE
     finding: Finding = field(default_factory=Finding)
     edges_m: tuple[float, ...] = RANGES_M
+    region_m: Bounds | None = None
+
+    def counting(self, boxes: Boxes, window_m: Window) -> Boxes:
+        """The boxes that a caption counts: of the classes, in the region, and in the picture."""
+        inside = of_classes(boxes, self.labels) & in_window(boxes.centre_m, window_m)
+        if self.region_m is not None:
+            low, high = np.reshape(self.region_m, (3, 2)).T
+            inside &= ((boxes.centre_m >= low) & (boxes.centre_m < high)).all(axis=1)
+        return boxes[inside]
 
 
 def frame_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
@@ -92,12 +106,12 @@ def _caption(start: str, annotated: Boxes | None, predicted: Boxes | None, drawi
     sureness = f"score {drawing.score_min:g} or more"
     if annotated is None:
         return f"{start} {len(predicted)} predictions of {sureness}; this frame is not annotated."
-    wanted = annotated[of_classes(annotated, drawing.labels) & in_window(annotated.centre_m, window_m)]
-    seen = predicted[of_classes(predicted, drawing.labels) & in_window(predicted.centre_m, window_m)]
+    wanted, seen = drawing.counting(annotated, window_m), drawing.counting(predicted, window_m)
+    where = "" if drawing.region_m is None else " in the region that counts"
     found = int((drawing.finding.found_by(seen, wanted) >= 0).sum())
     wrong = len(seen) - found
     return (
-        f"{start} {found} of {len(wanted)} annotated objects found {drawing.finding}, "
+        f"{start} {found} of {len(wanted)} annotated objects{where} found {drawing.finding}, "
         f"{wrong} prediction{'' if wrong == 1 else 's'} without one ({sureness})."
     )
 
@@ -106,8 +120,10 @@ def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
     """The radar's power from above, where the frame has it in the coordinates of its boxes."""
     if view.radar_db is None:
         return []
-    predictions = next(iter(view.by_cloud.values()), None)
-    predicted = None if predictions is None else sure(predictions, drawing.score_min)
+    given = {name: boxes for name, boxes in view.by_cloud.items() if boxes is not None}
+    order = sorted(given, key=lambda name: kind_of(view.frame, name) != "radar")  # the radar's own in the first colour
+    kept = {name: sure(given[name], drawing.score_min) for name in order}
+    predicted = kept if len(kept) > 1 else next(iter(kept.values()), None)
     figure = power_map(
         view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
     )
@@ -118,18 +134,30 @@ def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
 
 def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
     pictures = []
+    source, predictions = next(iter(view.by_cloud.items()), ("", None))
+    predicted = None if predictions is None else sure(predictions, score_min)
+    points_m = _points_to_project(view.frame, source)
+    boxes: dict[str, Any] = {"annotated": view.frame.boxes, "predicted": predicted}
     for name, image in view.frame.images.items():
         camera = view.frame.cameras.get(name)
-        predictions = next(iter(view.by_cloud.values()), None)
-        predicted = None if predictions is None else sure(predictions, score_min)
-        figure = camera_picture(image, camera, annotated=view.frame.boxes, predicted=predicted)
-        caption = (
-            f"{name}: boxes projected with its calibration." if camera else f"{name}: no calibration, so no boxes."
-        )
+        figure = camera_picture(image, camera, **boxes, points_m=points_m)
+        caption = f"{name}: no calibration, so no points and no boxes."
+        if camera is not None:
+            dashed = ", predicted ones dashed" if predicted is not None and view.frame.boxes is not None else ""
+            points = "" if points_m is None else f"points of {source} in a colour by range, the nearest yellow, and "
+            caption = f"{name}: {points}boxes in a colour a class{dashed}, projected with its calibration."
         pictures.append(
             Picture(figure_uri(figure, "jpg", dpi=140), f"Image of the camera {name!r}", caption, heading="Camera")
         )
     return pictures
+
+
+def _points_to_project(frame: Frame, cloud: str) -> Float[np.ndarray, "n 3"] | None:
+    """A cloud's points, if they stand in the coordinates of the frame."""
+    sensor = frame.sensors.get(cloud)
+    if cloud not in frame.clouds or (sensor is not None and not sensor.in_frame):
+        return None
+    return frame.cloud(cloud).points_m
 
 
 def pattern_picture(frame: Frame, edges_m: Sequence[float] = RANGES_M) -> Picture:

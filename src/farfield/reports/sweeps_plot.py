@@ -60,12 +60,13 @@ def from_above(sides: Sequence[Side]) -> "Figure | None":
             axes.set_axis_off()
         for axes, (side, name, colour), reach in zip(grid, panels, reaches, strict=False):
             points = side.arrays[f"sweep/{name}"]["xy_m"]
-            axes.scatter(-points[:, 1], points[:, 0], s=0.25, c=colour, linewidths=0, rasterized=True)
+            axes.scatter(points[:, 1], points[:, 0], s=0.25, c=colour, linewidths=0, rasterized=True)
             for ring in np.arange(50.0, window_m, 50.0):
                 axes.add_patch(_circle(ring, MUTED, "-", 0.4))
             if reach:
                 axes.add_patch(_circle(reach, INK, (0, (4, 2)), 1.0))
-            axes.set(xlim=(-window_m, window_m), ylim=(-window_m, window_m), aspect="equal", ylabel="x (m)")
+            axes.set(xlim=(window_m, -window_m), ylim=(-window_m, window_m), aspect="equal")  # y points left
+            axes.set(xlabel="y (m)", ylabel="x (m)")
             axes.set_title(_words(side, name, reach))
     return figure
 
