@@ -200,7 +200,9 @@ def test_all_that_was_trained_is_replayed(kradar, with_recipe):
 
 
 def test_options_unknown_to_the_reader_are_named(folder, kradar):
-    with pytest.raises(ConfigError, match=r"folder reader does not know the option 'reference'; it knows bin_columns"):
+    with pytest.raises(
+        ConfigError, match=r"folder reader does not know the option 'reference'; it knows mapping, bin_columns"
+    ):
         open_dataset(folder, reference="radar")
     with pytest.raises(ConfigError, match=r"'radar_rat'.*calibration.*radar_rate.*rotate_deg"):
         open_dataset(kradar, radar_rat=0.1)

@@ -28,7 +28,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         format: One of :data:`DATASETS`; None recognises it.
         **options: ``poses``, a file or folder of poses as ``farfield odometry`` writes them; ``rotate_deg``, which
             turns every frame counter-clockwise about z (180 looks backwards); and those of the format's reader, such as
-            ``mapping=`` for Cirrus.
+            ``mapping=`` for Cirrus and own folders.
 
     Raises:
         DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
@@ -44,8 +44,10 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     if not root.is_dir():
         kind = "a file" if root.exists() else "nothing"
         raise DatasetError(f"{path}: expected a data set's folder, found {kind}.")
-    if format is None:  # a mapping file makes it Cirrus
-        format = "cirrus" if options.get("mapping") is not None else recognise(root)
+    if format is None:
+        format = recognise(root)
+        if options.get("mapping") is not None and format != "folder":  # another layout: what it is like stands there
+            format = "cirrus"
     if format is None:
         looked = "".join(f"\n  {name}: {what}" for name, what in looked_for().items())
         held = sorted(entry.name for entry in root.iterdir())
@@ -75,8 +77,10 @@ def _checked_options(format: str, reader: Any, options: Options[str, Any]) -> se
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
+        flag = " (--columns): its files say their columns themselves" if unknown[0] == "bin_columns" else ""
         raise ConfigError(
-            f"open_dataset: the {format} reader does not know the option {unknown[0]!r}; it knows {', '.join(offered)}"
+            f"open_dataset: the {format} reader does not know the option {unknown[0]!r}{flag}; it knows "
+            f"{', '.join(offered)}"
         )
     return set(own)
 

@@ -9,13 +9,14 @@ Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
 ``score``, ``track_id`` and ``velocity_m_s`` (over ground, in the box's axes as its centre is, with or without z) are
 optional; unknown keys are errors. Or all boxes in one table, ``labels.csv`` in the folder, with the columns of
 :mod:`farfield.files.boxes_csv`; ``sequence`` may be absent, else it is the folder's name. A frame without a line there
-is not annotated: the JSON ``{"boxes": []}`` beside a cloud says that nothing is to be seen.
+is not annotated: the JSON ``{"boxes": []}`` beside a cloud says that nothing is to be seen. A file ``mapping.yaml``
+renames classes: ``classes: {Auto: vehicle}``.
 """
 
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, renamed
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cloud
 from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError, plain
@@ -127,8 +129,8 @@ def _time_ns(stem: str) -> int | None:
     return int(stem) if _NANOSECONDS.fullmatch(stem) else None
 
 
-def _read_annotation(path: Path) -> Annotation:
-    return Annotation(boxes=read_boxes(path))
+def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
+    return renamed(Annotation(boxes=read_boxes(path)), classes)
 
 
 def _same(annotation: Annotation) -> Annotation:
@@ -174,21 +176,31 @@ class Folder(Dataset):
 
     Args:
         root: The folder.
+        mapping: A file that renames classes; None takes ``mapping.yaml`` in the folder, if it is there.
         bin_columns: Numbers a point in ``.bin`` files; None takes what the largest of the first ones shows.
         intensity_scale: Value that stands for full reflectance; None decides for each file.
 
     Raises:
         DatasetError: If there is no cloud, two clouds share a stem, a frame has two annotations, or the table none of
             these clouds.
+        ConfigError: If the mapping is none.
         FileFormatError: If the table is damaged.
     """
 
     name = "folder"
 
     def __init__(
-        self, root: Path | str, *, bin_columns: int | None = None, intensity_scale: float | None = None
+        self,
+        root: Path | str,
+        *,
+        mapping: Path | str | None = None,
+        bin_columns: int | None = None,
+        intensity_scale: float | None = None,
     ) -> None:
         self.root = Path(root)
+        own = self.root / MAPPING_NAME
+        self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
+        self.classes = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
         self.intensity_scale = intensity_scale
         self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
         if not self.clouds:
@@ -248,7 +260,8 @@ class Folder(Dataset):
         """List the files of frame ``index``."""
         beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
         table = self.table_path if self._table else None
-        return [self.clouds[index], *(path for path in (*beside, table) if path)]
+        mapping = self.mapping_path if self.classes else None
+        return [self.clouds[index], *(path for path in (*beside, table, mapping) if path)]
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes beside frame ``index``."""
@@ -259,8 +272,8 @@ class Folder(Dataset):
         """What gives the annotation of frame ``index``; None where it has none."""
         path, listed = self._beside(index, _BOX_FOLDERS, [".json"]), self._table.get(self.frame_ids[index])
         if path is not None:
-            return partial(_read_annotation, path)
-        return None if listed is None else partial(_same, Annotation(boxes=listed))
+            return partial(_read_annotation, path, self.classes)
+        return None if listed is None else partial(_same, renamed(Annotation(boxes=listed), self.classes))
 
     def has_annotation(self, index: int) -> bool:
         """Whether boxes stand beside frame ``index``."""

@@ -96,7 +96,7 @@ def _doubt(path: Path | str, counts: list[int]) -> FileFormatError:
         where="the columns",
         expected="numbers that show how many a point has",
         found=f"what may be {' or '.join(str(count) for count in sorted(counts))} a point",
-        mend="Say how many with bin_columns=; or the file is truncated, or no table of float32.",
+        mend="Say how many with --columns, in Python bin_columns=; or the file is truncated, or no table of float32.",
     )
 
 

@@ -1,8 +1,8 @@
 """Boxes as named columns, rows of numbers and CSV files, and the other way; what is returned are fields of a Boxes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -19,6 +19,17 @@ _MOST_RAD = 6.3  # a little over a whole turn: beyond it an angle is more likely
 Fields = dict[str, Any]
 
 
+@runtime_checkable
+class Columns(Protocol):
+    """Columns by name: a dictionary, or a DataFrame, which is no Mapping."""
+
+    def keys(self) -> Iterable[Any]:
+        """Their names."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """One of them."""
+
+
 def columns_of(boxes: Mapping[str, Any]) -> dict[str, Shaped[np.ndarray, " n"]]:
     """The fields of boxes as columns, named as in our CSV files; those that are None are left out."""
     table = {"label": boxes["label"]}
@@ -30,13 +41,13 @@ def columns_of(boxes: Mapping[str, Any]) -> dict[str, Shaped[np.ndarray, " n"]]:
     return table
 
 
-def fields_of(table: Mapping[str, Any]) -> Fields:
+def fields_of(table: Columns) -> Fields:
     """Fields of boxes from a table of named columns: a dictionary, a DataFrame, a structured array's columns.
 
     Raises:
         ConfigError: If a column is missing, the boxes are those of several frames, or yaw stands in degrees.
     """
-    names = [str(name) for name in table.keys()]  # noqa: SIM118 - a DataFrame iterates over the same, a mapping may not
+    names = [str(name) for name in table.keys()]  # noqa: SIM118 - what has columns need not iterate over them
     missing = [name for name in _NEEDED if name not in names]
     if missing:
         raise ConfigError(

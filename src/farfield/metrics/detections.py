@@ -152,11 +152,9 @@ class Detections:
         known = dict.fromkeys(relabel.get(name, name) for name in self.classes)
         if known and counts and not (set(counts) & set(known) if label is None else label in known):
             asked = ", ".join(f"{name} ({count})" for name, count in counts.items()) if label is None else label
-            guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, known))), "")
-            guess = guess or f"{next(iter(counts))}:{next(iter(known))}"
             raise ConfigError(
-                f"label: expected a class that the detector knows, one of {', '.join(known)}; got {asked}. Name what "
-                f"is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
+                f"label: expected a class that the detector knows, one of {', '.join(known)}; got {asked}. "
+                + _advice(counts, known, label)
             )
         if label is None:
             return
@@ -235,6 +233,22 @@ class Detections:
 
 
 _NOTHING = Boxes.empty(scored=True)
+
+
+def _advice(counts: Mapping[str, int], known: Mapping[str, None], label: str | None) -> str:
+    """What to do where a class is asked for that the detector does not know, or where annotated ones are none of its.
+
+    Args:
+        counts: Annotated boxes by class.
+        known: The detector's classes.
+        label: The class that was asked for, if one was.
+    """
+    shared = [name for name in counts if name in known]
+    if label is not None and label not in counts and shared:
+        return f"Take an annotated one: --label {' or '.join(shared)}"
+    guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, known))), "")
+    guess = guess or f"{label if label in counts else next(iter(counts))}:{next(iter(known))}"
+    return f"Name what is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
 
 
 def _inside(boxes: Boxes, region: CameraField) -> Bool[np.ndarray, " n"]:

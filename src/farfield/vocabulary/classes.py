@@ -18,6 +18,18 @@ CIRRUS_CLASSES = (
     "unknown",
 )
 
+CLASS_COLOURS = {
+    "vehicle": "#56b4e9",
+    "large_vehicle": "#0072b2",
+    "pedestrian": "#e69f00",
+    "bicycle": "#009e73",
+    "animal": "#999999",
+    "wheeled_pedestrian": "#f0e442",
+    "motorcycle": "#cc79a7",
+    "trailer": "#d55e00",
+}
+"""A colour a class, of those of Okabe and Ito, which everybody can tell apart."""
+
 CIRRUS_ALIASES = {"car": "vehicle", "truck": "large_vehicle", "bus": "large_vehicle", "cyclist": "bicycle"}
 
 CIRRUS_FROM_KITTI = {
