@@ -28,7 +28,7 @@ def types_of(flag: str) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize(
-    "flag", ["json", "clouds", "replicates", "out", "reference", "dry_run", "workers", "overwrite"]
+    "flag", ["json", "clouds", "replicates", "out", "reference", "columns", "dry_run", "workers", "overwrite"]
 )
 def test_a_flag_has_one_type(flag: str) -> None:
     assert len(types_of(flag)) == 1, types_of(flag)

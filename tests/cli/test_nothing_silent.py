@@ -1,6 +1,7 @@
 """Wrong data, wrong names and wrong places end with a message and exit status 1, never with a figure."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,14 @@ class TestClasses:
         assert "relabel=Auto:vehicle" in capsys.readouterr().err
         assert main([*words, "--label", "Car"]) == 1
         assert main([*words, "--options", "relabel=Auto:vehicle", "--replicates", "0"]) == 0
+
+    def test_advice_on_a_class_that_nobody_has_can_be_followed(self, tmp_path: Path) -> None:
+        data = open_dataset(own(tmp_path / "own"))
+        found = replace(detect(nothing, data), classes=("vehicle", "pedestrian"))
+        with pytest.raises(ConfigError, match=r"got Auto\. Take an annotated one: --label vehicle$"):
+            found.check_label("dds", "Auto")
+        with pytest.raises(ConfigError, match="relabel=vehicle:boat"):
+            replace(found, classes=("boat",)).check_label("dds", "vehicle")
 
     def test_a_class_without_boxes_is_refused(self, tmp_path: Path) -> None:
         data = open_dataset(own(tmp_path / "own"))

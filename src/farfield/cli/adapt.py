@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import Positional
 
+from farfield.cli._dry import would_write
 from farfield.cli._progress import bar, hands
 from farfield.cli._training import BarReport, LineReport
 from farfield.cli._words import names
@@ -21,6 +22,7 @@ def run(
     labels: Path | None = None,
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     rotate_deg: float = 0.0,
+    columns: int | None = None,
     frames: int = 400,
     source_frames: int = 240,
     rounds: int = 2,
@@ -31,6 +33,7 @@ def run(
     engine: str = "local",
     out: Path | None = None,
     overwrite: bool = False,
+    dry_run: bool = False,
 ) -> int:
     """Adapt a detector to your own unlabelled sweeps by self-training; run the same command again to go on.
 
@@ -57,6 +60,7 @@ def run(
             learnt from do not count, so that DATA itself may be named.
         clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
         rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         frames: Sweeps to learn from at most, spread evenly; 0 takes all.
         source_frames: Source frames at most, spread evenly.
         rounds: Times that the teacher is renewed.
@@ -67,29 +71,41 @@ def run(
         engine: Where the searching is done.
         out: Folder of the adaptation; runs/adapted-DATA unless given.
         overwrite: Begin anew; simulated source frames stay.
+        dry_run: Say what would be written, and write nothing.
     """
     from rich.console import Console
 
     from farfield.api import adapt, open_dataset
 
-    opened = open_dataset(data, rotate_deg=rotate_deg)
+    reading: dict[str, Any] = {"rotate_deg": rotate_deg} | ({"bin_columns": columns} if columns else {})
+    opened = open_dataset(data, **reading)
     folder = out or Path("runs") / f"adapted-{opened.root.name}"
     console = Console(stderr=True)
     kind = _Bars if console.is_terminal else _Lines
+    given: dict[str, Any] = {
+        "source": source,
+        "labels": None if labels is None else open_dataset(labels, **reading),
+        "clouds": tuple(names(clouds)),
+        "frames": frames,
+        "source_frames": source_frames,
+        "rounds": rounds,
+        "steps": steps,
+        "minutes": minutes,
+        "overrides": tuple(override),
+        "seed": seed,
+    }
+    if dry_run:
+        from farfield.experiments.adapting import rehearsed
+
+        for line in rehearsed(detector, opened, out=folder, **given):
+            print(line)
+        would_write("weights, report.html and what each round needs to go on", folder)
+        return 0
     adapted = adapt(
         detector,
         opened,
         out=folder,
-        source=source,
-        labels=None if labels is None else open_dataset(labels, rotate_deg=rotate_deg),
-        clouds=tuple(names(clouds)),
-        frames=frames,
-        source_frames=source_frames,
-        rounds=rounds,
-        steps=steps,
-        minutes=minutes,
-        overrides=tuple(override),
-        seed=seed,
+        **given,
         bulk=hands(workers, engine, "searching"),
         report=kind(console, folder, 20),
         overwrite=overwrite,

@@ -5,6 +5,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._dry import from_files, would_write
 from farfield.cli._progress import hands
 
 
@@ -20,6 +21,7 @@ def run(
     plates: bool = True,
     workers: int = 0,
     engine: str = "local",
+    dry_run: bool = False,
 ) -> None:
     """Cover faces and number plates in all pictures and films below a folder; originals are only read.
 
@@ -45,9 +47,10 @@ def run(
         plates: Cover number plates too (extra detect).
         workers: Processes; 0 takes as many as there are cores, pictures and memory for.
         engine: Where the work is done.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
-    from farfield.imaging.privacy import Anonymising, anonymise
+    from farfield.imaging.privacy import Anonymising, anonymise, check_apart
     from farfield.imaging.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
     from farfield.reports.privacy_page import write_privacy_page
 
@@ -59,6 +62,13 @@ def run(
     chosen = Anonymising(how=how, small_faces=small_faces, plates=plates, together=series == "time")
     if chosen.without_plates():
         print(f"Number plates stay as they are: {chosen.without_plates()}")
+    if dry_run:
+        check_apart(sources.root, out)
+        pictures = [sources.root / file for each in sources.folders for file in each.files]
+        films = [sources.root / file for file in sources.films]
+        counts = f"{len(pictures)} pictures of {len(sources.folders)} folders and {len(films)} films, covered,"
+        would_write(counts, out, from_files([*pictures, *films]))
+        return
     done = anonymise(
         sources,
         out,

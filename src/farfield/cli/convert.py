@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from farfield.cli._dry import from_data, would_write
 from farfield.cli._progress import hands
 
 
@@ -52,7 +53,7 @@ def run(
         source: Folder of the data set; its format is recognised.
         target: Folder to write into, or a .csv file with --to boxes-csv; none with --to cache.
         to: The layout to write.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
+        mapping: Mapping file of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
         format: Format of the source, if it is not to be recognised.
         roots: Further folders over which a K-Radar is spread.
         columns: Numbers a point in .bin files; what the numbers themselves show unless given.
@@ -74,7 +75,7 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError, DatasetError
-    from farfield.recording.convert import convert
+    from farfield.recording.convert import check_apart, convert
     from farfield.recording.convert import verify as verify_all
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
@@ -95,8 +96,9 @@ def run(
         print(f"{len(dataset)} frames: what was written is intact.")
         return
     if dry_run:
-        where = target if target is not None else source
-        print(f"would write {len(dataset)} frames of {dataset.name} as {to} to {where}; nothing is written now")
+        if target is not None:
+            check_apart(target, dataset)
+        would_write(f"{len(dataset)} frames of {dataset.name} as {to}", target or source, from_data(dataset))
         return
     outcome = convert(
         dataset,

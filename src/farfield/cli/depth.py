@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from farfield.cli._dry import from_data, would_write
 from farfield.cli._progress import hands
 
 
@@ -82,9 +83,7 @@ def run(
         check_picture(picture)
     if dry_run:
         cameras = [settings.camera] if settings.camera else list(dataset[0].cameras if len(dataset) else ())
-        print(
-            f"would write {len(dataset)} frames of {', '.join(cameras) or 'no camera'} to {out}; nothing is written now"
-        )
+        would_write(f"{len(dataset)} frames of {', '.join(cameras) or 'no camera'}", out, from_data(dataset))
         return
     written = write_depth_maps(
         dataset,

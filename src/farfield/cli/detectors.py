@@ -11,7 +11,7 @@ from farfield.cli._words import write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
-    from farfield.detectors.catalogue import Entry
+    from farfield.detectors.catalogue import ByWeather, Entry
 
 _RANGES = ("0-70", "70-150", "150-250", "overall")
 
@@ -31,7 +31,8 @@ def run(
       farfield detectors --measure
 
     Speed and score are records of this version, on the machine and the frozen split named below the table; --measure
-    times the bundled weights on this machine instead, on simulated frames.
+    times the bundled weights to 250 m on this machine instead, on simulated frames. A second table has the weights for
+    K-Radar's sensors, with AP by weather.
 
     Args:
         cloud: The scan pattern of the scores.
@@ -42,7 +43,7 @@ def run(
     from rich.console import Console
     from rich.table import Table
 
-    from farfield.detectors.catalogue import catalogue, figures
+    from farfield.detectors.catalogue import by_weather, catalogue, figures
 
     if epsilon not in ("0", "0.003", "0.006", "0.009"):
         raise ConfigError(f"--epsilon: expected one of 0, 0.003, 0.006, 0.009; got {epsilon!r}")
@@ -72,11 +73,34 @@ def run(
             + ("" if measure else f"speed: {known['points']}, {known['machine']}, {known['precision']}\n")
             + f"recorded {known['date']} at commit {known['commit']}"
         )
-    print("train one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
+    _print_weathers(by_weather(), known.get("radar", {}))
+    print("\ntrain one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
     print("use one: farfield predict WEIGHTS DATA")
     if json is not None:
         write_json(json, {**known, "detectors": [asdict(entry) for entry in entries]})
     return 0
+
+
+def _print_weathers(rows: "list[ByWeather]", about: Mapping[str, Any]) -> None:
+    """The weights for K-Radar's sensors, a column a weather."""
+    from rich.console import Console
+    from rich.table import Table
+
+    if not rows:
+        return
+    table = Table(box=None, pad_edge=False)
+    weathers = list(rows[0].ap_3d)
+    for column in ("weights", "reads", "parameters", *(f"AP_3d\n{name.replace('_', ' ')}" for name in weathers)):
+        table.add_column(column, justify="left" if column == "weights" else "right")
+    for row in rows:
+        cells = ("-" if value is None else f"{value:.1f}" for value in row.ap_3d.values())
+        table.add_row(row.weights, row.cloud, f"{row.parameters_m:.2f} M", *cells)
+    print()
+    Console(width=160).print(table)
+    print(f"\nAP_3d of Sedan at IoU 0.3, per cent, protocol kradar; {about['data']}, on simulation, not trained on")
+    for row in rows:
+        print(f"{row.weights}: {row.schedule}")
+    print("see them at work: farfield demo --radar")
 
 
 def _row(entry: "Entry", speed: str, by_cloud: Mapping[str, Any], cloud: str, epsilon: str) -> list[str]:
@@ -99,7 +123,7 @@ def _measure(entry: "Entry") -> str:
     from farfield.api import load_detector
     from farfield.simulation import simulate_sequence
 
-    if not entry.weights:
+    if not entry.weights.endswith("-cirrus-sim"):
         return "-"
     detector = load_detector(entry.weights)
     clouds = [frame.cloud() for frame in simulate_sequence("cirrus-sim", seed=1, sequence=0, frames=2)]

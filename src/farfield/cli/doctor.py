@@ -36,22 +36,22 @@ def run(
       farfield doctor Cirrus_dataset1
       farfield doctor Cirrus_dataset1 --mapping mapping.yaml
       farfield doctor data/kitti --frames 0 --json report.json
-      farfield doctor K-Radar --calibration 24
+      farfield doctor K-Radar --calibration 80
       farfield doctor dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58 --labels v2.1
 
     Exit status 1 when training would fail or score zero.
 
     Args:
         path: Folder of the data set; its format is recognised.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
+        mapping: Mapping file of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
         format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar,
             radiate or folder.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         frames: Number of frames whose clouds are read, spread evenly; 0 reads all.
-        calibration: Number of frames, such as 24, with which to check cameras and K-Radar's radar: whether the given
-            calibration fits, and whether a sensor moved during the first drive; 0 does not.
+        calibration: Number of frames with which to check cameras and K-Radar's radar: whether the given calibration
+            fits, and whether a sensor moved during the first drive; 0 does not. Cameras need about 24, a radar 80.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are read.
         json: Also write the report as JSON into this file; - prints it instead of the table.

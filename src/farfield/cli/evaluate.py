@@ -9,6 +9,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._detector_options import OWN, BoxFlags
+from farfield.cli._dry import would_write
 from farfield.cli._progress import bar, hands
 from farfield.cli._words import deprecated, names, parse_options, write_json
 
@@ -24,6 +25,7 @@ def run(
     split: str = "",
     rotate_deg: float = 0.0,
     mapping: Path | None = None,
+    columns: int | None = None,
     protocol: str = "",
     label: str | None = None,
     range_bins_m: str = "",
@@ -41,6 +43,7 @@ def run(
     report: bool = True,
     out: Path | None = None,
     overwrite: bool = False,
+    dry_run: bool = False,
     json: Path | None = None,
 ) -> int:
     """Run a detector over a data set, score it by range for every scan pattern, and write a report page.
@@ -63,7 +66,8 @@ def run(
         clouds: Which clouds, comma-separated; by default those that suit the detector.
         split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
-        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout.
+        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
             and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
         label: The class to score by range; unless given the most frequent one that the detector knows (large_vehicle
@@ -85,10 +89,12 @@ def run(
         out: Folder of the evaluation and its report.html; runs/evaluation-DETECTOR-DATA unless given, with a number
             behind it where another detector or other data of these names were evaluated there.
         overwrite: Detect anew what an evaluation before found.
+        dry_run: Say what would be written, and write nothing.
         json: Write the result into this file as `farfield score --json` does, of several clouds by their names; -
             prints it.
     """
     from farfield.api import load_detector, open_dataset
+    from farfield.detection import as_trained, suitable_clouds
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
@@ -100,6 +106,7 @@ def run(
 
     epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
     reading: dict[str, Any] = {"mapping": mapping} if mapping else {}
+    reading |= {"bin_columns": columns} if columns else {}
     opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
     opened = opened.split(split) if split else opened
     loaded = load_detector(detector, precision=precision, device=device, **kept.options)
@@ -114,6 +121,16 @@ def run(
     }
     given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
     folder, clocks = out or default_folder(loaded.name, loaded.digest(), opened), dict[str, dict[str, float]]()
+    if dry_run:
+        first = as_trained(opened, loaded)[0]
+        read = names(clouds) or suitable_clouds(loaded, first)
+        for each in read:
+            first.cloud(each)  # or says why it cannot be read
+        what = (
+            f"{protocol} on {len(opened)} frames, cloud {', '.join(read)}: evaluation.json, what is found, report.html"
+        )
+        would_write(what, folder)
+        return 0
     tables: dict[str, str] = {}
     evaluation = evaluate_clouds(
         loaded,
@@ -137,17 +154,8 @@ def run(
         print(f"{name}:\n{tables[name]}\n")
         print(classes_of(result, evaluation.parts[name]), end="")
     if report:
-        page = write_report(
-            folder / "report.html",
-            title=evaluation.title,
-            results=evaluation.results,
-            frames=evaluation.frames,
-            settings=evaluation.settings,
-            provenance=evaluation.provenance,
-            objects=evaluation.objects,
-            parts=evaluation.parts,
-            progress=partial(bar, what="drawing", transient=True),
-        )
+        drawing = partial(bar, what="drawing", transient=True)
+        page = write_report(folder / "report.html", evaluation, progress=drawing)
     if json is not None:
         write_json(json, dict(evaluation.results) if len(tables) > 1 else evaluation.results[next(iter(tables))])
     for name, measured in clocks.items():

@@ -1,9 +1,11 @@
 """``farfield odometry``: poses for drives that come without."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
+
+from farfield.cli._dry import from_data, would_write
 
 
 def run(
@@ -18,10 +20,12 @@ def run(
     reach_m: float = 120.0,
     backward: bool = True,
     drives: tuple[str, ...] = (),
+    columns: int | None = None,
     picture: Path | None = None,
     overwrite: bool = False,
     workers: int = 0,
     engine: str = "local",
+    dry_run: bool = False,
 ) -> int:
     """Find the poses of a data set's LiDAR from its sweeps alone, and say how far they drift.
 
@@ -47,10 +51,12 @@ def run(
         reach_m: Farther points are left out.
         backward: Place the sweeps backwards too, which tells the drift and takes as long again.
         drives: Only these.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         picture: SVG, PNG or JPEG of the tracks from above to write.
         overwrite: Forget what was done before.
         workers: Processes; 0 takes as many as there are cores, drives and memory for.
         engine: Where drives are placed.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.cli._progress import hands
     from farfield.datasets import open_dataset
@@ -65,13 +71,19 @@ def run(
         check_picture(picture)
     name = data.resolve().name
     folder = out or Path("runs") / f"odometry-{name}"
-    opened = open_dataset(data)
+    reading: dict[str, Any] = {"bin_columns": columns} if columns else {}
+    opened = open_dataset(data, **reading)
     if drives:
         known = opened.drive_indices()
         absent = [each for each in drives if each not in known]
         if absent:
             raise ConfigError(f"--drives: expected some of {', '.join(known)}; got {absent[0]!r}")
         opened = opened.select([int(index) for each in drives for index in known[each]])
+    if dry_run:
+        count = len(opened.drives())
+        what = f"the poses of {len(opened)} sweeps of {count} {'drive' if count == 1 else 'drives'}"
+        would_write(what, folder, from_data(opened))
+        return 0
     found = odometry(
         opened,
         folder,

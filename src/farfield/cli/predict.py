@@ -9,6 +9,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._detector_options import OWN, BoxFlags
+from farfield.cli._dry import would_write
 from farfield.cli._progress import hands
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def run(
     workers: int = 0,
     engine: str = "local",
     picture: Path | None = None,
+    dry_run: bool = False,
 ) -> int:
     """Detect objects in clouds or in a whole data set, and write the boxes as CSV, KITTI's or nuScenes' results.
 
@@ -70,10 +72,11 @@ def run(
         engine: Where the work is done.
         picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as
             FILE-CAMERA.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.api import load_detector
     from farfield.bulk.folders import sweep_out_file
-    from farfield.detection import search
+    from farfield.detection import search, suitable_clouds
     from farfield.errors import ConfigError
     from farfield.files.boxes_csv import format_boxes_csv_parts
     from farfield.recording.convert import check_apart
@@ -95,6 +98,10 @@ def run(
         raise ConfigError(f"--reference: expected {known}, got {reference!r}")
     shown = prepared.work.seen if reference == seen.reference else frames
     prepared = prepared if shown is prepared.work.seen else chosen(in_own=True)
+    if dry_run:
+        shown[0].cloud(cloud or suitable_clouds(loaded, shown[0])[0])  # reads it, or says why it cannot
+        would_write(f"the boxes of {len(frames)} frames as {chosen_format}", out or "the output")
+        return 0
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)

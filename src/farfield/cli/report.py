@@ -1,5 +1,6 @@
 """``farfield report``: an evaluation as one self-contained HTML page, or a drive as a film."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -65,17 +66,7 @@ def run(
     content = Evaluation.load(evaluation)
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")
-    path = write_report(
-        out,
-        title=title or content.title,
-        results=content.results,
-        frames=content.frames,
-        settings=content.settings,
-        provenance=content.provenance,
-        objects=content.objects,
-        parts=content.parts,
-        shown_score=shown_score,
-    )
+    path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
     print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
     return 0
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._dry import would_write
 from farfield.cli._progress import bar
 from farfield.errors import ConfigError
 
@@ -24,6 +25,7 @@ def run(
     source: Path | None = None,
     workers: int = 0,
     out: Path | None = None,
+    dry_run: bool = False,
 ) -> int:
     """Put a paper's tables to the test: a declared grid of trainings, decisions on its claims, one page.
 
@@ -49,18 +51,19 @@ def run(
         page: Only write the page of the runs that are done, such as while others are at work.
         transfer: Instead K-Radar's table of transfer between radar data sets (appendix G), simulated: from none, from
             the other radar, from the other side of the road, by share of the target's frames. OUT is
-            runs/reproduce-kradar-transfer unless given and holds transfer.txt, transfer.json, data and runs.
+            runs/reproduce-kradar-transfer unless given and holds report.html, transfer.txt, transfer.json, data, runs.
         seeds: With --transfer, only these seeds.
         data: The real data set; without one all is simulated.
         source: Real data of the other device for Table IV, such as KITTI; simulated unless given.
         workers: Processes, one thread each; 0 takes as many as there are cores.
         out: Folder; runs/reproduce-PAPER-BUDGET unless given.
+        dry_run: Say what would be written, and write nothing; what it costs is measured, by --plan.
     """
     from farfield.experiments.reproduce import Reproduction, described
 
     if transfer or seeds is not None:
         wanted = out or Path("runs") / "reproduce-kradar-transfer"
-        return _transfer(paper, wanted, seeds, workers, plan=plan, page=page)
+        return _transfer(paper, wanted, seeds, workers, plan=plan, page=page, dry_run=dry_run)
     reproduction = Reproduction.of(
         paper,
         budget=budget,
@@ -72,6 +75,11 @@ def run(
         progress=_shown,
         said=partial(print, flush=True),
     )
+    if dry_run:
+        for line in reproduction.rehearsed():
+            print(line)
+        would_write("data, runs, reproduction.json and report.html", reproduction.out)
+        return 0
     if plan:
         for line in described(reproduction.outline()):
             print(line)
@@ -85,9 +93,18 @@ def _shown(what: str) -> Callable[[Iterable[int]], Iterable[int]]:
     return partial(bar, what=what, transient=True)
 
 
-def _transfer(paper: str, out: Path, seeds: tuple[int, ...] | None, workers: int, *, plan: bool, page: bool) -> int:
+def _transfer(
+    paper: str,
+    out: Path,
+    seeds: tuple[int, ...] | None,
+    workers: int,
+    *,
+    plan: bool,
+    page: bool,
+    dry_run: bool,
+) -> int:
     """K-Radar's table of transfer."""
-    from farfield.experiments.reproduce.transfer import Transfer, load_table, runs_of
+    from farfield.experiments.reproduce.transfer import Transfer, load_table, outline, runs_of
 
     if paper != "kradar":
         raise ConfigError("--transfer and --seeds: expected the paper kradar, whose appendix G they put to the test")
@@ -96,11 +113,18 @@ def _transfer(paper: str, out: Path, seeds: tuple[int, ...] | None, workers: int
         table=table, out=out, seeds=seeds, workers=workers or 1, progress=_shown, said=partial(print, flush=True)
     )
     if plan:
+        for line in outline(table, seeds):
+            print(line)
+        return 0
+    if dry_run:
         waves = runs_of(table, seeds)
         print(f"{sum(map(len, waves))} runs of {table.training['steps']} steps, {len(waves[0])} of them to start from")
+        print(transfer.sets.wanting())
+        would_write("data, runs, a page, transfer.txt and transfer.json", out)
         return 0
     if not page:
         transfer.run()
     for line in transfer.write():
         print(line)
+    print(f"report: {(out / 'report.html').resolve()}")
     return 0

@@ -1,13 +1,13 @@
 """``farfield score``: score the files of any detector, without a model."""
 
-import json as json_module
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from farfield.cli._words import deprecated, parse_options
+from farfield.cli._words import OUTPUT, deprecated, parse_options, write_json
 
 if TYPE_CHECKING:
     from farfield.metrics import Detections, Protocol
@@ -85,9 +85,8 @@ def run(
             kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
         replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
         seed: Seed of the bootstrap.
-        json: Where to write the result as JSON.
+        json: Write the result as JSON into this file; - prints it instead of the tables.
     """
-    from farfield.files.atomic import write_text
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
 
@@ -117,11 +116,15 @@ def run(
         tree = {**results[0].to_json(), "notes": notes}
         if len(results) > 1:
             tree["labels"] = {result.label: result.to_json() for result in results}
-        write_text(json, json_module.dumps(tree, indent=1, allow_nan=False) + "\n")
-    print("".join(f"note: {note}\n" for note in notes), end="")
-    print("\n\n".join(map(str, results)) + (f"\n\nwritten: {json}" if json is not None else ""))
+        write_json(json, tree)
+    if json != OUTPUT:
+        print("".join(f"note: {note}\n" for note in notes), end="")
+        print("\n\n".join(map(str, results)) + (f"\n\nwritten: {json}" if json is not None else ""))
     if not found.paired:
-        print("exit status 1: no frame has both predicted and annotated boxes")
+        print(
+            "exit status 1: no frame has both predicted and annotated boxes",
+            file=sys.stderr if json == OUTPUT else sys.stdout,
+        )
     return int(not found.paired or not any(result.known for result in results))
 
 

@@ -1,7 +1,7 @@
 """``farfield show``: one frame as a picture."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from tyro.conf import Positional
@@ -24,6 +24,7 @@ def run(
     detector: str = "",
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     kept: BoxFlags = OWN,
+    columns: int | None = None,
     out: Path | None = None,
 ) -> int:
     """Draw one frame from above, with its annotated boxes and those of a detector, into a PNG.
@@ -41,6 +42,7 @@ def run(
         detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
         kept: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         out: The PNG; runs/show-DATA-NUMBER.png unless given.
     """
     from farfield.api import load_detector
@@ -48,7 +50,7 @@ def run(
     from farfield.errors import ConfigError
     from farfield.frame.provenance import is_simulated
 
-    opened, predicted = _opened(data, radar=radar), None
+    opened, predicted = _opened(data, columns, radar=radar), None
     if not 0 <= frame < len(opened):
         raise ConfigError(f"--frame: expected a number from 0 to {len(opened) - 1}, got {frame}")
     shown = opened[frame]
@@ -78,9 +80,10 @@ def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | 
     return birdseye(shown, predicted, cloud=cloud, window_m="fit", shown_score=shown_score)
 
 
-def _opened(path: Path, *, radar: bool) -> "Dataset":
+def _opened(path: Path, columns: int | None, *, radar: bool) -> "Dataset":
     """The data set; K-Radar for the radar's sake in the radar's coordinates."""
     from farfield.datasets import open_dataset
 
-    opened = open_dataset(path)
+    reading: dict[str, Any] = {"bin_columns": columns} if columns else {}
+    opened = open_dataset(path, **reading)
     return open_dataset(path, reference="radar") if radar and opened.name == "kradar" else opened

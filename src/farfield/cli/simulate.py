@@ -74,10 +74,6 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     if recording:
-        if dry_run:
-            raise ConfigError(
-                "--dry-run: expected frames; --recording has none. --frames of it are sweeps, 10 a second"
-            )
         if stride_s is not None or cache or traffic is not None:
             raise ConfigError(
                 "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
@@ -96,6 +92,7 @@ def run(
             uniform_offset_ms=uniform_offset_ms,
             workers=workers,
             engine=engine,
+            dry_run=dry_run,
             progress=partial(bar, what="recording", transient=True),
             report=print,
         )

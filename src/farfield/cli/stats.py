@@ -27,6 +27,7 @@ def run(
     mapping: Path | None = None,
     labels: str | None = None,
     roots: tuple[Path, ...] = (),
+    columns: int | None = None,
     json: Path | None = None,
 ) -> int:
     """Count a data set: frames by weather, road and time, boxes by class, weather, range and visibility, sensors.
@@ -50,6 +51,7 @@ def run(
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
+        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
         json: Write what is in statistics.json into this file too; - prints it.
     """
     from farfield.datasets import open_dataset
@@ -58,7 +60,7 @@ def run(
 
     if sweeps < 0:
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
-    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots}
+    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots, "bin_columns": columns}
     dataset = open_dataset(path, format=format, **{key: value for key, value in given.items() if value})
     called = name or path.resolve().name
     found = _count(dataset, called, path, sweeps, workers, engine)

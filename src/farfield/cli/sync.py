@@ -5,6 +5,8 @@ from typing import Literal
 
 import tyro
 
+from farfield.cli._dry import would_write
+
 
 def run(
     path: tyro.conf.Positional[Path],
@@ -15,6 +17,7 @@ def run(
     unit: Literal["auto", "s", "ms", "us", "ns"] = "auto",
     stamp: Literal["header", "log"] = "header",
     out: Path | None = None,
+    dry_run: bool = False,
 ) -> int:
     """Match the streams of a recording to one of them, and say what their clocks do.
 
@@ -35,19 +38,29 @@ def run(
         unit: Unit of plain numbers that do not say theirs.
         stamp: Stamps of a bag's messages: their headers', or log, when they were recorded.
         out: Folder to write into; runs/sync-NAME unless given.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
     from farfield.reports.sync_writing import write_synchronised
     from farfield.timing.sources import recordings
+    from farfield.timing.synchronising import describe, reference_of
 
     if tolerance_ms is not None and not 0 <= tolerance_ms < 1e9:
         raise ConfigError(f"--tolerance-ms: expected 0 or more milliseconds, got {tolerance_ms:g}")
     name = path.resolve().name
     tolerance_ns = None if tolerance_ms is None else round(tolerance_ms * 1e6)
     folder = out or Path("runs") / f"sync-{name}"
+    read = recordings(path, unit=unit, stamp=stamp)
+    if dry_run:
+        streams = [describe(each) for each in read]
+        for recording, described in zip(read, streams, strict=True):
+            reference_of(recording.name, described, to)
+        messages = sum(health.count for described in streams for health in described.values())
+        would_write(f"the matches of {messages:,} messages of {sum(map(len, streams))} streams", folder)
+        return 0
     found = write_synchronised(
         folder,
-        recordings(path, unit=unit, stamp=stamp),
+        read,
         to=to,
         tolerance_ns=tolerance_ns,
         title=f"Synchronisation of {name}",

@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from farfield.cli._dry import would_write
+
 
 def run(
     detections: tyro.conf.Positional[Path],
@@ -26,6 +28,7 @@ def run(
     smooth: bool = False,
     join_s: float | None = None,
     picture: Path | None = None,
+    dry_run: bool = False,
 ) -> int:
     """Give detections identities and velocities, frame by frame.
 
@@ -60,6 +63,7 @@ def run(
         join_s: Look ahead too: join tracks of one size and class, at most so long apart, that go on as they moved;
             with --preset annotated by a size that is exactly the same, 30 suits.
         picture: SVG, PNG or JPEG of the tracks' trails from above to write.
+        dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
     from farfield.detection import in_coordinates
@@ -90,6 +94,9 @@ def run(
     settings = with_options(preset_of(preset).changed(**given), option)
     if data is not None:
         seen = with_drives(seen, in_coordinates(open_dataset(data, poses=poses), seen.reference).drives())
+    if dry_run:
+        would_write(f"the tracks of {sum(map(len, seen.boxes.values()))} boxes in {len(seen.boxes)} frames", out)
+        return 0
     found = track(seen, settings)
     if join_s is not None:
         found = joined(found, replace(joining_of(preset), longest_s=join_s), step_s=settings.step_s)

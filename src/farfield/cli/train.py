@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from farfield.cli._dry import would_write
 from farfield.cli._training import BarReport, LineReport
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def run(
         override: Change one setting, as key.key=value; may be given several times.
         out: Folder of all runs.
         dry_run: Say what would be learnt from, what would be taken of the weights to start from, which parts learn how
-            fast, and stop.
+            fast, and where it would be written, and write nothing.
     """
     from rich.console import Console
 
@@ -59,6 +60,7 @@ def run(
     plan.announce(report)
     for line in plan.rehearse():
         print(line)
+    would_write(f"weights, log and checkpoints of {training.steps} steps", folder)
     return 0
 
 
