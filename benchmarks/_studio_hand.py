@@ -13,6 +13,7 @@ from farfield.studio.showing.classes import our_class
 
 DRAG_M = {True: 3.0, False: 1.5}  # vehicles, and what is small
 _PIXELS_A_METRE = {True: 24.0, False: 60.0}
+HAND_PX, CLOSE_PX = 1.0, 60
 _EDGE_PX, _STEPS = 100, 200
 
 
@@ -84,6 +85,38 @@ class Hand:
         self.bring([*((start + end) / 2), z], _PIXELS_A_METRE[subject.vehicle])
         page.press("n")
         return self._fitted(lambda: page.drag(self._pixel([*start, z]), self._pixel([*end, z])))
+
+    def corrected(self, row: dict[str, Any], subject: Subject, rng: np.random.Generator) -> dict[str, Any] | None:
+        """Drag an edge or the middle of the close-up from above, whichever mends most, to a pixel beside its place."""
+        x, y, z, length, width, _, yaw = row["box"]
+        ahead, left = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
+        away = subject.box.centre_m[0, :2] - (x, y)
+        moves = [(0.0, np.array([x, y]), away)]  # what remains of the centre's error, from where, how far
+        for axis, drawn, true in ((ahead, length, subject.box.size_m[0, 0]), (left, width, subject.box.size_m[0, 1])):
+            for side in (1, -1):
+                off = float(away @ axis) + side * (float(true) - drawn) / 2
+                rest = float(np.linalg.norm(away - off / 2 * axis))
+                moves.append((rest, np.array([x, y]) + side * drawn / 2 * axis, off * axis))
+        _, from_m, by_m = min(moves, key=lambda each: each[0])
+        self._enlarge([x, y, z])
+        start, end = (self._close([*place, z]) for place in (from_m, from_m + by_m))
+        self.page.drag(start, tuple(np.array(end) + rng.normal(0, HAND_PX, 2)))
+        self.page.settled()
+        return self.page.selected
+
+    def _enlarge(self, middle: Sequence[float]) -> None:
+        """Turn the wheel over the close-up from above until a metre is 60 pixels long, or it goes no nearer."""
+        beside, before = (middle[0] + 1, *middle[1:]), 0.0
+        while before < (now := math.dist(self._close(middle), self._close(beside))) < CLOSE_PX:
+            self.page.page.mouse.move(*self._close(middle))
+            self.page.page.mouse.wheel(0, -120)
+            self.page.page.wait_for_timeout(100)
+            before = now
+
+    def _close(self, place: Sequence[float]) -> tuple[float, float]:
+        """The pixel of a place in the close-up from above."""
+        found = self.page.tell(f"closeUp('top', {list(map(float, place))})")
+        return found[0], found[1]
 
     def peak(self, place: Sequence[float]) -> dict[str, Any] | None:
         """Double click on the radar's map."""

@@ -103,7 +103,7 @@ def figures_of(run: str, result: dict[str, Any], points: int) -> dict[str, Any]:
         parameters = sum(p.numel() for p in detector.network.parameters())
         speeds[precision] = float(np.median(milliseconds(detector, cloud, 12)))
     name = detector.config.name
-    shipped = [key for key in bundled_weights() if key.startswith(f"{name}-")]
+    shipped = [key for key in bundled_weights() if key == f"{name}-cirrus-sim"]
     return {
         "weights": shipped[0] if shipped else "",
         "parameters": parameters,

@@ -102,7 +102,8 @@ def main() -> None:
             cloud = next(re.sub(r"[\s│]+", " ", line) for line in told.splitlines() if "points a sweep" in line)
             score = say(tools, place, f"farfield evaluate pointpillars-cirrus-sim {name} --replicates 0 --out {name}-e")
             print(f"-- {name}:{cloud}")
-            print("   " + next(line for line in score.splitlines() if line.startswith("lidar: "))[:150])
+            subject = next(line for line in score.splitlines() if line.startswith("of: "))
+            print(f"   {subject}")
 
 
 if __name__ == "__main__":

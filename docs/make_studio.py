@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "studio.md"
 START, END = "<!-- keys -->", "<!-- end of keys -->"
 FIGURES, END_FIGURES = "<!-- figures -->", "<!-- end of figures -->"
-RECORDS = ("studio_page", "studio_server", "studio_link")
+RECORDS = ("studio_page", "studio_server", "studio_link", "studio_journal", "studio_checks", "studio_tracks")
 ANCHORS = {
     "frame change 131k, not prefetched": "K-Radar's devkit parses 370 to 420 ms alone",
     "orbit, 131k": "viser: 4.8 at 100k",
@@ -20,6 +20,24 @@ ANCHORS = {
     "requests to foreign hosts": "rerun: 4",
 }
 """What others do, as their users, authors or documentation say."""
+TESTED = (
+    (
+        "1,000 interleavings of two windows",
+        "no update lost, every conflict shown",
+        ("tests/studio/editing/test_interleaving.py", "test_interleavings_of_two_windows"),
+    ),
+    (
+        "34,994 label files of K-Radar opened and saved",
+        "byte for byte; one box moved: one line",
+        ("tests/datasets/kradar/test_kradar_label_format.py", "test_all_published_files"),
+    ),
+    (
+        "requests that must be refused",
+        "each refused",
+        ("tests/studio/serving/test_studio_refusals.py", "test_a_foreign_websocket_is_refused_before_it_opens"),
+    ),
+)
+"""What a test holds, without a figure: what, what holds, the test's file and name."""
 NAMES = {
     "ArrowLeft": "←",
     "ArrowRight": "→",
@@ -87,6 +105,12 @@ def figures() -> str:
                 what, measured, target, held = cells
                 missed = "" if held == "held" else "; **missed**"
                 lines.append(f"| {what} | {measured}{missed} | {target} | {ANCHORS.get(what, '')} |")
+    for what, holds, (file, test) in TESTED:
+        assert f"def {test}(" in (ROOT / file).read_text(), f"{file} has no {test}"
+        lines.append(f"| {what} | {holds}: `{file}` | the same | |")
+    lines.append(
+        "| objects drawn by a hand, of real and simulated frames, of the radar alone | [above](#what-a-hand-gets) | | |"
+    )
     return "\n".join([*lines, "", "Recorded: " + "; ".join(notes) + "."]) + "\n"
 
 
