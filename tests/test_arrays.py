@@ -117,8 +117,17 @@ def test_degrees_in_an_array_are_refused() -> None:
         ff.Boxes.from_numpy(rows)
 
 
-class Table(dict[str, Any]):
-    """What a DataFrame and a dictionary of columns have in common."""
+class Table:
+    """What a DataFrame and a dictionary of columns have in common; like a DataFrame it is no Mapping."""
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self.columns = columns
+
+    def keys(self) -> list[str]:
+        return [*self.columns]
+
+    def __getitem__(self, name: str) -> Any:
+        return self.columns[name]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is not None, reason="pandas is installed")
@@ -129,7 +138,7 @@ def test_without_pandas_the_way_to_it_is_named() -> None:
 
 def test_boxes_come_from_any_table_of_named_columns() -> None:
     table = Table(BOXES.columns())
-    assert [*table] == [
+    assert table.keys() == [
         "label",
         "x",
         "y",
@@ -145,12 +154,13 @@ def test_boxes_come_from_any_table_of_named_columns() -> None:
         "vy_m_s",
     ]
     same(ff.Boxes.from_pandas(table), BOXES)
-    table["track_id"] = np.array([7.0, np.nan])  # as pandas writes whole numbers where one is missing
+    table.columns["track_id"] = np.array([7.0, np.nan])  # as pandas writes whole numbers where one is missing
     same(ff.Boxes.from_pandas(table), BOXES)
+    nameless = {name: column for name, column in table.columns.items() if name != "yaw_rad"}
     with pytest.raises(ConfigError, match=r"expected the columns .*yaw_rad; missing: yaw_rad.*yaw"):
-        ff.Boxes.from_pandas({name: column for name, column in table.items() if name != "yaw_rad"} | {"yaw": [0, 0]})
+        ff.Boxes.from_pandas(nameless | {"yaw": [0, 0]})
     with pytest.raises(ConfigError, match="the boxes of one frame, got 2"):
-        ff.Boxes.from_pandas({**table, "frame": ["1", "2"]})
+        ff.Boxes.from_pandas({**table.columns, "frame": ["1", "2"]})
 
 
 def test_boxes_go_to_pandas_and_back() -> None:
@@ -158,6 +168,12 @@ def test_boxes_go_to_pandas_and_back() -> None:
     frame = BOXES.to_pandas()
     assert isinstance(frame, pandas.DataFrame)
     same(ff.Boxes.from_pandas(frame[frame.score > 0]), BOXES)
+    same(ff.Boxes.from_pandas(frame.astype({"track_id": "Int64"}).replace({"track_id": {-1: pandas.NA}})), BOXES)
+    two = pandas.concat([frame.assign(frame="1"), frame.assign(frame="2")], ignore_index=True)
+    with pytest.raises(ConfigError, match="the boxes of one frame, got 2"):
+        ff.Boxes.from_pandas(two)
+    same(ff.Boxes.from_pandas(two[two.frame == "2"]), BOXES)
+    assert len(ff.Boxes.from_pandas(frame[frame.score > 2])) == 0
 
 
 def test_every_repr_is_one_line(points: np.ndarray) -> None:

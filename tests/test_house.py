@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -192,6 +193,7 @@ def test_scripts_use_public_names_and_no_test(folder: str) -> None:
         assert not taken, f"{path.name}: {', '.join(taken)}"
         assert "sys.path" not in text, f"{path.name} changes where modules are found"
         private = [ast.unparse(node) for node in ast.walk(tree) if _is_private_of_another(node)]
+        private = [name for name in private if not name.startswith("torch.ops.")]  # operators have no other names
         assert not private, f"{path.name}: {', '.join(private)}"
 
 
@@ -263,6 +265,13 @@ def test_readme_links_lead_somewhere() -> None:
 def test_compiled_code_keeps_the_order_of_its_sums() -> None:
     """With numba's fastmath, code compiled now and code from the cache round differently: other bytes for one seed."""
     assert not [name for name, text in sources().items() if "fastmath=" in text]
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    """Two of one name, in folders that are no packages, are one module for pytest."""
+    files = [path for path in (ROOT / "tests").rglob("test_*.py") if not (path.parent / "__init__.py").exists()]
+    twice = [name for name, count in Counter(path.name for path in files).items() if count > 1]
+    assert not twice
 
 
 if __name__ == "__main__":

@@ -45,6 +45,17 @@ def test_every_page_is_on_the_site(make_site: ModuleType, tmp_path: Path) -> Non
     assert set(make_site.TASKS) <= pages
 
 
+def test_what_pages_link_to_is_on_the_site(make_site: ModuleType, tmp_path: Path) -> None:
+    make_site.stage(tmp_path / "site")
+    pages = tmp_path / "site" / "pages"
+    lost = []
+    for page in (page for page in pages.rglob("*.md") if not page.is_relative_to(pages / "benchmarks")):
+        text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text("utf-8"), flags=re.DOTALL)
+        links = (link for link in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in link)
+        lost += [f"{page.relative_to(pages)}: {link}" for link in links if not (page.parent / link).exists()]
+    assert not lost
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning_and_has_every_public_name(tmp_path: Path) -> None:
     python = python_of_docs()

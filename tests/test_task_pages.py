@@ -68,6 +68,12 @@ def test_the_page_of_own_data_lists_every_column_and_key() -> None:
     assert TABLE_NAME in text
 
 
+def test_pages_say_when_boxes_are_annotated_in_the_field_s_words() -> None:
+    pages = {path.name: " ".join(path.read_text("utf-8").split()) for path in (ROOT / "docs").glob("*.md")}
+    assert not [name for name, text in pages.items() if re.search(r"\bsits? off\b|belong to the Gaussian clock", text)]
+    assert "annotated at the Gaussian sweep's time" in pages["cirrus.md"]
+
+
 def test_an_example_is_sound_and_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from farfield.cli import main
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_serializer
 from farfield.bulk.runs import Progress
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import files_of
+from farfield.recording.settings import Recording
 from farfield.recording.simulated import Recorded, record
 from farfield.vocabulary.conditions import Side
 
@@ -52,11 +53,24 @@ def ensure(
     Raises:
         ConfigError, DatasetError: As of ``record``.
     """
-    from farfield.simulation import find_preset
-
     begun = (path / SIMULATION_FILE).is_file()  # then the rest is simulated, or nothing is missing
     if wanted is None or (path.exists() and not begun):
         return None
+    return _recorded(wanted, path, progress=progress, report=report)
+
+
+def planned(wanted: SimulationConfig, path: Path) -> Recording:
+    """What :func:`ensure` would record into an absent folder; nothing is written.
+
+    Raises:
+        ConfigError: As of ``record``.
+    """
+    return _recorded(wanted, path, dry_run=True).recording
+
+
+def _recorded(wanted: SimulationConfig, path: Path, **how: Any) -> Recorded:
+    from farfield.simulation import find_preset
+
     return record(
         wanted.preset,
         path,
@@ -67,6 +81,5 @@ def ensure(
         stride_s=wanted.stride_s,
         traffic=wanted.traffic,
         cache=files_of(find_preset(wanted.preset)).caches,
-        progress=progress,
-        report=report,
+        **how,
     )

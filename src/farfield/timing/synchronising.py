@@ -155,6 +155,24 @@ def best_reference(streams: Mapping[str, Health]) -> str:
     return max(usable, key=lambda name: (shared[name], streams[name].period_ns or 0))
 
 
+def reference_of(name: str, streams: Mapping[str, Health], to: str | None) -> str:
+    """The stream to which the others of a recording are matched.
+
+    Args:
+        name: Of the recording.
+        streams: Its streams.
+        to: The one that was asked for; None takes :func:`best_reference`.
+
+    Raises:
+        ConfigError: If there is no such stream, or only one.
+    """
+    reference = best_reference(streams) if to is None else to
+    if reference not in streams or len(streams) < 2:
+        known = ", ".join(streams)
+        raise ConfigError(f"{name}: expected a stream to match to and one more, of {known}; got {reference!r}")
+    return reference
+
+
 def synchronise(
     recording: Recording,
     *,
@@ -176,13 +194,8 @@ def synchronise(
         ConfigError: If there is no such stream, or only one.
     """
     streams = describe(recording)
-    reference = best_reference(streams) if to is None else to
+    reference = reference_of(recording.name, streams, to)
     others = [name for name in streams if name != reference]
-    if reference not in streams or not others:
-        names = ", ".join(streams)
-        raise ConfigError(
-            f"{recording.name}: expected a stream to match to and one more, of {names}; got {reference!r}"
-        )
     tolerances = {name: _tolerance(streams[reference], streams[name], tolerance_ns) for name in others}
     every = -(-streams[reference].count // MAX_PAIRS)
     gathered = {name: _Gathered(every) for name in others}

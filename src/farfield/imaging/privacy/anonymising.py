@@ -125,7 +125,7 @@ def anonymise(
     """
     chosen = chosen or Anonymising()
     root, folders, films = sources.root, sources.folders, sources.films
-    _check_apart(root, out)
+    check_apart(root, out)
     found = _found(folders, out, chosen, find)
     covers: dict[str, Cover] = {}
     for series in folders:
@@ -141,7 +141,12 @@ def anonymise(
     return done
 
 
-def _check_apart(root: Path, out: Path) -> None:
+def check_apart(root: Path, out: Path) -> None:
+    """See that nothing is written where is read.
+
+    Raises:
+        ConfigError: If the folder to write into is the root, or below it.
+    """
     here, there = root.resolve(), out.resolve()
     if there == here or here in there.parents:
         raise ConfigError(f"anonymize: expected a folder to write into that is not {root} nor below it; got {out}")

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
+from farfield.datasets.class_mapping import MAPPING_NAME
+from farfield.datasets.folder import Folder
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.evidence import count_points
 from farfield.inspection.doctor.findings import Finding, counted
@@ -63,7 +65,10 @@ def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             what += f", {gone} points without a place (no return) left out"
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
         if strength is not None and not strength.any():
-            mend = "A detector trained with intensity will not work here: name the right column in the mapping."
+            mapped = isinstance(found.dataset.unwrapped, Cirrus)
+            mend = "A detector trained with intensity will not work here" + (
+                ": name the right column in the mapping." if mapped else "; see whether another column holds it."
+            )
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
         yield from _doubtful_columns(name, read)
         yield from _units_of_points(name, points, reach)
@@ -131,7 +136,7 @@ def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
     reader = found.dataset.unwrapped
     if not isinstance(reader, Cirrus):
-        yield from _own_names(table)
+        yield from _own_names(table, in_folder=isinstance(reader, Folder))
         return
     aliases = reader.mapping.labels.aliases
     strange = {
@@ -150,7 +155,7 @@ def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         )
 
 
-def _own_names(table: Mapping[str, Mapping[str, int]]) -> Iterator[Finding]:
+def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> Iterator[Finding]:
     """Names that neither the detectors nor the experiments know, with what they may mean."""
     counts = {label: sum(row.values()) for label, row in table.items()}
     strange = {label: count for label, count in counts.items() if label not in CIRRUS_CLASSES}
@@ -165,10 +170,19 @@ def _own_names(table: Mapping[str, Mapping[str, int]]) -> Iterator[Finding]:
         severity="fail" if len(strange) == len(counts) else "warn",
         topic="class names",
         what=f"not in the vocabulary ({', '.join(known)}): {shown}" + (f"; did you mean {pairs}?" if meant else ""),
-        mend=f"Rename them, or map them where they are used: -o 'data.aliases={{{pairs}}}' in train, --options "
-        f"relabel={pairs.replace(': ', ':').replace(', ', ',')} in score and evaluate; or train your own: "
-        "detector.class_names.",
+        mend=_rename(pairs, in_folder=in_folder),
     )
+
+
+def _rename(pairs: str, *, in_folder: bool) -> str:
+    """How to map classes; own folders have a file for that."""
+    shared = (
+        f"-o 'data.aliases={{{pairs}}}' in train, --options relabel={pairs.replace(': ', ':').replace(', ', ',')} in "
+        "score and evaluate; or train your own: detector.class_names."
+    )
+    if in_folder:
+        return f"Rename them, or write {{classes: {{{pairs}}}}} into {MAPPING_NAME} beside the clouds; or {shared}"
+    return f"Rename them, or map them where they are used: {shared}"
 
 
 def _bins() -> list[tuple[float, float]]:
@@ -220,7 +234,8 @@ def suspicious(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if buried:
         what = f"{buried} of {total} boxes end below the ground round them"
         severity = "fail" if buried > 0.5 * total and total >= 10 else "warn"
-        mend = "Check the height of the boxes (position_is in the mapping) and the pose of the sensor."
+        named = " (position_is in the mapping)" if isinstance(found.dataset.unwrapped, Cirrus) else ""
+        mend = f"Check the height of the boxes{named} and the pose of the sensor."
         yield Finding(severity=severity, topic="underground", what=what, mend=mend)  # type: ignore[arg-type]
 
 

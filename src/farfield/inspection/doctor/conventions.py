@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels
 from farfield.datasets.maps import none_before
@@ -48,7 +49,7 @@ def quaternions(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     evidence += f", {upright['wxyz' if decided == 'xyzw' else 'xyzw']:.0%} the other way round"
     what = f"{_SPELLED[decided]}, decided from the data ({evidence})"
     if decided != read:
-        mend = f"Write them as {_SPELLED[read]}, or set labels: {{quat_order: {decided}}} in the mapping."
+        mend = _mend(reader, f"Write them as {_SPELLED[read]}", f"quat_order: {decided}")
         what = f"{_SPELLED[decided]}, but read as {_SPELLED[read]} ({evidence})"
         yield Finding(severity="fail", topic="quaternion order", what=what, mend=mend)
     elif upright[read] < 0.9:
@@ -94,8 +95,9 @@ def readings(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     together = Boxes.concatenate([b.plain() for b in boxes])
     yield from _size_order(found, by_name, changes, together, facts)
     headings = counts[:, [0, *range(1 + len(READINGS), counts.shape[1])]]
-    yield from _heading(by_name, changes, together, misfit_share(headings, together.size_m), facts)
-    yield from _centre(by_name, changes, facts)
+    reader = found.dataset.unwrapped
+    yield from _heading(reader, by_name, changes, together, misfit_share(headings, together.size_m), facts)
+    yield from _centre(reader, by_name, changes, facts)
     for ballot in changes:
         if ballot.name in _AXES:
             yield Finding(severity="fail", topic="axes", what=_AXES[ballot.name] + _votes(ballot), mend=_AXES_MEND)
@@ -112,21 +114,32 @@ _AXES_MEND = "Bring boxes and clouds to one frame: x forward, y left, z up."
 _YAW = {
     "yaw x 180/pi": (
         "yaw was multiplied by pi/180 once too often: all headings are nearly 0",
-        "Rebuild the quaternions from yaw in radians, or set labels: {yaw_scale: 57.29577951308232} in the mapping.",
+        "Rebuild the quaternions from yaw in radians",
+        "yaw_scale: 57.29577951308232",
     ),
     "yaw x pi/180": (
         "yaw is in degrees, read as radians",
-        "Convert the yaw to radians.",
+        "Convert the yaw to radians",
+        "",
     ),
     "yaw clockwise": (
         "yaw runs clockwise",
-        "Change its sign, or set labels: {yaw_scale: -1} in the mapping.",
+        "Change its sign",
+        "yaw_scale: -1",
     ),
     "yaw clockwise from y": (
         "yaw runs clockwise from +y, like a compass",
-        "Use pi/2 - yaw, or set labels: {yaw_scale: -1, yaw_offset_deg: 90} in the mapping.",
+        "Use pi/2 - yaw",
+        "yaw_scale: -1, yaw_offset_deg: 90",
     ),
 }
+"""What is wrong, what to do, and which setting of a Cirrus mapping does it."""
+
+
+def _mend(reader: Dataset, action: str, setting: str) -> str:
+    """What to do, and the setting that does it where the layout has a mapping with such settings: Cirrus' alone."""
+    settable = f", or set labels: {{{setting}}} in the mapping" if setting and isinstance(reader, Cirrus) else ""
+    return f"{action}{settable}."
 
 
 def _in_decided_order(found: Survey, key: tuple[str, str], boxes: Boxes, facts: dict[str, Any]) -> Boxes:
@@ -160,7 +173,7 @@ def _size_order(
             letters[read.index("lwh"[place])] = letter
         facts["size_order"] = "".join(letters)
         what = f"{' '.join(letters)}, but read as {' '.join(read)}{_votes(change)}"
-        mend = f"Write sizes as {' '.join(read)}, or set labels: {{size_order: {''.join(letters)}}} in the mapping."
+        mend = _mend(reader, f"Write sizes as {' '.join(read)}", f"size_order: {''.join(letters)}")
         yield Finding(severity="fail", topic="size order", what=what, mend=mend)
         return
     facts["size_order"] = read
@@ -180,20 +193,26 @@ def _quarter_turn(change: Ballot, boxes: Boxes) -> bool:
 
 
 def _heading(
-    by_name: dict[str, Ballot], changes: list[Ballot], boxes: Boxes, misfit: tuple[float, int], facts: dict[str, Any]
+    reader: Dataset,
+    by_name: dict[str, Ballot],
+    changes: list[Ballot],
+    boxes: Boxes,
+    misfit: tuple[float, int],
+    facts: dict[str, Any],
 ) -> Iterator[Finding]:
     share, elongated = misfit
     facts["heading_misfit"] = {"share": round(share, 4), "boxes": elongated}
     facts["yaw"] = "counter-clockwise from +x, radians"
     for change in changes:
         if change.name in _YAW:
-            what, mend = _YAW[change.name]
+            what, action, setting = _YAW[change.name]
             facts["yaw"] = what
+            mend = _mend(reader, action, setting)
             yield Finding(severity="fail", topic="yaw", what=what + _votes(change), mend=mend)
             return
         if change.name in SIZE_READINGS and _quarter_turn(change, boxes):
             facts["yaw"] = "off by 90 degrees"
-            mend = "Add 90 degrees to the yaw, or set labels: {yaw_offset_deg: 90} in the mapping."
+            mend = _mend(reader, "Add 90 degrees to the yaw", "yaw_offset_deg: 90")
             yield Finding(severity="fail", topic="yaw", what="off by 90 degrees" + _votes(change), mend=mend)
             return
     if misfit_is_clear(share, elongated) and not changes:
@@ -215,7 +234,9 @@ def _heading(
         yield Finding(severity="warn", topic="yaw", what=what, mend=mend)
 
 
-def _centre(by_name: dict[str, Ballot], changes: list[Ballot], facts: dict[str, Any]) -> Iterator[Finding]:
+def _centre(
+    reader: Dataset, by_name: dict[str, Ballot], changes: list[Ballot], facts: dict[str, Any]
+) -> Iterator[Finding]:
     names = {"raised by h/2": "bottom", "lowered by h/2": "top"}
     change = next((ballot for ballot in changes if ballot.name in names), None)
     if change is not None:
@@ -223,7 +244,7 @@ def _centre(by_name: dict[str, Ballot], changes: list[Ballot], facts: dict[str, 
         facts["position"] = place
         what = f"position is the {place} of the box, but read as its centre{_votes(change)}"
         sign = "Add" if place == "bottom" else "Subtract"
-        mend = f"{sign} half the height" + (", or set labels: {position_is: bottom}." if place == "bottom" else ".")
+        mend = _mend(reader, f"{sign} half the height", "position_is: bottom" if place == "bottom" else "")
         yield Finding(severity="fail", topic="box centre", what=what, mend=mend)
         return
     facts["position"] = "centre"

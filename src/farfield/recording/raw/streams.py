@@ -53,6 +53,7 @@ def record_streams(
     uniform_offset_ms: float | None = None,
     workers: int = 0,
     engine: str = "local",
+    dry_run: bool = False,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
 ) -> RawRecorded:
@@ -75,6 +76,7 @@ def record_streams(
         uniform_offset_ms: How much later the uniform pattern is taken, in every drive.
         workers: Processes; 0 takes as many as there are cores, files and memory for.
         engine: Where the drives are simulated: a name of ``farfield.bulk.ENGINES``.
+        dry_run: Say what would be done, and do nothing.
         progress: Wraps the numbers of the files that are left, to show progress.
         report: Called with each line of what is going to be done and what was done.
 
@@ -101,6 +103,11 @@ def record_streams(
         out=Path(out),
         raw=True,
     )
+    if dry_run:
+        count = len(units_of(recording))
+        _announce(recording, count, count, report or _silent)
+        (report or _silent)(f"{recording.out} gets what it has not yet; nothing is written now")
+        return RawRecorded(recording=recording, written=0, bags=(), truths=())
     bulk = Bulk(workers=workers, engine=engine, progress=progress)
     return _run(recording, bulk, report or _silent)
 
@@ -123,11 +130,7 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
     journal = Journal(recording.out / JOURNAL_NAME, setting)
     left = sum(not journal.has(unit) for unit in units)
-    report(
-        f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * PERIOD_S:g} s of raw streams "
-        f"in {len(recording.plan)} bags, {left} of {len(units)} files still to write"
-    )
-    report(f"  {', '.join(streams_of(recording))}; into {recording.out}")
+    _announce(recording, left, len(units), report)
     if left:
         _check_room(recording, left / len(units))
         _clear(recording)
@@ -142,6 +145,21 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     return RawRecorded(recording=recording, written=outcome.written, bags=tuple(bags), truths=tuple(truths))
 
 
+def _announce(recording: Recording, left: int, count: int, report: Callable[[str], object]) -> None:
+    report(
+        f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * PERIOD_S:g} s of raw streams "
+        f"in {len(recording.plan)} bags, {left} of {count} files still to write"
+    )
+    room = f"at most {_bytes_needed(recording, left / count) / 1e9:.2f} GB"
+    report(f"  {', '.join(streams_of(recording))}; {room}; into {recording.out}")
+
+
+def _bytes_needed(recording: Recording, share: float) -> float:
+    preset = recording.preset
+    sweep = sum(name != "camera" for name in recording.sensors) * preset.lines * preset.columns * _POINT_BYTES
+    return share * sum(recording.plan) * (sweep + _REST_BYTES)
+
+
 def _check_room(recording: Recording, share: float) -> None:
     """Refuse to begin what cannot be finished.
 
@@ -152,9 +170,7 @@ def _check_room(recording: Recording, share: float) -> None:
     Raises:
         DatasetError: If the folder's disk has less room than the files need.
     """
-    preset = recording.preset
-    sweep = sum(name != "camera" for name in recording.sensors) * preset.lines * preset.columns * _POINT_BYTES
-    needed = share * sum(recording.plan) * (sweep + _REST_BYTES)
+    needed = _bytes_needed(recording, share)
     free = shutil.disk_usage(recording.out).free
     if needed > free:
         raise DatasetError(

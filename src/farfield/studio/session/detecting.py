@@ -32,8 +32,8 @@ def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
 
     given = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
     known = {row.name for row in given}
-    entries = (entry for entry in catalogue() if entry.weights and entry.weights not in known)
-    return (*given, *(DetectorRow(name=entry.weights, title=entry.weights) for entry in entries))
+    shipped = (name for entry in catalogue() for name in (entry.weights, *entry.further))
+    return (*given, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in known))
 
 
 def _jobs(desk: Desk) -> Jobs:

@@ -12,23 +12,14 @@ from farfield.vocabulary.classes import (
     CIRRUS_FROM_KITTI,
     CIRRUS_FROM_KRADAR,
     CIRRUS_FROM_VIEW_OF_DELFT,
+    CLASS_COLOURS,
     KRADAR_FROM_CIRRUS,
 )
 from farfield.vocabulary.sizes import CIRRUS_SIZES_M, SMALL_KINDS, VEHICLE_KINDS
 
 Group = Literal["vehicle", "person", "two_wheeler", "other"]
 Size = tuple[float, float, float]
-_COLOURS = {  # of Okabe and Ito
-    "vehicle": "#56b4e9",
-    "large_vehicle": "#0072b2",
-    "pedestrian": "#e69f00",
-    "bicycle": "#009e73",
-    "animal": "#999999",
-    "wheeled_pedestrian": "#f0e442",
-    "motorcycle": "#cc79a7",
-    "trailer": "#d55e00",
-}
-_SPARE = tuple(_COLOURS.values())
+_SPARE = tuple(CLASS_COLOURS.values())
 _TYPES = ("van", "box truck", "bus")
 _GROUPS: dict[str, Group] = {
     "vehicle": "vehicle",
@@ -106,7 +97,7 @@ def _spec(name: str, size: Size | None, place: int, types: dict[str, Size] | Non
         name=name,
         title=name.replace("_", " "),
         size=size or preset_size(name),
-        colour=_COLOURS.get(ours, _SPARE[place % len(_SPARE)]),
+        colour=CLASS_COLOURS.get(ours, _SPARE[place % len(_SPARE)]),
         key=str(place + 1) if place < 9 else "",
         group=_GROUPS.get(ours, "other"),
         types=tuple(TypeSpec(name=kind, size=each) for kind, each in types.items()),
