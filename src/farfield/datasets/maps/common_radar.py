@@ -175,9 +175,12 @@ def strongest(
 ) -> Int[np.ndarray, " k"]:
     """Rows of the strongest point in every cube of a raster: the mean would lose small objects."""
     cell = np.floor(points_m / cell_m).astype(np.int64)
-    order = np.lexsort((np.arange(len(value)), -value))
-    _, first = np.unique(cell[order], axis=0, return_index=True)
-    return np.sort(order[first])
+    cell -= cell.min(axis=0, initial=0)
+    along_x, along_y, along_z = cell.T
+    _, wide, high = cell.max(axis=0, initial=0) + 1
+    number = (along_x * wide + along_y) * high + along_z
+    order = np.lexsort((-value, number))
+    return np.sort(order[np.unique(number[order], return_index=True)[1]])
 
 
 def _drawn(key: Key, share: float) -> bool:

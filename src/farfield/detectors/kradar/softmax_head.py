@@ -130,12 +130,14 @@ def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, gr
 def _near(proposals: np.ndarray, slots: np.ndarray, targets: BoxTargets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of boxes and proposals of their class that may overlap, and whether it is the box's nearest proposal."""
     reach = np.hypot(proposals[:, 3], proposals[:, 4]) / 2
+    by_kind = {kind: np.flatnonzero(slots == kind) for kind in np.unique(targets.kind)}
+    x, y = np.ascontiguousarray(proposals[:, :2].T)
     parts = []
     for number, row in enumerate(targets.rows):
-        own = np.flatnonzero(slots == targets.kind[number])
-        gap = np.hypot(*(proposals[own, :2] - row[:2]).T)
-        close = gap < reach[own] + np.hypot(row[3], row[4]) / 2
-        nearest = np.arange(len(own)) == gap.argmin()
+        own = by_kind[targets.kind[number]]
+        square = (x[own] - row[0]) ** 2 + (y[own] - row[1]) ** 2
+        close = square < (reach[own] + np.hypot(row[3], row[4]) / 2) ** 2
+        nearest = np.arange(len(own)) == square.argmin()
         rows = np.flatnonzero(close | nearest)
         parts.append((np.full(len(rows), number), own[rows], nearest[rows]))
     if not parts:
