@@ -31,6 +31,7 @@ FORMS = {
         "cell_m": 0.4,
     },
     "astyx": {"column": "magnitude_db", "unit": "db"},
+    "view_of_delft": {"column": "rcs_dbsm", "unit": "db"},
 }
 STEPS = 50
 GRID = {"range_m": 64.0, "half_width_m": 16.0, "z_min_m": -6.0, "z_max_m": 8.0, "cell_m": [0.8, 0.8, 14.0]}
@@ -129,3 +130,6 @@ def test_two_real_radars_one_after_the_other(shared_real: Path, tmp_path: Path) 
     assert np.mean(losses[-10:]) < np.mean(losses[:10])
     found = detect(Detector.load(weights), frames, cloud="radar", annotated_only=True)
     assert set(found.annotations) == set(frames.keys)
+    two = seen(shared_real, "view_of_delft")
+    assert [float(two[0].cloud("radar").extra[name][0]) for name in ("has_doppler", "has_height")] == [1.0, 1.0]
+    assert set(detect(Detector.load(weights), two, cloud="radar", annotated_only=True).annotations) == set(two.keys)
