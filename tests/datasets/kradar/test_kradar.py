@@ -135,6 +135,17 @@ def test_paths_load_nothing_and_the_record_goes_last(root: Path) -> None:
     assert not [key for key in KRadarWriter(root).paths(replace(given, load_annotation=None)) if "label" in key]
 
 
+def test_cameras_are_those_of_the_first_frame_that_has_them(root: Path, tmp_path: Path) -> None:
+    """A drive with pictures in some of its frames only."""
+    writer = KRadarWriter(tmp_path, columns=512)
+    writer.write(replace(frame(1), images={}, cameras={}))
+    writer.write(frame(2))
+    writer.finish()
+    back, whole = (KRadar(folder)[1].cameras for folder in (tmp_path, root))
+    assert list(back) == list(whole)
+    assert np.array_equal(back["cam-front"].camera_T_lidar, whole["cam-front"].camera_T_lidar)
+
+
 def test_a_broken_off_frame_has_no_record(tmp_path: Path) -> None:
     writer = KRadarWriter(tmp_path, columns=512)
     with pytest.raises(DatasetError, match=r"expected visibility R, L or L1 of each box, got X"):

@@ -64,9 +64,9 @@ def sequence_files(sequence: str, records: Sequence[FrameRecord]) -> dict[Path, 
         if times:
             texts[Path(sequence, "time_info", f"{sensor}.txt")] = format_times(times)
     for name, number in EYES.items():
-        if name in first.cameras:
-            path = camera_path(sequence, number)
-            texts[path] = format_camera(first.cameras[name].camera(), number)
+        seen = next((record.cameras[name] for record in records if name in record.cameras), None)
+        if seen is not None:
+            texts[camera_path(sequence, number)] = format_camera(seen.camera(), number)
     poses = [record.pose("world_T_lidar") for record in records]
     known = [pose for pose in poses if pose is not None]
     if len(known) == len(records):
