@@ -4,7 +4,8 @@ A camera is aligned from its given calibration on all frames, and from there on 
 time. It is called off where the edges' score over frames gains clearly, on frames to which the camera was not fitted
 too, and it moved by more than it moves on correct data, in pixels or on both halves alike; edges that fit nowhere much
 better than by chance tell nothing. It drifted where each
-half's own camera fits that half clearly better than the other half's camera does. ``radar_checking`` checks radars.
+half's own camera fits that half clearly better than the other half's camera does, and one of them better than the
+given one, which cannot fit both then. ``radar_checking`` checks radars.
 """
 
 from dataclasses import dataclass, replace
@@ -89,12 +90,13 @@ def check_camera(camera: Camera, views: Views) -> Check:
     other = _errors(unseen)
     away = float(np.nanmedian(np.linalg.norm(pixels[1 + better] - pixels[0], axis=1)))
     drift = min(_errors((mine - crossed)[half]) for half in halves)
+    gained = max(_errors((mine - given)[half]) for half in halves)
     agreed = np.where(np.sign(change[1]) == np.sign(change[2]), np.abs(change[1:]).min(axis=0), 0.0)
     floor_px = max(1.5, _FLOOR_RAD * float(camera.matrix[0, 0]))
     verdict: Verdict = "fits"
     if gains[better] > _CLEAR and other > _OTHER and (away > floor_px or (agreed > _FLOORS).any()):
         verdict = "off"
-    if verdict == "fits" and drift > _CLEAR and apart > floor_px:
+    if verdict == "fits" and min(drift, gained) > _CLEAR and apart > floor_px:
         verdict = "moved"
     turn, shift = _sizes(change[better])
     drift_turn, drift_shift = _sizes(difference(own[1], own[0]))
