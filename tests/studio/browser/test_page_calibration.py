@@ -24,8 +24,9 @@ AWAY_X_M, AWAY_Y_M = 0.8, -0.6
 
 
 def until(page: Screen, condition: str, *, seconds: float = 20.0) -> None:
-    """Wait until something of the page is true."""
+    """Wait until something of the page is true, and is drawn: what the model says stands there a frame later."""
     page.until(f"is(({{ model, values, picking }}) => {condition})", seconds=seconds)
+    page.page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
 
 
 def off_cm(page: Screen) -> float:
