@@ -221,11 +221,45 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
                 )
 
 
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Picture of the camera's rows: the share that is claimed over the planted error, with Wilson's intervals."""
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
+    right = [row for row in rows if (row["sensor"], row["kind"]) == ("camera", "correct")]
+    for panel, (kind, unit, asked) in zip(panels, (("deg", "degrees", 1.0), ("cm", "centimetres", 20.0)), strict=True):
+        sizes = sorted({row["size"] for row in rows if (row["sensor"], row["kind"]) == ("camera", kind)})
+        own = [
+            right,
+            *(
+                [row for row in rows if row["sensor"] == "camera" and row["kind"] == kind and row["size"] == size]
+                for size in sizes
+            ),
+        ]
+        shares = np.array([np.mean([row["verdict"] in ("off", "moved") for row in each]) for each in own])
+        count, z = np.array([len(each) for each in own]), 1.96
+        middle = (shares + z**2 / (2 * count)) / (1 + z**2 / count)
+        half = z * np.sqrt(shares * (1 - shares) / count + z**2 / (4 * count**2)) / (1 + z**2 / count)
+        low, high = shares - (middle - half), middle + half - shares
+        at = np.arange(len(own))
+        panel.errorbar(at, 100 * shares, 100 * np.maximum([low, high], 0), fmt="o-", capsize=3, color="#1f6fb4")
+        panel.axvline(1 + sizes.index(asked), color="#999999", linestyle=":")
+        panel.text(
+            0.95 + sizes.index(asked), 50, "asked: always from here", rotation=90, ha="right", va="center", size=8
+        )
+        panel.set_xticks(at, ["right", *(f"{size:g}" for size in sizes)])
+        panel.set_xlabel(f"planted error of the camera, {unit}")
+        panel.grid(axis="y", alpha=0.3)
+    panels[0].set_ylabel(f"claimed, % of {len(right)} data sets")
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("data/calibration_doctor"))
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--picture", type=Path, help="of the camera's rows: where its PNG goes")
     parser.add_argument("--sets", type=int, default=SETS)
     parser.add_argument("--sensors", nargs="+", default=["camera", "radar"])
     parser.add_argument("--kinds", type=int, default=len(ERRORS), help="of the errors, the first so many")
@@ -250,6 +284,8 @@ def main() -> None:
         if options.output:
             options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
+    if options.picture:
+        draw(rows, options.picture)
 
 
 if __name__ == "__main__":
