@@ -29,7 +29,7 @@ def test_what_is_declared_comes_to_runs_in_two_waves():
     turned = {"left_turned", "power_turned", "coarse_turned"}
     assert {run.row for run in first} == {"radiate", "kradar_source", "left_still", *turned}
     assert len(first) == 18
-    by_share, by_count = 3 * 5, 5 * 4
+    by_share, by_count = 3 * 5, 5 * 5
     assert len(first) + len(rest) == 3 * (by_share + by_count + 5 + 2 + 3)
     assert len({run.folder for run in first + rest}) == len(first) + len(rest)
     assert [run.seed for run in rest] == sorted(run.seed for run in rest), "seed by seed"
@@ -174,9 +174,9 @@ def test_the_whole_costs_what_its_parts_do():
     simulating, training = core_seconds(SHIPPED, costs, runs)
     frames = {"kradar": 116 + 58, "left": 500 + 58, "right": 116 + 58}
     assert simulating == pytest.approx(sum(frames.values()))
-    trained, again = 43, 6  # two rows take no step, six take their statistics anew
-    assert len(runs) == 45
-    assert training == pytest.approx(0.2 * (trained * 300 + again * 50) + 0.1 * 45 * 58)
+    trained, again = 48, 11  # two runs take no step, eleven take their statistics anew
+    assert len(runs) == 50
+    assert training == pytest.approx(0.2 * (trained * 300 + again * 50) + 0.1 * 50 * 58)
 
 
 def test_a_world_is_measured_by_a_small_table_of_its_own():
@@ -211,15 +211,15 @@ def test_the_page_says_what_the_table_found(tmp_path):
         for share in SHIPPED.shares_of("radiate"):
             scores.append(scored("radiate", share, seed, 0.3 + 0.004 * (seed - 1)))
             scores.append(scored("radiate_from_kradar", share, seed, 0.5 if share < 0.1 else 0.301))
-    tree = json.loads(json.dumps(tree_of(SHIPPED, scores, 135)))
+    tree = json.loads(json.dumps(tree_of(SHIPPED, scores, 150)))
     text = write_transfer(tmp_path / "report.html", tree).read_text()
     assert "Of 5 comparisons the first row lies above the second in 1, below it in 0; in 4 the interval" in text
     assert "AP of vehicles, bird&#39;s-eye view, overlap of 0.3" in text
-    assert "30 of 135 runs done, 3 seeds, 300 steps each" in text
+    assert "30 of 150 runs done, 3 seeds, 300 steps each" in text
     assert "T1 K-Radar to RADIATE-like over none: the first lies above at 5 %;" in text
     assert "T3 RADIATE-like to K-Radar over none: not scored yet" in text
     assert "500 frames" in text
     assert "+0.200" in text
     assert text.count("<b>holds</b>") == 1
-    empty = render(tree_of(SHIPPED, [], 135))
-    assert "0 of 135 runs done, 0 seeds" in empty
+    empty = render(tree_of(SHIPPED, [], 150))
+    assert "0 of 150 runs done, 0 seeds" in empty
