@@ -191,7 +191,7 @@ def test_a_world_is_measured_by_a_small_table_of_its_own():
 def test_the_command_plans_what_fits_six_core_hours(capsys):
     assert main(["reproduce", "kradar", "--transfer", "--plan", "--seeds", "0"]) == 0
     said = capsys.readouterr().out
-    assert "45 runs of 300 steps, 6 of them to start from" in said
+    assert "50 runs of 300 steps, 6 of them to start from" in said
     assert re.search(
         r"RADIATE-like alone .* 1  25 \(5 %\), 100 \(20 %\), 125 \(25 %\), 400 \(80 %\), 500 \(100 %\)", said
     )
