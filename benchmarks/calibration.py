@@ -34,7 +34,8 @@ from farfield.calibration.jobs import KRADAR_NODE_M
 from farfield.calibration.moments import read_moments
 from farfield.calibration.pairs import calibrate_pairs
 from farfield.calibration.radar_checking import check_radar
-from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
+from farfield.calibration.radar_lidar import calibrate_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.registration import register
 from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets import open_dataset

@@ -21,7 +21,8 @@ from _report import header, progress
 from farfield.calibration.checking import check_camera
 from farfield.calibration.edges import SIGMAS_PX, Views, moved
 from farfield.calibration.radar_checking import check_radar, distance, finds
-from farfield.calibration.radar_lidar import SYSTEMATIC, Evidence, RadarPose, refine_radar
+from farfield.calibration.radar_lidar import SYSTEMATIC, refine_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter

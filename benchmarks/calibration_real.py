@@ -22,7 +22,8 @@ from farfield.calibration.checking import check_camera
 from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.edges import align_edges, difference, edge_spread, moved, views_of
 from farfield.calibration.moments import read_moments
-from farfield.calibration.radar_lidar import Evidence, RadarPose, calibrate_radar
+from farfield.calibration.radar_lidar import calibrate_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kradar.labels import annotation_of, read_labels

@@ -10,7 +10,7 @@ from farfield.calibration.checking import check_camera
 from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refine_edges
 from farfield.calibration.moments import Moment
 from farfield.calibration.radar_checking import check_radar
-from farfield.calibration.radar_lidar import Evidence, RadarPose
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.geometry.cameras import Camera
 
 CAMERA = Camera(matrix=np.array([[300.0, 0, 320], [0, 300.0, 180], [0, 0, 1]]), width_px=640, height_px=360)

@@ -18,7 +18,8 @@ from farfield.calibration.places import (
     save_radar_where_read,
 )
 from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import RadarCalibration, RadarPose
+from farfield.calibration.radar_lidar import RadarCalibration
+from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import write_calibration
 from farfield.datasets.kitti.writer import calibration_text

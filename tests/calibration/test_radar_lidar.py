@@ -8,7 +8,8 @@ import pytest
 from farfield.calibration.bird import Maps, Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import Evidence, RadarPose, _folded, _polished, _solved, calibrate_radar
+from farfield.calibration.radar_lidar import _folded, _settled, _solved, calibrate_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_peaks, find_targets
 from farfield.errors import ConfigError, DatasetError
@@ -69,7 +70,7 @@ def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
     known = _solved(evidence, TRUTH.vector, TRUTH.frames, guess, PARAMETERS, (0.8,))
     assert known is not None
     held = turned, known[0], replace(known[1], value=turned.vector)
-    pose, _, solution = _polished(evidence, held, guess)
+    pose, _, solution = _settled(evidence, held, guess)
     assert pose.vector == pytest.approx(solution.value)
     assert abs(pose.yaw_rad - TRUTH.yaw_rad) < np.radians(0.1)
     assert abs(pose.y_m - TRUTH.y_m) < 0.06
@@ -96,7 +97,7 @@ def test_a_rough_start_does_not_draw_the_solution() -> None:
         found = _solved(evidence, TRUTH.vector, TRUTH.frames, off, PARAMETERS, (0.8, 0.8))
         assert found is not None
         ends.append(found[1].value)
-    assert (np.abs(ends[1] - ends[0])[1:3] < [0.001, np.radians(0.01)]).all()
+    assert (np.abs(ends[1] - ends[0])[1:3] < [0.002, np.radians(0.01)]).all()
 
 
 def test_a_platoon_hides_the_time_and_it_is_said() -> None:

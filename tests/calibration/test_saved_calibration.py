@@ -9,7 +9,8 @@ import pytest
 
 from farfield.calibration import Parameter, Solution
 from farfield.calibration.edges import difference, moved
-from farfield.calibration.radar_lidar import RadarCalibration, RadarPose
+from farfield.calibration.radar_lidar import RadarCalibration
+from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import save_camera, save_radar
 from farfield.datasets.calibration import read_calibration
 from farfield.datasets.kradar.radar_pose import SIDE_FILE, Matching, read_matching, read_side_file

@@ -7,7 +7,7 @@ from drive import frame as drive_frame
 from PIL import Image, ImageDraw
 
 from farfield.calibration.edges import moved
-from farfield.calibration.radar_lidar import RadarPose
+from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import radar_T_lidar
 from farfield.datasets.kitti.writer import calibration_text
 from farfield.datasets.kradar.writer import KRadarWriter

@@ -20,7 +20,8 @@ from farfield.calibration.edges import (
 )
 from farfield.calibration.information import LEAST_FRAMES, information_distance
 from farfield.calibration.moments import Moment, read_moments
-from farfield.calibration.radar_lidar import Evidence, RadarCalibration, RadarPose, calibrate_radar
+from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.registration import Registration, register
 from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
 from farfield.datasets.base import Dataset

@@ -7,12 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.problems import appraise
-from farfield.calibration.radar_lidar import (
-    GATES_M,
-    LEAST_MATCHES,
-    SYSTEMATIC,
+from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, SYSTEMATIC, RadarCalibration
+from farfield.calibration.radar_matching import (
     Evidence,
-    RadarCalibration,
     RadarPose,
     match_frame,
     match_objects,

@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from farfield.calibration.checking import Check, Verdict, unsaid
 from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import SYSTEMATIC, Evidence, RadarPose, refine_radar
+from farfield.calibration.radar_lidar import SYSTEMATIC, refine_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.errors import DatasetError
 
 ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))

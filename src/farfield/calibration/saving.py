@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.radar_lidar import RadarCalibration, RadarPose
+from farfield.calibration.radar_lidar import RadarCalibration
+from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets.calibration import read_calibration, write_calibration
 from farfield.datasets.kradar.layout import camera_number
 from farfield.datasets.kradar.radar_pose import SIDE_FILE

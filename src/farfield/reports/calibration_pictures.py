@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 
 from farfield.calibration.bird import bird_map
 from farfield.calibration.jobs import CameraJob, RadarJob
-from farfield.calibration.radar_lidar import RadarPose
+from farfield.calibration.radar_matching import RadarPose
 from farfield.geometry.cameras import Camera
 
 _SCALE = 4

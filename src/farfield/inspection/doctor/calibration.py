@@ -11,7 +11,7 @@ from farfield.calibration.edges import Views, views_of
 from farfield.calibration.jobs import KRADAR_NODE_M, chosen
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_checking import ASKED_M, ASKED_RAD, check_radar
-from farfield.calibration.radar_lidar import Evidence, RadarPose
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar

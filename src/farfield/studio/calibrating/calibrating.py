@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from farfield.calibration.jobs import KRADAR_NODE_M
-from farfield.calibration.radar_lidar import RadarPose
+from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes

@@ -10,7 +10,8 @@ from farfield.calibration.moments import Moment, read_moments
 from farfield.calibration.places import save_radar_where_read
 from farfield.calibration.problems import Solution, Told
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import Evidence, RadarCalibration, RadarPose, calibrate_radar, polar
+from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose, polar
 from farfield.calibration.radar_pairs import PARAMETERS, Pairs
 from farfield.calibration.saving import save_radar
 from farfield.datasets.base import Dataset

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from farfield.calibration.edges import difference, moved
-from farfield.calibration.radar_lidar import RadarPose
+from farfield.calibration.radar_matching import RadarPose
 from farfield.geometry.cameras import Camera
 from farfield.studio.messages.calibration import CameraValues, RadarValues
 

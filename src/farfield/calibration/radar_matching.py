@@ -1,0 +1,188 @@
+"""Objects that LiDAR and radar both see, matched, and how far they lie apart at a calibration.
+
+``p_radar = R(yaw) (p_lidar + v (dt - lag)) + t`` (the LiDAR's near faces, moved to the time of the radar), with
+residuals in range and azimuth.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.calibration.bird import Maps
+from farfield.calibration.moments import Moment
+from farfield.calibration.radar_pairs import PARAMETERS, Pairs
+from farfield.calibration.targets import Peaks, Targets, find_peaks, find_targets
+
+_SIGMA_RANGE_M = 0.2
+_SIGMA_AZIMUTH_RAD = np.radians(0.45)
+_SIGMA_FACE_M = 0.12
+_GLINT = 0.25  # of an object's width: by how much its brightest point is off its middle
+_ALIKE = 0.5  # correlation of what an object's matches err by
+_UNKNOWN_M_S = 14.0  # how fast what is taken to stand may be, where its velocity is not known
+_SAME_M = 0.25  # a frame
+_FARTHEST = 9.0  # squared sigmas: a peak farther than three from every target is of something else
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadarPose:
+    """A calibration: ``radar_T_lidar`` has yaw and translation only; the radar runs ``frames`` frames and dt ahead.
+
+    Args:
+        x_m: Translation of ``radar_T_lidar``.
+        y_m: Its y.
+        z_m: Its z.
+        yaw_rad: Its yaw.
+        frames: Radar frames to add to those that the data set pairs.
+        time_offset_s: How much later the radar measured than the sweep's own time, after that.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float = 0.0
+    frames: int = 0
+    time_offset_s: float = 0.0
+
+    @property
+    def vector(self) -> Float[np.ndarray, " 4"]:
+        """The four values that are solved for."""
+        return np.array([self.x_m, self.y_m, self.yaw_rad, self.time_offset_s])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """Maps and objects of all frames, made once.
+
+    Args:
+        moments: Frames of one sequence.
+        targets: LiDAR targets by number of the frame.
+        peaks: Radar peaks by number of the LiDAR frame that they are paired with.
+        period_s: Time between frames.
+    """
+
+    moments: Sequence[Moment]
+    targets: Mapping[int, Targets]
+    peaks: Mapping[int, Peaks]
+    period_s: float = 0.1
+
+    @classmethod
+    def of(cls, moments: Sequence[Moment], *, period_s: float = 0.1) -> "Evidence":
+        """Find the objects of all frames."""
+        peaks = {each.number: find_peaks(each) for each in moments}
+        targets = dict(zip(peaks, find_targets(moments), strict=True))
+        return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
+
+    @cached_property
+    def maps(self) -> Maps:
+        """Bird's-eye maps; what one start correlates, later ones find again."""
+        return Maps(self.moments)
+
+    @cached_property
+    def speeds(self) -> Mapping[int, Float[np.ndarray, "n 2"]]:
+        """Velocities of the targets of each frame in m/s, the usual one where they are not known."""
+        return {number: _speeds(each, self.period_s) for number, each in self.targets.items()}
+
+
+def shares(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+    """For how many observations each match counts: an object's echo errs alike in all of its frames.
+
+    One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed. Such
+    objects err alike, for traffic goes one way on each side: all of them together are one observation of that error.
+    """
+    _, which, count = np.unique(pairs.track, return_inverse=True, return_counts=True)
+    moved_m = np.where(pairs.tracked, 0.0, _UNKNOWN_M_S) * (value[3] - pairs.lag_s)
+    alike = len(np.unique(pairs.track[~pairs.tracked]))
+    return np.asarray(1.0 / ((1.0 + _ALIKE * (count[which] - 1.0)) * (1.0 + alike * (moved_m / _SIGMA_RANGE_M) ** 2)))
+
+
+def placed(
+    value: Float[np.ndarray, " 4"],
+    lidar_m: Float[np.ndarray, "n 3"],
+    velocity_m_s: Float[np.ndarray, "n 2"],
+    lag_s: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 2"]:
+    """LiDAR targets in the radar's frame at the radar's time."""
+    at = lidar_m[:, :2] + velocity_m_s * (value[3] - lag_s)[:, None]
+    cos, sin = np.cos(value[2]), np.sin(value[2])
+    return at @ np.array([[cos, sin], [-sin, cos]]) + value[:2]
+
+
+def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
+    """Velocities; where they are not known, or differ by noise only, the usual one of the frame.
+
+    Noise in velocities would pose as a spread of speeds and claim to tell x from the time offset.
+    """
+    known = np.isfinite(targets.velocity[:, 0])
+    usual = np.median(targets.velocity[known], axis=0) if known.any() else np.zeros(2)
+    with np.errstate(invalid="ignore"):
+        own = np.linalg.norm(targets.velocity - usual, axis=1) > _SAME_M
+    return np.where((known & own)[:, None], targets.velocity, usual) / period_s
+
+
+def match_objects(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> Pairs:
+    """Pairs that are each other's nearest."""
+    rows = [match_frame(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
+    lidar, width, speed, lag, tracked, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return Pairs(
+        lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track, tracked=tracked
+    )
+
+
+def _squares(at: Float[np.ndarray, "n 2"], peaks_m: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
+    """Squared distances from each to each: for dozens faster than a tree."""
+    return np.asarray((at[:, :1] - peaks_m[:, 0]) ** 2 + (at[:, 1:] - peaks_m[:, 1]) ** 2)
+
+
+def match_frame(
+    evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
+) -> tuple[np.ndarray, ...]:
+    """Columns of the pairs of one LiDAR frame and one radar frame."""
+    targets = evidence.targets[number]
+    peaks = evidence.peaks[other].place_m if other in evidence.peaks else np.zeros((0, 3))
+    kept, partner = np.zeros(len(targets.place_m), dtype=bool), np.zeros(len(targets.place_m), dtype=int)
+    speed = evidence.speeds[number]
+    if len(kept) and len(peaks):
+        away = _squares(placed(value, targets.place_m, speed, targets.lag_s), peaks)
+        partner = away.argmin(axis=1)
+        row = np.arange(len(kept))
+        kept = (away[row, partner] < gate_m**2) & (away.argmin(axis=0)[partner] == row)
+    width = targets.size_m.max(axis=1, initial=0.0)
+    columns = (targets.place_m, width, speed, targets.lag_s, np.isfinite(targets.velocity[:, 0]))
+    return *(each[kept] for each in columns), peaks[partner[kept]].reshape(-1, 3), targets.track[kept]
+
+
+def polar(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
+    """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
+    at = placed(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
+    seen = pairs.radar_m[:, :2]
+    turn = np.arctan2(at[:, 1], at[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+    return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
+
+
+def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
+    """:func:`polar` divided by sigma."""
+    reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
+    across = np.hypot(_SIGMA_AZIMUTH_RAD, np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m) / np.maximum(reach, 1.0))
+    return polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
+
+
+def peak_costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
+    """Mean truncated squared distance of each radar frame's peaks to LiDAR targets, NaN where there is none.
+
+    A radar frame counts for every frame offset alike, whatever it matched; the priors' cost is spread over the frames.
+    """
+    costs = np.full(len(evidence.peaks), np.nan)
+    away = (pose.vector - guess.vector) / [each.prior_sigma for each in PARAMETERS]
+    for row, (other, peaks) in enumerate(evidence.peaks.items()):
+        targets = evidence.targets.get(other - pose.frames)
+        if targets is None or not len(targets.place_m) or not len(peaks.place_m):
+            continue
+        at = placed(pose.vector, targets.place_m, evidence.speeds[other - pose.frames], targets.lag_s)
+        square = _squares(at, peaks.place_m).min(axis=0)
+        near = np.hypot(peaks.place_m[:, 0], peaks.place_m[:, 1])
+        sigma = np.hypot(_SIGMA_RANGE_M, 0.5 * _SIGMA_AZIMUTH_RAD * near)
+        costs[row] = float(np.minimum(square / sigma**2, _FARTHEST).sum())
+    return costs + 0.5 * float(away @ away) / max(int(np.isfinite(costs).sum()), 1)
