@@ -34,7 +34,8 @@ _FOLDS = 4  # times that whole frames may move from the time offset into the fra
 _LOOSE_S = 0.3
 _MAPS_SHARE = 0.5  # of the time
 _STEPS = np.array([0.05, 0.1, np.radians(0.2), 0.005])  # first ones of a search: x, y, yaw, time offset
-_ENDS = {"xatol": 0.02, "fatol": 1e-3, "maxfev": 200}  # in those steps, and squared sigmas a frame
+_NEAR_STEPS, _NEAR_COST = 0.02, 1e-3  # where it ends: in those steps, and in squared sigmas a frame
+_MOST_TRIED = 200
 SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
@@ -176,16 +177,23 @@ def _settled(evidence: Evidence, found: _Tried, guess: RadarPose) -> _Tried:
     distance of all peaks is one place, wherever it is searched from.
     """
     pose, _, _ = found
-
-    def distance(steps: Float[np.ndarray, " 4"]) -> float:
-        there = _posed(pose.vector + steps * _STEPS, pose.frames, guess)
-        return float(np.nanmean(peak_costs(evidence, there, guess)))
-
     corners = np.vstack([np.zeros(4), np.eye(4)])
-    nearest = minimize(distance, corners[0], method="Nelder-Mead", options={"initial_simplex": corners, **_ENDS})
+    nearest = minimize(
+        _peaks_away,
+        corners[0],
+        args=(evidence, pose, guess),
+        method="Nelder-Mead",
+        options={"initial_simplex": corners, "xatol": _NEAR_STEPS, "fatol": _NEAR_COST, "maxfev": _MOST_TRIED},
+    )
     value = pose.vector + nearest.x * _STEPS
     end = _solved(evidence, value, pose.frames, guess, PARAMETERS, GATES_M[-2:])
     return found if end is None else (_posed(end[1].value, pose.frames, guess), *end)
+
+
+def _peaks_away(steps: Float[np.ndarray, " 4"], evidence: Evidence, begun: RadarPose, guess: RadarPose) -> float:
+    """How far all peaks lie from the LiDAR's objects so many steps from where the search began."""
+    there = _posed(begun.vector + steps * _STEPS, begun.frames, guess)
+    return float(np.nanmean(peak_costs(evidence, there, guess)))
 
 
 def _solved(
