@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NO_INTERVAL = "-"
+_LINES = ("-", "--", ":")  # equal curves are seen through one another, and more curves than colours differ
 
 
 def write_transfer(path: Path, tree: Mapping[str, Any]) -> Path:
@@ -122,10 +123,11 @@ def curves(tree: Mapping[str, Any]) -> "Figure":
         figure = new_figure(4.2 * len(worlds), 4.2)
         panels = figure.subplots(1, len(worlds), squeeze=False, sharey=True)[0]
         for axes, world in zip(panels, worlds, strict=True):
-            for row, colour in zip((row for row in shown if row["world"] == world), PATTERNS * 2, strict=False):
+            for number, row in enumerate(row for row in shown if row["world"] == world):
+                colour, line = PATTERNS[number % len(PATTERNS)], _LINES[number % len(_LINES)]
                 course = _course(tree, row["name"])
                 frames, means = [each["frames"] for each in course], [each["mean"] for each in course]
-                axes.plot(frames, means, marker="o", ms=3.5, lw=1.4, color=colour, label=row["words"])
+                axes.plot(frames, means, line, marker="o", ms=3.5, lw=1.4, color=colour, label=row["words"])
                 for each in course:
                     if each["interval"] is not None:
                         axes.plot([each["frames"]] * 2, each["interval"], color=colour, lw=0.8, alpha=0.5)
