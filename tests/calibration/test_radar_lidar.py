@@ -97,7 +97,7 @@ def test_a_rough_start_does_not_draw_the_solution() -> None:
         found = _solved(evidence, TRUTH.vector, TRUTH.frames, off, PARAMETERS, (0.8, 0.8))
         assert found is not None
         ends.append(found[1].value)
-    assert (np.abs(ends[1] - ends[0])[1:3] < [0.002, np.radians(0.01)]).all()
+    assert (np.abs(ends[1] - ends[0])[1:3] < [0.001, np.radians(0.01)]).all()
 
 
 def test_a_platoon_hides_the_time_and_it_is_said() -> None:

@@ -6,6 +6,7 @@ the solution says so and the prior on dt stands. A mean range bias of the radar 
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, repeat
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +31,8 @@ AZIMUTH_CELL_RAD = np.radians(1.0)
 GATES_M = (1.6, 1.0, 0.8, 0.8)
 """How far matched objects may be from one another, round by round."""
 LEAST_MATCHES = 12
+_MORE_ROUNDS = 6  # with the last gate, until the solution rests
+_AT_REST = np.array([5e-4, 5e-4, np.radians(0.005)])  # x, y, yaw
 _FOLDS = 4  # times that whole frames may move from the time offset into the frame offset
 _LOOSE_S = 0.3
 _MAPS_SHARE = 0.5  # of the time
@@ -204,12 +207,13 @@ def _solved(
     parameters: tuple[Parameter, ...],
     gates_m: tuple[float, ...],
 ) -> tuple[Pairs, Solution] | None:
-    """Match and solve in turn, with a narrower gate each time; the prior then stands where the last solution did.
+    """Match and solve in turn, with a narrower gate each time and then the last one, until the solution rests.
 
-    It holds what the data do not tell, and does not draw what they tell weakly towards a rough start.
+    The prior stands where the last solution did: it holds what the data do not tell, and does not draw what they tell
+    weakly towards a rough start.
     """
     found, mean = None, guess.vector
-    for gate_m in gates_m:
+    for number, gate_m in enumerate(chain(gates_m, repeat(gates_m[-1], _MORE_ROUNDS)), start=1):
         pairs = match_objects(evidence, value, frames, gate_m)
         if len(pairs.track) < LEAST_MATCHES:
             return None
@@ -217,6 +221,8 @@ def _solved(
         counted = shares(pairs, value)
         solution = solve(rows, mean, parameters, group=pairs.track, share=counted, begin=value)
         value, found = solution.value, (pairs, solution)
+        if number >= len(gates_m) and (np.abs(value - mean)[:3] < _AT_REST).all():
+            break
         mean = np.append(value[:3], guess.time_offset_s)
     return found
 
