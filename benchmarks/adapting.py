@@ -1,12 +1,13 @@
 """What farfield adapt gains: the share of the gap to a detector trained on the target's labels that it closes.
 
-    python benchmarks/adapting.py [--minutes 50] [--work data/adapting] [--controls]
+    python benchmarks/adapting.py [--minutes 50] [--work data/adapting] [--controls] [--whole-bodies]
     python benchmarks/adapting.py --kitti
 
 The target is 200 frames of the simulated os2-64 (preset kradar-sim, one weather), adapted to without their labels from
 pointpillars-cirrus-sim, whose source frames are simulated within the same time. The detector trained on their labels
 starts from the same weights and takes as many steps with the same source frames, statistics by domain and settings, and
-a head of its own, so that labels are the only difference. All are scored on other drives; intervals are those of 1,000
+a head of its own, so that labels are the only difference. With --whole-bodies the source's labels are whole bodies, as
+the target's are, in all rows but the first. All are scored on other drives; intervals are those of 1,000
 draws of these. A control learns from the same batches without pseudo boxes: what statistics and more steps give.
 
 --kitti adapts to the whole sweeps of drive 0001 of KITTI's raw data (shared/real, local) and scores on the frames of
@@ -166,8 +167,16 @@ def on_os2(options: argparse.Namespace) -> None:
     other = simulated(work, "other", options.scored, options.scored // 3, 731, options.weather)
     cores.spent("target and scored frames")
     choices: dict[str, Any] = {"frames": options.frames, "clouds": ("os2-64",), "rounds": options.rounds}
-    choices["source_frames"] = options.source_frames
-    done = ff.adapt(START, target, out=work / "adapted", minutes=options.minutes, report=Course(), **choices)
+    choices["source_frames"], choices["whole_bodies"] = options.source_frames, options.whole_bodies
+    done = ff.adapt(
+        START,
+        target,
+        out=work / "adapted",
+        minutes=options.minutes,
+        steps=options.steps,
+        report=Course(),
+        **choices,
+    )
     minutes = cores.spent("adapting")
     print(
         f"adapting: {minutes:.0f} core-minutes, source frames included; {options.rounds} x {done.settled.steps} steps"
@@ -188,10 +197,11 @@ def on_os2(options: argparse.Namespace) -> None:
         for name, weights in rows.items()
     }
     drives = found["before"]["DDS"].groups
-    print(
-        f"{len(other)} frames of {drives} other drives; vehicle; boxes show whole bodies there, the visible part in the"
-    )
-    print("source: aIoU, and DDS with it, holds a gap that pseudo boxes cannot close")
+    print(f"{len(other)} frames of {drives} other drives; vehicle; boxes show whole bodies there, the visible part in")
+    if options.whole_bodies:
+        print("what the detector learnt; the source's labels teach whole bodies in all rows but the first")
+    else:
+        print("the source: aIoU, and DDS with it, holds a gap that pseudo boxes cannot close")
     report(found, "before", "adapted", "trained on labels")
 
 
@@ -200,6 +210,8 @@ def on_kitti(options: argparse.Namespace) -> None:
     drive = SHARED_REAL / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync" / "velodyne_points" / "data"
     out = options.work / "kitti"
     choices: dict[str, Any] = {"rounds": options.rounds, "source_frames": options.source_frames}
+    choices["whole_bodies"] = options.whole_bodies
+    choices["steps"] = options.steps
     done = ff.adapt(START, drive, out=out, minutes=options.minutes, report=Course(), **choices)
     print(f"adapted to {len(done.after.boxes)} sweeps in {options.rounds} x {done.settled.steps} steps")
     sets = []
@@ -225,6 +237,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--weather", default="normal")
     parser.add_argument("--controls", action="store_true", help="also without pseudo boxes")
+    parser.add_argument("--whole-bodies", action="store_true", help="the source's labels are whole bodies, too")
+    parser.add_argument("--steps", type=int, default=0, help="of all rounds; the command's own unless given")
     parser.add_argument("--kitti", action="store_true", help="real KITTI in place of the simulated os2-64")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)

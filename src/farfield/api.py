@@ -211,7 +211,7 @@ def adapt(
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
         **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``overrides``,
-            ``seed``; see :class:`farfield.experiments.adapting.Choices`.
+            ``whole_bodies``, ``seed``; see :class:`farfield.experiments.adapting.Choices`.
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no

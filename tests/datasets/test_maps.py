@@ -62,7 +62,7 @@ def test_a_map_is_its_name_and_settings(function):
 
 def test_unknown_maps_and_settings_are_errors():
     with pytest.raises(
-        ConfigError, match="coordinates, edited, labels_at, move, posed, radar_view, sweeps; got 'mirror'"
+        ConfigError, match="coordinates, edited, labels_at, move, posed, radar_view, sweeps, whole_bodies; got 'mirror'"
     ):
         make("mirror", {})
     with pytest.raises(ConfigError, match=r"map 'sweeps': number: no such key.*settings count"):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("embreex")
@@ -23,14 +25,14 @@ import farfield as ff
 from farfield.adaptation import thresholds
 from farfield.datasets import Dataset, open_dataset
 from farfield.detectors.weights import load_weights, save_weights
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError, DatasetError, FarfieldError
 from farfield.experiments.adapting import Adapted, Choices
 from farfield.experiments.adapting.page import changes, edges_to, extents, most_changed
 from farfield.experiments.adapting.rounds import measured_step_s, rare_classes, steps_in, steps_wanted
 from farfield.experiments.adapting.settings import Settled, spread
 from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of
 from farfield.experiments.plan import Plan
-from farfield.experiments.schema import Experiment
+from farfield.experiments.schema import Experiment, experiment_of
 from farfield.frame import Annotation, Boxes, Frame, Given
 
 EAGER = {"score_threshold": 0.0, "max_boxes": 20, "candidates": 20}  # a network that has learnt nothing finds something
@@ -114,6 +116,48 @@ def test_scores_on_labels_are_told_and_decide_nothing(
     with pytest.raises(ConfigError, match="not learnt from; all 3 are learnt from"):
         ff.adapt(start, simulated_cirrus, out=tmp_path / "none", labels=simulated_cirrus, **{**choices, "frames": 0})
     assert not (tmp_path / "none").exists()
+
+
+def test_whole_bodies_are_taught_by_the_source_first(
+    start: Path, simulated_cirrus: Path, tmp_path: Path, eager: None
+) -> None:
+    out = tmp_path / "bodies"
+    done = ff.adapt(start, simulated_cirrus, out=out, whole_bodies=True, labels=simulated_cirrus, frames=1, **TINY)
+    weights = [
+        experiment_of(yaml.safe_load((out / f"round-{number}" / "experiment.yaml").read_text())).method.settings.get(
+            "weight"
+        )
+        for number in (1, 2)
+    ]
+    assert weights == [0.0, None]  # then its default, 1
+    _, provenance = load_weights(done.weights)
+    maps = {name: stream["recipe"]["maps"] for name, stream in provenance["streams"].items()}
+    assert {"name": "whole_bodies", "settings": {}} in maps["source"]
+    assert not any(one["name"] == "whole_bodies" for one in maps["target"])
+    simulated = open_dataset(out / "source", whole_bodies=True)
+    assert provenance["streams"]["source"]["data_fingerprint"] == simulated.select([0, 1]).fingerprint()
+    visible = open_dataset(simulated_cirrus).annotation(0)
+    found = ff.detect(ff.load_detector(out), open_dataset(simulated_cirrus))
+    truth = found.annotations[open_dataset(simulated_cirrus).keys[0]]
+    assert visible is not None
+    assert visible.full_boxes is not None
+    np.testing.assert_array_equal(truth.boxes.size_m, visible.full_boxes.size_m)  # and it is scored on these
+    assert "So do those of the source from which this detector learnt here" in done.page.read_text()
+    with pytest.raises(ConfigError, match="2 rounds or more with whole_bodies"):
+        ff.adapt(start, simulated_cirrus, out=tmp_path / "one", whole_bodies=True, rounds=1)
+
+
+def test_whole_bodies_that_nothing_tells_are_refused(start: Path, simulated_cirrus: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(simulated_cirrus, bare)
+    for path in bare.glob("**/*.json"):
+        tree = json.loads(path.read_text())
+        tree["labels"] = [{k: v for k, v in one.items() if not k.startswith("full_")} for one in tree["labels"]]
+        path.write_text(json.dumps(tree))
+    choices = {**TINY, "source": bare, "whole_bodies": True}
+    with pytest.raises((ConfigError, DatasetError), match="show the part that the sensor sees"):
+        ff.adapt(start, simulated_cirrus, out=tmp_path / "out", **choices)
+    assert not (tmp_path / "out").exists()
 
 
 def test_done_work_is_kept_and_another_adaptation_refused(

@@ -28,6 +28,7 @@ def run(
     rounds: int = 2,
     steps: int = 0,
     minutes: float = 0.0,
+    whole_bodies: bool = False,
     seed: int = 0,
     workers: int = 0,
     engine: str = "local",
@@ -42,6 +43,7 @@ def run(
       farfield adapt pointpillars-cirrus-sim my-sweeps --minutes 60 --out runs/mine
       farfield adapt runs/pointpillars-kitti my-sweeps --source /data/kitti
       farfield adapt pointpillars-cirrus-sim my-sweeps --labels my-labelled-sweeps
+      farfield adapt pointpillars-cirrus-sim my-sweeps --whole-bodies
       farfield adapt pointpillars-cirrus-sim my-sweeps --rounds 3 -o method.strong.thinning=0.5
 
     What the detector is sure of in your sweeps teaches it as objects, what it is unsure of is ignored, and labelled
@@ -66,6 +68,9 @@ def run(
         rounds: Times that the teacher is renewed.
         steps: Training steps of all rounds; 0 takes a quarter of those that made the weights, 1,000 at most.
         minutes: Take fewer steps where all would last longer than this; 0 sets no limit.
+        whole_bodies: Learn boxes of whole bodies, as KITTI's and K-Radar's are, where the detector's show the parts
+            that a sensor sees, as Cirrus' are: the source's labels teach them in the first round, pseudo boxes from
+            then on.
         seed: Another seed simulates other roads and draws other batches.
         workers: Processes that search; 0 takes as many as there are cores, frames and memory for, one on a GPU.
         engine: Where the searching is done.
@@ -91,6 +96,7 @@ def run(
         "rounds": rounds,
         "steps": steps,
         "minutes": minutes,
+        "whole_bodies": whole_bodies,
         "overrides": tuple(override),
         "seed": seed,
     }

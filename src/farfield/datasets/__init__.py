@@ -20,8 +20,8 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     """Open a data set; its format is recognised from what the folder holds.
 
     Options that decide how frames are seen become maps, see :attr:`Dataset.maps`: ``poses`` and ``rotate_deg`` for
-    every format, and ``reference``, ``radar_rate``, ``radar_region``, ``radar_over``, ``labels_at`` for those that
-    offer them.
+    every format, and ``reference``, ``radar_rate``, ``radar_region``, ``radar_over``, ``labels_at``,
+    ``whole_bodies`` for those that offer them.
 
     Args:
         path: Its root folder.

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.maps import Coordinates, FrameMap, LabelsAt, Move, Posed, described, make
+from farfield.datasets.maps import Coordinates, FrameMap, LabelsAt, Move, Posed, WholeBodies, described, make
 from farfield.errors import ConfigError
 
 RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
@@ -33,6 +33,8 @@ def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
         found.append(make("radar_view", radar))
     if options.get("labels_at"):
         found.append(LabelsAt(str(options["labels_at"])))
+    if options.get("whole_bodies"):
+        found.append(WholeBodies())
     if options.get("rotate_deg"):
         found.append(Move.turned(options["rotate_deg"]))
     return found
@@ -47,7 +49,7 @@ def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
     options, count = dict(data.get("options") or {}), int(data.get("sweeps", 1))
     maps = [described(function) for function in maps_of_options(options)]
     maps += [{"name": "sweeps", "settings": {"count": count}}] if count > 1 else []
-    views = ("poses", "reference", "labels_at", "rotate_deg", *RADAR_OPTIONS)
+    views = ("poses", "reference", "labels_at", "whole_bodies", "rotate_deg", *RADAR_OPTIONS)
     kept = {name: value for name, value in options.items() if name not in views}
     return {"format": None, "options": kept, "maps": maps}
 

@@ -44,7 +44,7 @@ class Cirrus(Dataset):
     """
 
     name = "cirrus"
-    view_options = ("labels_at",)
+    view_options = ("labels_at", "whole_bodies")
 
     def __init__(
         self,

@@ -13,6 +13,7 @@ from farfield.datasets.maps.move import Move
 from farfield.datasets.maps.placed import Placed
 from farfield.datasets.maps.posed import Posed
 from farfield.datasets.maps.sweeps import Sweeps
+from farfield.datasets.maps.whole_bodies import WholeBodies
 from farfield.errors import ConfigError, plain
 from farfield.registry import Registry
 
@@ -27,6 +28,7 @@ __all__ = [
     "Placed",
     "Posed",
     "Sweeps",
+    "WholeBodies",
     "described",
     "make",
     "none_before",
@@ -44,6 +46,7 @@ MAPS: Registry[Any] = Registry(
         "posed": "farfield.datasets.maps.posed:Posed",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
+        "whole_bodies": "farfield.datasets.maps.whole_bodies:WholeBodies",
     },
 )
 

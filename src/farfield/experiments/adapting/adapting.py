@@ -50,7 +50,7 @@ def adapt(
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
         **choices: See :class:`Choices`: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``,
-            ``overrides``, ``seed``.
+            ``overrides``, ``whole_bodies``, ``seed``.
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no

@@ -12,6 +12,7 @@ from farfield.adaptation.signs import signs_of
 from farfield.adaptation.thresholds import thresholds_of
 from farfield.bulk import Bulk
 from farfield.datasets import Dataset
+from farfield.datasets.maps import WholeBodies
 from farfield.detection import as_trained, detect, suitable_clouds
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
@@ -117,7 +118,10 @@ class Job:
 
     @cached_property
     def source(self) -> tuple[DataConfig, Dataset]:
-        """Settings and frames of the source."""
+        """Settings and frames of the source, as they teach."""
+        return self._source(whole_bodies=self.choices.whole_bodies)
+
+    def _source(self, *, whole_bodies: bool) -> tuple[DataConfig, Dataset]:
         return source_frames(
             self.detector,
             self.learnt,
@@ -126,6 +130,7 @@ class Job:
             frames=self.choices.source_frames,
             seed=self.choices.seed,
             name=self.start,
+            whole_bodies=whole_bodies,
             progress=partial(self.report.reading, what="simulating the source"),
             say=self.report.say,
         )
@@ -133,7 +138,10 @@ class Job:
     @cached_property
     def held(self) -> Held | None:
         """The labelled frames that are not learnt from."""
-        return None if self.labels is None else held_frames(self.labels, self.target[1])
+        if self.labels is None:
+            return None
+        bodies = self.choices.whole_bodies and WholeBodies().fits(self.labels.unwrapped)
+        return held_frames(self.labels.mapped(WholeBodies()) if bodies else self.labels, self.target[1])
 
     @property
     def streams(self) -> dict[str, Dataset]:
@@ -155,6 +163,8 @@ class Job:
         check_ignores(self.detector.network)
         if self.given is None:
             simulation_of(self.learnt, self.choices.source_frames, self.choices.seed, self.start)
+        elif self.choices.whole_bodies:
+            _ = self.source  # tells them, or says that it does not
         config, frames = self.target
         for each in config.clouds:
             self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
@@ -236,13 +246,15 @@ class Job:
 
     def identity(self) -> dict[str, Any]:
         """All that decides the outcome, for those who go on."""
-        config = self.configs
+        config, choices = self.configs, self.choices.model_dump(mode="json")
+        if not self.choices.whole_bodies:  # earlier versions did not know it
+            del choices["whole_bodies"]
         return {
             "detector": self.detector.digest(),
             "target": self.target[1].fingerprint(),
             "source": self.source[1].fingerprint(),
             "source_clouds": list(config["source"].clouds),
-            **self.choices.model_dump(mode="json"),
+            **choices,
             "clouds": list(config["target"].clouds),
         }
 
@@ -252,9 +264,10 @@ class Job:
         found = load_settled(self.folder, identity)
         if found is not None:
             return found
+        as_learnt = self._source(whole_bodies=False)[1]  # thresholds judge the detector by what it learnt
         labelled = detect(
             self.detector,
-            self.source[1],
+            as_learnt,
             cloud=self.clouds["source"],
             annotated_only=True,
             bulk=self.doing("searching the source"),

@@ -55,12 +55,13 @@ def edges_to(reach_m: float) -> list[float]:
     return [*(edge for edge in _EDGES_M if edge < reach_m), reach_m]
 
 
-def extents(data: Mapping[str, Dataset], *, scored: bool = False) -> str:
+def extents(data: Mapping[str, Dataset], *, scored: bool = False, taught: bool = False) -> str:
     """What the boxes of source and target show, where both are annotated; a sentence, or nothing.
 
     Args:
         data: Frames of ``source`` and ``target``.
         scored: Whether the target's are labels that were read for scores at the end.
+        taught: Whether the source's labels taught whole bodies to a detector that knew visible parts.
     """
     used = "labels taught nothing" if scored else "labels were not used"
     found: dict[str, str] = {}
@@ -71,6 +72,12 @@ def extents(data: Mapping[str, Dataset], *, scored: bool = False) -> str:
             return ""
         found[name] = annotation.extent
     if found["source"] == found["target"]:
+        if taught:
+            return (
+                f"The target is annotated; its {used}. Its boxes show the {_extent(found['target'])}. So do those of "
+                "the source from which this detector learnt here; before, it drew the part that the sensor sees, and "
+                "part of what it gains in sizes and overlaps is this difference, which needs no sweep of the target."
+            )
         return (
             f"The target is annotated; its {used}. Boxes show the {_extent(found['target'])} in both "
             "source and target, so that scores on these labels compare like with like."
@@ -135,7 +142,11 @@ def page_of(
         changes=shown,
         rows=rows,
         signs=signs,
-        labels=extents(data if held is None else {**data, "target": held}, scored=held is not None),
+        labels=extents(
+            data if held is None else {**data, "target": held},
+            scored=held is not None,
+            taught=bool(settled.settings.get("whole_bodies")),
+        ),
         scores=scores,
         simulated={name: is_simulated(each.root) for name, each in data.items()},
         settings={

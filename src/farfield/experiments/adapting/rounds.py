@@ -82,11 +82,13 @@ def experiment_of_round(
     training["batch_size"] = max(2, 2 * (int(training.get("batch_size", 4)) // 2))  # as many of each stream
     lowest = float(detector.config.score_threshold)
     rare = dict.fromkeys(rare_classes(boxes, settled), lowest)
-    scores = {"positive": settled.positive, "negative": {**settled.negative, **rare}}
+    method: dict[str, Any] = {"positive": settled.positive, "negative": {**settled.negative, **rare}}
+    if choices.whole_bodies and number == 1:  # the teacher still draws visible parts: the source's labels teach alone
+        method["weight"] = 0.0
     tree: dict[str, Any] = {
         "name": f"round-{number}",
         "data": {name: config.model_dump(mode="json") for name, config in data.items()},
-        "method": {"name": "teacher", "start": str(start), "norm": "per_domain", **scores},
+        "method": {"name": "teacher", "start": str(start), "norm": "per_domain", **method},
         "detector": detector.config.model_dump(mode="json"),
         "augmentation": dict(learnt.augmentation),
         "training": {**training, "seed": choices.seed + number},

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
@@ -32,7 +32,19 @@ class Choices(BaseModel):
     overrides: tuple[str, ...] = Field(
         (), description="settings of method, training, augmentation, such as method.decay=0.99"
     )
+    whole_bodies: bool = Field(
+        False,
+        description="learn boxes of whole bodies from the source's labels, where the detector's show visible parts",
+    )
     seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _enough_rounds(self) -> "Choices":
+        if self.whole_bodies and self.rounds < 2:
+            raise ValueError(
+                "expected 2 rounds or more with whole_bodies: in the first the source's labels teach alone"
+            )
+        return self
 
     @field_validator("overrides")
     @classmethod

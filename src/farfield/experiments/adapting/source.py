@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.bulk.runs import Progress
 from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.maps import WholeBodies
 from farfield.datasets.recipes import recipe_of_experiment
 from farfield.detection import as_trained, suitable_clouds
 from farfield.errors import ConfigError
@@ -118,6 +119,7 @@ def source_frames(
     frames: int,
     seed: int,
     name: str,
+    whole_bodies: bool = False,
     progress: Progress = iter,
     say: Callable[[str], object] | None = None,
 ) -> tuple[DataConfig, Dataset]:
@@ -131,6 +133,7 @@ def source_frames(
         frames: How many at most.
         seed: Another seed simulates other roads.
         name: What the detector is called, for messages.
+        whole_bodies: Boxes hold whole bodies, whatever the detector learnt.
         progress: Wraps the numbers of frames that are simulated.
         say: Takes lines about the simulation.
 
@@ -139,19 +142,31 @@ def source_frames(
 
     Raises:
         ConfigError: If there is nothing to simulate, or no cloud suits the detector.
-        DatasetError: If no frame is annotated.
+        DatasetError: If no frame is annotated, or whole bodies are asked for and not known.
     """
     simulate = None if given is not None else simulation_of(learnt, frames, seed, name)
     path = folder / FOLDER if given is None else given
     ensure(simulate, path, progress, say)
     options = recipe_of_experiment({"options": learnt.options})["options"] if given is None else {}
-    data = annotated_frames(as_trained(open_dataset(path, **options), detector), "skip")
+    opened = open_dataset(path, **options)
+    seen = {"whole_bodies": True} if whole_bodies and "whole_bodies" in opened.view_options else {}
+    data = annotated_frames(as_trained(opened.mapped(WholeBodies()) if seen else opened, detector), "skip")
     data = data.select(spread(len(data), frames))
     config = DataConfig(
         path=path,
         clouds=suitable_clouds(detector, data[0]),
         aliases=dict(learnt.aliases),
-        options=dict(learnt.options) if given is None else {},
+        options=(dict(learnt.options) if given is None else {}) | seen,
         simulate=simulate,
     )
+    _check_bodies(data, whole_bodies, name)
     return config, data
+
+
+def _check_bodies(data: Dataset, whole_bodies: bool, name: str) -> None:
+    annotation = data.annotation(0) if whole_bodies and len(data) else None
+    if annotation is not None and annotation.extent != "full":
+        raise ConfigError(
+            f"adapt: expected source frames that tell whole bodies, as whole_bodies asks for; those of {data.root} "
+            f"show the part that the sensor sees. Give others with --source, or adapt {name} without whole_bodies."
+        )
