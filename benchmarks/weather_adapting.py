@@ -261,7 +261,7 @@ def teacher_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
         last = rows[-max(1, len(rows) // 10) :]
         sure, unsure = (np.mean([row.get(name, 0.0) for row in last]) for name in ("pseudo_boxes", "ignored_boxes"))
         limits = ", ".join(f"{which} {settings[which]['vehicle']:.2f}" for which in ("positive", "negative"))
-        lines.append(f"  {job.experiment.name:<32}{limits}; sure {sure:.2f}, ignored {unsure:.2f}")
+        lines.append(f"  {job.runs[0]}-s{job.seed}".ljust(34) + f"{limits}; sure {sure:.2f}, ignored {unsure:.2f}")
     return lines
 
 
