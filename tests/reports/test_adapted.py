@@ -8,8 +8,8 @@ import pytest
 
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Given
 from farfield.reports.adapted import AdaptedPage, Change, rates, render
-from farfield.reports.adapted_plots import courses
 from farfield.reports.adapted_scores import HeldScores, ScoreRow
+from farfield.reports.courses import ADAPTATION, courses
 
 
 def boxes_at(*x: float, score: tuple[float, ...], label: str = "vehicle") -> Boxes:
@@ -114,10 +114,10 @@ def test_what_there_is_not_is_left_out(page: AdaptedPage) -> None:
     text = render(replace(page, rows=[], signs=[], labels="", changes=[], before={}, after={}))
     assert "The course of the training" not in text
     assert "What the log warns of" not in text
-    assert courses([{"step": 1, "loss": 2.0}]) is None
+    assert courses([{"step": 1, "loss": 2.0}], ADAPTATION) is None
 
 
 def test_curves_have_a_panel_for_each_kind(page: AdaptedPage) -> None:
-    figure: Any = courses([{**row, "round": number} for number, row in enumerate(page.rows, 1)])
+    figure: Any = courses([{**row, "round": number} for number, row in enumerate(page.rows, 1)], ADAPTATION)
     titles = [axes.get_title("left") for axes in figure.axes if axes.get_visible()]
     assert titles == ["loss of source and pseudo boxes", "boxes of the teacher a frame", "rank of the features"]

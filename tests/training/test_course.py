@@ -36,6 +36,22 @@ def test_the_log_holds_every_step_and_every_loss(experiment, tmp_path):
         assert row["loss"] == pytest.approx(row["classification"] + row["box"] + row["direction"], rel=1e-5)
 
 
+def test_a_run_ends_with_its_page_and_report_writes_it_anew(experiment, tmp_path, capsys):
+    assert main(words_of_train(experiment, tmp_path, "training.steps=3")) == 0
+    page = tmp_path / "tiny" / "course.html"
+    assert str(page) in "".join(capsys.readouterr().err.split("\n"))
+    written = page.read_text()
+    assert "All 3 steps are done." in written
+    assert "training.steps" in written
+    page.unlink()
+    log = tmp_path / "tiny" / "log.jsonl"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:2]))  # as while it runs
+    assert main(["report", str(tmp_path / "tiny"), "--out", str(tmp_path / "now.html"), "--title", "mine"]) == 0
+    assert "2 of 3 steps are done." in (tmp_path / "now.html").read_text()
+    assert "<h1>mine</h1>" in (tmp_path / "now.html").read_text()
+    assert not page.exists()
+
+
 def test_going_on_and_being_done_are_said(experiment, tmp_path, capsys):
     words = words_of_train(experiment, tmp_path, "training.steps=2")
     assert main(words) == 0

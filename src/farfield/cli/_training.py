@@ -70,9 +70,12 @@ class LineReport(Report):
         return " ".join(f"{name} {sum(each) / len(each):.3f}" for name, each in values.items())
 
     def ends(self, weights: Path | None) -> None:
-        """Name the weights and what to do with them."""
+        """Write the run's page; name it, the weights, and what to do with them."""
         if weights is not None:
+            from farfield.experiments.course import course_of
+
             self.say(f"weights: {weights}")
+            self.say(f"report: {course_of(self.folder)}")
             if self.following:
                 self.say(f"next: {self.following}")
 

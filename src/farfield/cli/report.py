@@ -1,4 +1,4 @@
-"""``farfield report``: an evaluation as one self-contained HTML page, or a drive as a film."""
+"""``farfield report``: an evaluation or a training as one self-contained HTML page, or a drive as a film."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,11 +25,12 @@ def run(
     workers: int = 0,
     engine: str = "local",
 ) -> int:
-    """Turn an evaluation into one self-contained HTML page, or a drive of a data set into a film.
+    """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
 
     examples:
       farfield report runs/pillars/evaluation
       farfield report runs/pillars/evaluation/evaluation.json --out pillars.html
+      farfield report runs/pillars
       farfield report scores.json --out scores.html --title "My detector on my data"
       farfield report data/kradar --film drive.mp4 --drive 1
       farfield report Cirrus_dataset1 --film tracks.mp4 --predictions tracks.csv --reach-m 150
@@ -39,9 +40,9 @@ def run(
     ones dashed. An interrupted film goes on where it stopped.
 
     Args:
-        evaluation: Folder or evaluation.json of `farfield evaluate`, or the JSON of `farfield score --json`; with
-            --film a data set.
-        out: The page to write; by default beside the evaluation, with the suffix .html.
+        evaluation: Folder or evaluation.json of `farfield evaluate`, the JSON of `farfield score --json`, or the folder
+            of a training, finished or not: curves of its log, what they warn of; with --film a data set.
+        out: The page to write; by default beside the evaluation, with the suffix .html; of a training its course.html.
         title: Title of the page; by default the evaluation's own.
         shown_score: Predictions below this score are left out of the pictures.
         film: Film to write instead: .mp4, .mov, .m4v or .mkv (extra `video`), .gif or .webp.
@@ -58,11 +59,15 @@ def run(
         boxes = None if predictions is None else (predictions, format)
         return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), (workers, engine))
     from farfield.errors import ConfigError
-    from farfield.reports.evaluation import Evaluation
+    from farfield.experiments.course import course_of, is_run
+    from farfield.reports.evaluation import EVALUATION, Evaluation
     from farfield.reports.page import write_report
 
     if not evaluation.exists():
         raise ConfigError(f"evaluation: expected a folder or a JSON file, found nothing at {evaluation}")
+    if is_run(evaluation) and not (evaluation / EVALUATION).is_file():
+        print(f"report: {course_of(evaluation, out, title=title).resolve()}")
+        return 0
     content = Evaluation.load(evaluation)
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")

@@ -29,6 +29,7 @@ from farfield.training.samples import TrainingSamples
 from farfield.training.starting import TransferReport, start_network
 from farfield.training.validating import Validation, spread
 
+LOG_NAME = "log.jsonl"
 START_NAME = "start.json"
 """In a run's folder: what was taken of the weights that it started from."""
 
@@ -200,7 +201,7 @@ class Plan:
 
 def logged(folder: Path) -> list[dict[str, float | int]]:
     """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
-    path = folder / "log.jsonl"
+    path = folder / LOG_NAME
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     rows = {row["step"]: row for row in map(json.loads, lines)}
     return [rows[step] for step in sorted(rows)]

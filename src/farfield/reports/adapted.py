@@ -10,8 +10,9 @@ import numpy as np
 
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame, Key
-from farfield.reports.adapted_plots import changed, courses, scores
+from farfield.reports.adapted_plots import changed, scores
 from farfield.reports.adapted_scores import HeldScores
+from farfield.reports.courses import ADAPTATION, courses
 from farfield.reports.pictures import Picture
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
@@ -181,7 +182,7 @@ def _picture(change: Change) -> Picture:
 
 
 def _course(rows: Sequence[Mapping[str, float | int]]) -> Picture | None:
-    figure = courses(rows)
+    figure = courses(rows, ADAPTATION)
     if figure is None:
         return None
     return Picture(

@@ -1,4 +1,4 @@
-"""The figures of an adaptation: scores before and after, frames that changed, the course of the training."""
+"""The figures of an adaptation: scores before and after, and frames that changed."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -14,14 +14,6 @@ if TYPE_CHECKING:
 
 _BEFORE, _AFTER = MUTED, PATTERNS[0]
 _EDGES = np.linspace(0.0, 1.0, 41)
-_PANELS = (
-    ("loss of source and pseudo boxes", ("source_", "target_")),
-    ("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
-    ("gradient at the shared features", ("gradient_",)),
-    ("rank of the features", ("rank_",)),
-    ("variance of the features", ("variance_",)),
-    ("accuracy between the domains", ("discriminator_accuracy", "held_accuracy", "probe_accuracy")),
-)
 
 
 def _of_class(boxes: Mapping[Key, Boxes], name: str) -> np.ndarray:
@@ -85,46 +77,3 @@ def changed(frame: Frame, cloud: str, before: Boxes, after: Boxes) -> "Figure":
             axes.set_title(word)
         draw_legend(figure, annotated=frame.boxes is not None)
     return figure
-
-
-def courses(rows: Sequence[Mapping[str, float | int]]) -> "Figure | None":
-    """What was logged over the steps, a panel for each kind of figure; None where nothing was."""
-    drawn = [(title, _columns(rows, starts)) for title, starts in _PANELS]
-    drawn = [(title, columns) for title, columns in drawn if columns]
-    if not drawn:
-        return None
-    lines = -(-len(drawn) // 2)
-    with house_style():
-        figure = new_figure(11.0, 0.3 + 2.7 * lines)
-        panels = figure.subplots(lines, 2, squeeze=False).reshape(-1)
-        for axes in panels[len(drawn) :]:
-            axes.set_visible(False)
-        for axes, (title, columns) in zip(panels, drawn, strict=False):
-            for place, name in enumerate(columns):
-                having = [row for row in rows if name in row]
-                axes.plot(
-                    [row["step"] for row in having],
-                    [row[name] for row in having],
-                    lw=1.3,
-                    marker="." if len(having) < 12 else "",
-                    color=PATTERNS[place % len(PATTERNS)],
-                    ls=("-", (0, (4, 2)), (0, (1, 1.5)))[place // len(PATTERNS) % 3],
-                    label=name.replace("_", " "),
-                )
-            for first in _first_steps(rows):
-                axes.axvline(first, color=INK, lw=0.8, ls=(0, (1, 3)))
-            axes.set(title=title, xlabel="step", ylim=(0, None))
-            axes.grid(visible=True)
-            axes.legend(fontsize=7)
-    return figure
-
-
-def _columns(rows: Sequence[Mapping[str, float | int]], starts: Sequence[str]) -> list[str]:
-    """Columns of the log that begin so, in their order."""
-    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(tuple(starts))))
-
-
-def _first_steps(rows: Sequence[Mapping[str, float | int]]) -> list[float | int]:
-    """Last steps of all rounds but the last."""
-    last = {row.get("round", 1): row["step"] for row in rows}
-    return list(last.values())[:-1]
