@@ -90,8 +90,10 @@ def _highest(echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"
     cell = np.rint(echoes_m[:, :2] / _COLUMN_M).astype(int)
     cell -= cell.min(axis=0)
     column = cell @ (cell[:, 1].max() + 1, 1)
-    order = np.lexsort((-decibel, column))
-    return order[np.diff(column[order], prepend=-1) > 0]
+    top = np.full(column.max() + 1, -np.inf)
+    np.maximum.at(top, column, decibel)
+    equal = np.flatnonzero(decibel == top[column])
+    return equal[np.unique(column[equal], return_index=True)[1]]
 
 
 def above_ground_m(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
