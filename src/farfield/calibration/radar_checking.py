@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from farfield.calibration.checking import Check, Verdict, unsaid
 from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import SYSTEMATIC, refine_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_lidar import GATES_M, SYSTEMATIC, refine_radar
+from farfield.calibration.radar_matching import Evidence, RadarPose, match_objects
 from farfield.errors import DatasetError
 
 ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))
@@ -25,6 +25,8 @@ ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))
 CLAIMED = 3.7
 """Sigmas of three values together: one correct calibration in three hundred lies farther off."""
 LEAST_FRAMES = 80
+LEAST_OBJECTS = 20
+"""From fewer no sigma is to be trusted: behind a truck that stays ahead a whole drive shows a dozen objects."""
 _SURE = 1.64  # so much farther, 19 of 20 are claimed
 _FLOOR_M, _FLOOR_RAD = 0.12, float(np.radians(0.3))  # less is no error
 _MOST_FRAMES = 100_000
@@ -54,7 +56,7 @@ def check_radar(given: RadarPose, evidence: Evidence, *, least: int = LEAST_FRAM
         apart = halves[1].value[:3] - halves[0].value[:3]
         both = halves[0].covariance[:3, :3] + halves[1].covariance[:3, :3]
         between = distance(apart, both)
-    verdict: Verdict = "fits" if told.enough else "not told"
+    verdict: Verdict = "fits" if told.enough and _objects(whole, given, evidence) >= LEAST_OBJECTS else "not told"
     if away > CLAIMED and _beyond(change, 1.0):
         verdict = "off"
     elif between > CLAIMED and _beyond(apart, 1.5):
@@ -127,6 +129,11 @@ def _refined(given: RadarPose, evidence: Evidence) -> Solution | None:
         return refine_radar(evidence, given)
     except DatasetError:
         return None
+
+
+def _objects(found: Solution, given: RadarPose, evidence: Evidence) -> int:
+    """How many objects both sensors see where a solution puts them."""
+    return len(np.unique(match_objects(evidence, found.value, given.frames, GATES_M[-1]).track))
 
 
 def _half(evidence: Evidence, *, late: bool) -> Evidence:
