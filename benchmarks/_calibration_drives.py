@@ -68,11 +68,11 @@ class SimulatedDrive:
         return open_dataset(writer.root, format="kradar")
 
 
-def drives(rounds: int) -> list[SimulatedDrive]:
+def drives(rounds: int, first: int = DEVELOPED) -> list[SimulatedDrive]:
     """Drives in the order in which they are made: each road by day and by night in every round."""
     kinds = [(road, light) for light in LIGHTS for road in ROADS]
     return [
-        SimulatedDrive(road=road, light=light, number=DEVELOPED + len(kinds) * turn + place)
+        SimulatedDrive(road=road, light=light, number=first + len(kinds) * turn + place)
         for turn in range(rounds)
         for place, (road, light) in enumerate(kinds)
     ]

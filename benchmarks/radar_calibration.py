@@ -62,13 +62,13 @@ def check_row(drive: SimulatedDrive, evidence: Evidence, kind: str, size: float)
     return vars(check_radar(planted_radar(RIGHT, kind, size, rng), evidence))
 
 
-def made(folder: Path, rounds: int, starts: int, seconds: float) -> Iterator[dict[str, Any]]:
+def made(folder: Path, wanted: list[SimulatedDrive], starts: int, seconds: float) -> Iterator[dict[str, Any]]:
     """Rows of all starts and checks: those in the journal, and those made until the time is up."""
     journal, began = folder / "rows.jsonl", time.monotonic()
     rows = [json.loads(line) for line in journal.read_text().splitlines()] if journal.exists() else []
-    yield from (row for row in rows if row["drive"] in {drive.name for drive in drives(rounds)})
+    yield from (row for row in rows if row["drive"] in {drive.name for drive in wanted})
     known = {(row["drive"], row["kind"], row["size"]) for row in rows}
-    for drive in drives(rounds):
+    for drive in wanted:
         keys = [(drive.name, "start", number) for number in range(starts)]
         keys += [(drive.name, kind, size) for kind, size in PLANTED]
         absent = [key for key in keys if key not in known]
@@ -153,13 +153,15 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--picture", type=Path, help="of the doctor's rows: where its PNG goes")
     parser.add_argument("--rounds", type=int, default=2, help="drives of each road by day and by night")
+    parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
         "--seconds", type=float, default=np.inf, help="after which no drive begins; 0 prints what is there"
     )
     options = parser.parse_args()
     options.data.mkdir(parents=True, exist_ok=True)
-    rows = list(made(options.data, options.rounds, options.starts, options.seconds))
+    wanted = drives(1, first=0) if options.developed else drives(options.rounds)
+    rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})
     lines = [
         header(),
