@@ -222,21 +222,16 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
                 )
 
 
-def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Picture of the camera's rows: the share that is claimed over the planted error, with Wilson's intervals."""
+def draw(rows: list[dict[str, Any]], path: Path, sensor: str = "camera") -> None:
+    """Picture of a sensor's rows: the share that is claimed over the planted error, with Wilson's intervals."""
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
-    right = [row for row in rows if (row["sensor"], row["kind"]) == ("camera", "correct")]
+    rows = [row for row in rows if row["sensor"] == sensor]
+    right = [row for row in rows if row["kind"] == "correct"]
     for panel, (kind, unit, asked) in zip(panels, (("deg", "degrees", 1.0), ("cm", "centimetres", 20.0)), strict=True):
-        sizes = sorted({row["size"] for row in rows if (row["sensor"], row["kind"]) == ("camera", kind)})
-        own = [
-            right,
-            *(
-                [row for row in rows if row["sensor"] == "camera" and row["kind"] == kind and row["size"] == size]
-                for size in sizes
-            ),
-        ]
+        sizes = sorted({row["size"] for row in rows if row["kind"] == kind})
+        own = [right, *([row for row in rows if (row["kind"], row["size"]) == (kind, size)] for size in sizes)]
         shares = np.array([np.mean([row["verdict"] in ("off", "moved") for row in each]) for each in own])
         count, z = np.array([len(each) for each in own]), 1.96
         middle = (shares + z**2 / (2 * count)) / (1 + z**2 / count)
@@ -249,7 +244,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             0.95 + sizes.index(asked), 50, "asked: always from here", rotation=90, ha="right", va="center", size=8
         )
         panel.set_xticks(at, ["right", *(f"{size:g}" for size in sizes)])
-        panel.set_xlabel(f"planted error of the camera, {unit}")
+        panel.set_xlabel(f"planted error of the {sensor}, {unit}")
         panel.grid(axis="y", alpha=0.3)
     panels[0].set_ylabel(f"claimed, % of {len(right)} data sets")
     figure.savefig(path, dpi=110)

@@ -69,6 +69,18 @@ def test_edges_bring_a_camera_back(scenes: list[tuple[np.ndarray, np.ndarray, np
     assert (sigma > 0).all()
 
 
+def test_edge_residuals_tell_less_than_half_a_pixel(scenes: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    edges = [lidar_edges(points, ring) for _, points, ring in scenes]
+    views = views_of([picture for picture, _, _ in scenes], edges, CAMERA)
+    columns = {name: getattr(views, name)[views.axis == 0] for name in ("points_m", "frame", "axis", "weight")}
+    upright = replace(views, **columns)
+    medians = []
+    for right_px in (-0.2, 0.0, 0.2, 0.4):
+        matrix = CAMERA.matrix + np.array([[0, 0, right_px], [0, 0, 0], [0, 0, 0]])
+        medians.append(float(np.median(edge_residual_px(replace(CAMERA, matrix=matrix), upright))))
+    assert np.diff(medians) == pytest.approx([-0.2] * 3, abs=0.08)
+
+
 def test_a_jump_is_an_edge_and_a_slope_is_none() -> None:
     azimuth, ring = np.meshgrid(np.radians(np.arange(-20, 20, 0.18)), np.arange(-20, -2))
     down = np.radians(-ring * 0.7)

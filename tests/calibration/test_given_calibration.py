@@ -11,6 +11,7 @@ from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refi
 from farfield.calibration.moments import Moment
 from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.targets import Targets
 from farfield.geometry.cameras import Camera
 
 CAMERA = Camera(matrix=np.array([[300.0, 0, 320], [0, 300.0, 180], [0, 0, 1]]), width_px=640, height_px=360)
@@ -123,6 +124,20 @@ def test_few_frames_of_a_radar_are_not_judged() -> None:
     found = check_radar(replace(POSE, yaw_rad=np.radians(3.0)), road(np.random.default_rng(3)))
     assert found.verdict == "not told"
     assert found.needed >= 80
+
+
+def test_a_dozen_objects_do_not_say_that_a_radar_fits() -> None:
+    """Behind a truck that stays ahead: the same few objects in many frames."""
+    evidence = road(np.random.default_rng(3))
+    first = set(np.unique(np.concatenate([each.track for each in evidence.targets.values()]))[:12].tolist())
+    few = {number: _only(each, first) for number, each in evidence.targets.items()}
+    assert check_radar(POSE, evidence, least=8).verdict == "fits"
+    assert check_radar(POSE, replace(evidence, targets=few), least=8).verdict == "not told"
+
+
+def _only(targets: Targets, tracks: set[int]) -> Targets:
+    kept = np.isin(targets.track, list(tracks))
+    return Targets(**{name: values[kept] for name, values in vars(targets).items()})
 
 
 def test_a_radar_that_turned_during_the_drive_is_found() -> None:

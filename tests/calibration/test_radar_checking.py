@@ -5,6 +5,7 @@ import pytest
 
 from farfield.calibration.radar_checking import (
     CLAIMED,
+    _beyond,
     distance,
     finds,
     frames_needed,
@@ -51,3 +52,11 @@ def test_no_number_of_frames_undoes_what_is_systematic(monkeypatch: pytest.Monke
     monkeypatch.setattr("farfield.calibration.radar_checking.ASKED_M", 0.1)
     systematic = np.diag(SYSTEMATIC[:3] ** 2)
     assert frames_needed(systematic + covariance(0.1, np.radians(0.4)), 24) == 0
+
+
+def test_a_shift_between_the_axes_is_as_large_as_along_one() -> None:
+    """20 cm at 45 degrees are 14 along each axis, less what noise takes: no less an error than 20 along one."""
+    assert _beyond(np.array([0.11, 0.11, 0.0]), 1.0)
+    assert not _beyond(np.array([0.08, 0.08, 0.0]), 1.0)
+    assert _beyond(np.array([0.0, 0.0, np.radians(-0.4)]), 1.0)
+    assert not _beyond(np.array([0.0, 0.0, np.radians(-0.4)]), 1.5)

@@ -7,11 +7,12 @@ import pytest
 
 from farfield.calibration.bird import Maps, Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
+from farfield.calibration.peaks import find_peaks
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
 from farfield.calibration.radar_lidar import _folded, _settled, _solved, calibrate_radar
 from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.radar_pairs import PARAMETERS
-from farfield.calibration.targets import find_peaks, find_targets
+from farfield.calibration.targets import find_targets
 from farfield.errors import ConfigError, DatasetError
 
 TRUTH = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, yaw_rad=0.012, frames=1, time_offset_s=0.02)

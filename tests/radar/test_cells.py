@@ -127,3 +127,15 @@ def test_wrong_settings_are_told(cube: np.ndarray) -> None:
     with pytest.raises(ConfigError, match="found none"):
         Region((500, 501), (0, 1), (0, 1)).slices()
     assert tuple(sorted(RATES)) == RATES
+
+
+def test_quantiles_are_those_of_all_codes_at_once(cube: np.ndarray) -> None:
+    cells, valid = cells_of_cube(cube, "cube"), cube[cube > -1]
+    code = np.sort(cells.code)[::-1]
+    assert len(code) == len(valid)
+    for row, count in enumerate((cube.size, len(valid))):
+        for rate, quantile in zip(RATES, cells.quantiles[row], strict=True):
+            most = int(rate * count)
+            above = int(np.count_nonzero(code > quantile))
+            assert above <= most or quantile == -1
+            assert quantile <= 0 or np.count_nonzero(code > quantile - 1) > most

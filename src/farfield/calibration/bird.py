@@ -21,6 +21,7 @@ CELL_M = 0.4
 _SHAPE = (192, 160)  # 76.8 m ahead, 32 m to each side
 _SMOOTH = 0.7
 _WIDE = 25
+_LEAST_DB, _MOST_DB = 7.0, 40.0  # of an echo, over what is usual
 _MOST = 40  # sweeps that are turned; more tell nothing new
 _ORIGIN_M = 4.0  # the maps' origins lie on these steps, so that later starts find what earlier ones correlated
 _REACH_M, _FARTHEST = 9.0, 30  # cells that are kept: reach, half a step of the origin, and a margin
@@ -64,7 +65,7 @@ class Maps:
     @cached_property
     def radar(self) -> _Spectra:
         """Spectra of the radar's maps by number of the frame."""
-        return {each.number: _spectrum(each.echoes_m, each.power_db) for each in self.moments}
+        return {each.number: _spectrum(*_standing_out(each)) for each in self.moments}
 
     def correlated(
         self, turn: int, origin_m: tuple[float, float], offsets: Sequence[int]
@@ -126,6 +127,12 @@ def correlate(
 
 def _by_score(start: Start) -> float:
     return start.score
+
+
+def _standing_out(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Echoes that stand out, and their power."""
+    strong = moment.power_db > _LEAST_DB
+    return moment.echoes_m[strong], np.minimum(moment.power_db[strong], _MOST_DB)
 
 
 def _moved(

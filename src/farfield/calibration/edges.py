@@ -364,13 +364,18 @@ def _moved_score(
 def edge_residual_px(camera: Camera, views: Views, *, reach_px: int = 6) -> Float[np.ndarray, " n"]:
     """How far across each LiDAR edge the nearest clear edge of the picture lies, signed, shape (n,), in pixels.
 
-    Clear are the gradient's local maxima that are three times the usual one; within ``reach_px`` to each side.
+    Clear are the gradient's local maxima that are three times the usual one; within ``reach_px`` to each side. Their
+    places are those of parabolas through the pixels beside them.
     """
     pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
     pixels = np.nan_to_num(pixels, nan=-1e6)
-    steps = np.arange(-reach_px - 0.5, reach_px + 1.0, 0.5)
+    steps = np.arange(-reach_px - 1.0, reach_px + 1.5, 0.5)
     across = np.eye(2)[views.axis]
     found = np.stack([_sampled(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
-    top = (found[1:-1] > _CLEAR) & (found[1:-1] >= found[:-2]) & (found[1:-1] >= found[2:])
-    nearest = np.where(top, np.abs(steps[1:-1])[:, None], np.inf).argmin(axis=0)
-    return steps[1:-1][nearest][top.any(axis=0)]
+    inner = found[2:-2]
+    top = (inner > _CLEAR) & (inner >= found[1:-3]) & (inner >= found[3:-1])
+    nearest = np.where(top, np.abs(steps[2:-2])[:, None], np.inf).argmin(axis=0)
+    low, mid, high = (np.take_along_axis(found, nearest[None] + each, axis=0)[0] for each in (0, 2, 4))
+    bend = np.minimum(low - 2 * mid + high, -1e-9)
+    within = np.clip(0.5 * (low - high) / bend, -0.5, 0.5)
+    return (steps[2:-2][nearest] + within)[top.any(axis=0)]

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import ndimage
 
 from farfield.errors import DatasetError
@@ -13,7 +13,7 @@ from farfield.geometry.poses import invert, transform_points
 
 _GROUND_CELL_M = 2.0
 _REACH_M = 72.0
-_LEAST_DB = 7.0
+_COLUMN_M = 0.4  # of the radar's cloud
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,8 +24,8 @@ class Moment:
         number: Number of the sweep in its sequence; neighbours differ by one.
         points_m: LiDAR points that stand above the ground, in the LiDAR's frame, shape (n, 3).
         lag_s: When each was measured after the sweep's own time, shape (n,); zero where it is not known.
-        echoes_m: Radar echoes in the radar's own frame, shape (m, 3).
-        power_db: Their power over what is usual at that range, shape (m,), positive.
+        echoes_m: Radar echoes in the radar's own frame, the strongest of each column of 0.4 m, shape (m, 3).
+        power_db: Their power over what is usual at that range, shape (m,).
     """
 
     number: int
@@ -73,14 +73,27 @@ def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) ->
     values = echoes.extra[strength].astype(np.float64)
     decibel = 10 * np.log10(np.maximum(values, 1e-30)) if strength == "power" else values
     excess = over_usual_db(own, decibel)
-    strong = excess > (_LEAST_DB if strength == "power" else 3.0)
+    kept = _highest(own, excess)
     return Moment(
         number=int(number),
         points_m=points[standing],
         lag_s=lag[standing],
-        echoes_m=own[strong],
-        power_db=np.minimum(excess[strong], 40.0),
+        echoes_m=own[kept],
+        power_db=excess[kept],
     )
+
+
+def _highest(echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
+    """Indices of the strongest echo of each column, seen from above."""
+    if not len(echoes_m):
+        return np.zeros(0, dtype=int)
+    cell = np.rint(echoes_m[:, :2] / _COLUMN_M).astype(int)
+    cell -= cell.min(axis=0)
+    column = cell @ (cell[:, 1].max() + 1, 1)
+    top = np.full(column.max() + 1, -np.inf)
+    np.maximum.at(top, column, decibel)
+    equal = np.flatnonzero(decibel == top[column])
+    return equal[np.unique(column[equal], return_index=True)[1]]
 
 
 def above_ground_m(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

@@ -39,7 +39,7 @@ _MAPS_SHARE = 0.5  # of the time
 _STEPS = np.array([0.05, 0.1, np.radians(0.2), 0.005])  # first ones of a search: x, y, yaw, time offset
 _NEAR_STEPS, _NEAR_COST = 0.02, 1e-3  # where it ends: in those steps, and in squared sigmas a frame
 _MOST_TRIED = 200
-SYSTEMATIC = np.array([0.04, 0.04, np.radians(0.08), 0.004])
+SYSTEMATIC = np.array([0.03, 0.025, np.radians(0.05), 0.004])
 """What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
 from simulated drives with known truth."""
 

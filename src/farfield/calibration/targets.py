@@ -1,4 +1,4 @@
-"""Objects that both sensors can place: near faces of LiDAR clusters with their velocity, and peaks of the radar.
+"""Objects that both sensors can place, as the LiDAR sees them: near faces of clusters with their velocity.
 
 Near faces are used on both sides: the centre of a car would move x by half its length.
 """
@@ -7,22 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from farfield.calibration.moments import Moment
 
 _CELL_M = 0.4
+THIN_M = 0.8
+"""A target narrower than this is a post, or alike: its echo is one lobe of the beam, and may be weak."""
+_DEEPER_M = 0.05  # a body's echo comes from deeper than its nearest points
 _LEAST_POINTS = 6
 _LARGEST_M = 6.5
 _FACE_M = 0.6
 _STEP_M = 8.0
 _AGREE_M = 0.45
-_PEAK_M = 0.9
-_LOBE_RAD, _LOBE_M, _DEPTH_M = np.radians(2.5), 1.5, 0.7  # half of what an echo spreads over, across and along
-_CELL_RAD = np.radians(1.2)
-_LEAST_SHARE = 0.05  # of an echo's power: side lobes lie below
 _BESIDE_RAD, _BEFORE_M = np.radians(0.6), 1.0
 _SLOW_M = 0.25  # a frame
 _NEAR_M = (5.0, 1.5)
@@ -47,19 +46,6 @@ class Targets:
     lag_s: Float[np.ndarray, " n"]
     velocity: Float[np.ndarray, "n 2"]
     track: Int[np.ndarray, " n"]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Peaks:
-    """Radar peaks of one frame, in the radar's frame.
-
-    Args:
-        place_m: Power-weighted places, shape (n, 3).
-        power_db: Power of the strongest echo, shape (n,).
-    """
-
-    place_m: Float[np.ndarray, "n 3"]
-    power_db: Float[np.ndarray, " n"]
 
 
 def find_targets(moments: Sequence[Moment]) -> list[Targets]:
@@ -140,7 +126,7 @@ def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarra
         if shadow.falls_on(bearing.min(), bearing.max(), front, float(part[face, 2].mean()) / front):
             continue
         middle = 0.5 * (bearing.min() + bearing.max())
-        near = front + 0.05
+        near = front + (_DEEPER_M if size.max() > THIN_M else 0.0)
         places.append([near * np.cos(middle), near * np.sin(middle), float(part[face, 2].mean())])
         sizes.append(size)
         lags.append(float(moment.lag_s[members][face].mean()))
@@ -219,35 +205,3 @@ def _usual(candidates: list[Float[np.ndarray, "_ 2"]]) -> Float[np.ndarray, " 2"
     near = cKDTree(steps).query_ball_point(steps, _AGREE_M / 2)
     best = max(near, key=len)
     return np.asarray(np.median(steps[best], axis=0))
-
-
-def find_peaks(moment: Moment) -> Peaks:
-    """Local maxima of the radar's echoes with their places within the cell: means over the lobe, by power.
-
-    The lobe is taken in range and azimuth, wide enough for its far side to count: a narrower window draws every echo
-    to the middle of its cell, by up to 0.3 of one degree.
-    """
-    places, power = moment.echoes_m, moment.power_db
-    if not len(places):
-        return Peaks(place_m=np.zeros((0, 3)), power_db=np.zeros(0))
-    reach, bearing = np.hypot(places[:, 0], places[:, 1]), np.arctan2(places[:, 1], places[:, 0])
-    radius = np.maximum(_PEAK_M, _CELL_RAD * reach)  # or each far cell would be its own maximum
-    around = cKDTree(places[:, :2]).query_ball_point(places[:, :2], radius).tolist()
-    top = np.flatnonzero(_tops(around, power))
-    means = np.zeros((len(top), 3))
-    for row, i in enumerate(top):
-        aside = (bearing - bearing[i] + np.pi) % (2 * np.pi) - np.pi
-        across = max(_LOBE_RAD, _LOBE_M / max(float(reach[i]), 1.0))
-        lobe = (np.abs(reach - reach[i]) < _DEPTH_M) & (np.abs(aside) < across)
-        weight = np.maximum(10 ** ((power[lobe] - power[i]) / 10) - _LEAST_SHARE, 0.0)
-        off = np.column_stack([aside, reach, places[:, 2]])[lobe]
-        turn, range_m, height_m = weight @ off / weight.sum()
-        azimuth = bearing[i] + turn
-        means[row] = range_m * np.cos(azimuth), range_m * np.sin(azimuth), height_m
-    return Peaks(place_m=means, power_db=power[top])
-
-
-def _tops(around: Sequence[Sequence[int]], power: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which echoes are the strongest among those around; of equal ones the first."""
-    best = [min(near, key=lambda i: (-power[i], i)) for near in around]
-    return np.asarray(np.array(best) == np.arange(len(power)))

@@ -28,6 +28,7 @@ CODE_FLOOR_DB = -100.0
 DOPPLER_STEP_M_S = 1e-4
 _CUBE_SHAPE = (len(CUBE_Z_M), len(CUBE_Y_M), len(CUBE_X_M))
 _CODES = 1 << 16
+_CHUNK_CELLS = 1 << 17
 Over = Literal["all", "valid", "region"]
 OVERS: tuple[Over, ...] = get_args(Over)
 
@@ -210,12 +211,15 @@ def _decoded() -> Float32[np.ndarray, "65536"]:
 
 def _quantiles(cube: Float32[np.ndarray, "150 400 250"]) -> Int32[np.ndarray, "2 13"]:
     """The codes above which each of ``RATES`` of all cells, and of the valid ones, lie."""
-    flat = cube.ravel()
-    valid = flat[flat > OUTSIDE]
-    above: Int[np.ndarray, " codes"] = len(valid) - np.cumsum(np.bincount(_coded(valid), minlength=_CODES))
+    flat, counts = cube.ravel(), np.zeros(_CODES, dtype=np.int64)
+    for start in range(0, flat.size, _CHUNK_CELLS):  # what fits a cache is coded three times as fast
+        part = flat[start : start + _CHUNK_CELLS]
+        counts += np.bincount(_coded(part[part > OUTSIDE]), minlength=_CODES)
+    valid = int(counts.sum())
+    above: Int[np.ndarray, " codes"] = valid - np.cumsum(counts)
     rows = []
-    for count in (flat.size, len(valid)):
+    for count in (flat.size, valid):
         wanted = np.array(RATES) * count
         code = np.searchsorted(-above, -wanted)  # the first code with at most so many cells above it
-        rows.append(np.where(wanted >= len(valid), -1, code))
+        rows.append(np.where(wanted >= valid, -1, code))
     return np.stack(rows).astype(np.int32)

@@ -164,7 +164,9 @@ class KRadarMoment(Moment):
             return self.cube
         if name == "cells":
             return self.cells
-        chosen = self.cells.select("wide", 0.1)
+        known: RadarCells | None = self.__dict__.get("cells")
+        cells = cells_of_cube(self.cube, "wide") if known is None else known  # the cloud tells no velocity
+        chosen = cells.select("wide", 0.1)
         return np.column_stack([chosen.points_m(), chosen.power])
 
     @cached_property
