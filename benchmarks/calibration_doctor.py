@@ -1,9 +1,8 @@
-"""How often the doctor finds a planted error of calibration, and that it claims none on correct data.
+"""How often the doctor finds a planted error of a camera's calibration, and that it claims none on correct data.
 
 Simulates twenty K-Radar drives by day, each 24 frames in four runs of six with pictures, plants errors of 0.1 to 2
-degrees about, or 2 to 40 cm along, a random axis (radar: yaw, and a random direction in the plane; camera: any), and
-counts the claims. What a radar's check would find is printed by frames: those of one drive, and of several together.
-Drives are kept in --data and checks in its journal, so that a second run goes on.
+degrees about, or 2 to 40 cm along, a random axis, and counts the claims. ``radar_calibration.py`` does so for the
+radar. Drives are kept in --data and checks in its journal, so that a second run goes on.
 
     python benchmarks/calibration_doctor.py --output benchmarks/results/calibration_doctor.txt
 """
@@ -20,15 +19,11 @@ from _report import header, progress
 
 from farfield.calibration.checking import check_camera
 from farfield.calibration.edges import SIGMAS_PX, Views, moved
-from farfield.calibration.radar_checking import check_radar, distance, finds
-from farfield.calibration.radar_lidar import SYSTEMATIC, refine_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter
-from farfield.errors import DatasetError
 from farfield.geometry.cameras import Camera
-from farfield.inspection.doctor.calibration import camera_views, radar_evidence
+from farfield.inspection.doctor.calibration import camera_views
 from farfield.simulation import find_preset, simulate_frame
 
 ROADS = ("urban", "suburban", "highway")
@@ -51,10 +46,6 @@ ERRORS = (  # those with a figure to meet first
     ("drift deg", 1.0),
     ("drift cm", 20.0),
 )
-
-
-FRAMES = (6, 12, 18, 24)  # of a drive, with which the radar is solved
-NOT_PLANTED = {("radar", "drift deg"), ("radar", "drift cm")}
 
 
 def simulate_set(folder: Path, number: int) -> Path:
@@ -81,15 +72,6 @@ def planted_camera(camera: Camera, kind: str, size: float, rng: np.random.Genera
     delta = np.zeros(6)
     delta[slice(0, 3) if kind.endswith("deg") else slice(3, 6)] = axis
     return moved(camera, delta * (np.radians(size) if kind.endswith("deg") else size / 100))
-
-
-def planted_radar(pose: RadarPose, kind: str, size: float, rng: np.random.Generator) -> RadarPose:
-    """The radar's pose with another yaw, or shifted in the plane."""
-    if kind.endswith("deg"):
-        return replace(pose, yaw_rad=pose.yaw_rad + float(np.radians(size) * rng.choice([-1, 1])))
-    turn = rng.uniform(0, 2 * np.pi)
-    x, y = np.array([np.cos(turn), np.sin(turn)]) * size / 100
-    return replace(pose, x_m=pose.x_m + float(x), y_m=pose.y_m + float(y))
 
 
 def drifted(camera: Camera, views: Views, kind: str, size: float, rng: np.random.Generator) -> Views:
@@ -120,83 +102,19 @@ def kept_views(root: Path, data: Dataset) -> tuple[Camera, Views]:
     return replace(camera, width_px=width, height_px=height), Views(levels=levels, **columns)
 
 
-def check_set(
-    root: Path, number: int, done: set[tuple[int, str, str, float]], sensors: tuple[str, ...], kinds: int
-) -> Iterator[dict[str, Any]]:
+def check_set(root: Path, number: int, done: set[tuple[int, str, str, float]], kinds: int) -> Iterator[dict[str, Any]]:
     """All checks of one drive that are not in the journal."""
-    data, wanted = open_dataset(root), [(s, k, e) for s in sensors for k, e in ERRORS[:kinds]]
-    wanted = [each for each in wanted if (number, *each) not in done and each[:2] not in NOT_PLANTED]
+    data, wanted = open_dataset(root), [each for each in ERRORS[:kinds] if (number, "camera", *each) not in done]
     if not wanted:
         return
-    if "camera" in sensors:
-        camera, views = kept_views(root, data)
-    if "radar" in sensors:
-        pose, evidence = radar_evidence(data, range(len(data)))
-        yield from radar_solutions(number, pose, evidence, done)
-    for sensor, kind, size in wanted:
+    camera, views = kept_views(root, data)
+    for kind, size in wanted:
         rng = np.random.default_rng((number, int(10 * size), len(kind)))
-        if sensor == "radar":
-            found = check_radar(planted_radar(pose, kind, size, rng), evidence)
-        elif "drift" in kind:
+        if "drift" in kind:
             found = check_camera(camera, drifted(camera, views, kind, size, rng))
         else:
             found = check_camera(planted_camera(camera, kind, size, rng), views)
-        yield {"set": number, "sensor": sensor, "kind": kind, "size": size, **vars(found)}
-
-
-def radar_solutions(
-    number: int, pose: RadarPose, evidence: Evidence, done: set[tuple[int, str, str, float]]
-) -> Iterator[dict[str, Any]]:
-    """What the first runs of a drive make of a radar's x, y and yaw, with their covariance."""
-    for count in FRAMES:
-        if (number, "radar", "frames", count) in done:
-            continue
-        first = sorted(evidence.targets)[:count]
-        part = replace(evidence, targets={each: evidence.targets[each] for each in first})
-        row: dict[str, Any] = {"set": number, "sensor": "radar", "kind": "frames", "size": float(count)}
-        try:
-            found = refine_radar(part, pose)
-        except DatasetError:
-            yield row | {"off": None, "covariance": None}
-            continue
-        off = found.value[:3] - pose.vector[:3]
-        yield row | {"off": off.tolist(), "covariance": found.covariance[:3, :3].tolist()}
-
-
-def frames_table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Errors that 19 of 20 checks of a radar find, by frames; several drives are put together by their information."""
-    own = [row for row in rows if row["kind"] == "frames"]
-    if not own:
-        return
-    yield "\nRadar, by frames: what 19 of 20 checks find; off: away from the truth, median, and in sigmas of the three"
-    yield "frames  drives  of them told    finds cm     deg    off x cm     y  yaw deg   sigmas, worst"
-    whole = [row for row in own if row["size"] == FRAMES[-1]]
-    for count in FRAMES:
-        yield from _frames_row([[row] for row in own if row["size"] == count], count)
-    for together in (2, 4, 8):
-        groups = [whole[at : at + together] for at in range(0, len(whole) - together + 1, together)]
-        yield from _frames_row(groups, together * FRAMES[-1])
-
-
-def _frames_row(groups: list[list[dict[str, Any]]], frames: int) -> Iterator[str]:
-    systematic = np.diag(SYSTEMATIC[:3] ** 2)
-    found, away = [], []
-    for group in groups:
-        told = [row for row in group if row["covariance"] is not None]
-        if not told:
-            continue
-        known = [np.linalg.inv(np.array(row["covariance"]) - systematic) for row in told]
-        covariance = np.linalg.inv(np.sum(known, axis=0))
-        off = covariance @ np.sum([each @ row["off"] for each, row in zip(known, told, strict=True)], axis=0)
-        found.append(finds(covariance + systematic))
-        away.append([*np.abs(off) * [100, 100, 180 / np.pi], distance(off, covariance + systematic)])
-    if found:
-        cm, degrees = (np.median([getattr(each, name) for each in found]) for name in ("shift_m", "turn_rad"))
-        x, y, yaw, _ = np.median(away, axis=0)
-        yield (
-            f"{frames:6d} {len(groups):7d} {len(found):13d} {100 * cm:11.0f} {np.degrees(degrees):7.2f} {x:11.1f}"
-            f" {y:5.1f} {yaw:8.2f} {np.max(away, axis=0)[3]:15.1f}"
-        )
+        yield {"set": number, "sensor": "camera", "kind": kind, "size": size, **vars(found)}
 
 
 def _in_order(error: tuple[str, float]) -> tuple[int, float]:
@@ -204,22 +122,19 @@ def _in_order(error: tuple[str, float]) -> tuple[int, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Claims by sensor and error."""
-    yield f"{'':<8}{'error':>16}{'sets':>6}{'off':>7}{'moved':>7}{'not told':>10}   median: deg    cm    px  evidence"
-    for sensor in ("camera", "radar"):
-        for kind, size in sorted(ERRORS, key=_in_order):
-            own = [row for row in rows if (row["sensor"], row["kind"], row["size"]) == (sensor, kind, size)]
-            if own:
-                verdicts = [row["verdict"] for row in own]
-                counts = [verdicts.count(word) for word in ("off", "moved", "not told")]
-                turn, cm, px, sure = (
-                    np.median([row[key] for row in own]) for key in ("degrees", "cm", "px", "evidence")
-                )
-                what = kind if kind == "correct" else f"{kind} {size:g}"
-                yield (
-                    f"{sensor:<8}{what:>16}{len(own):6d}{counts[0]:7d}{counts[1]:7d}{counts[2]:10d}"
-                    f"   {turn:11.2f}{cm:6.1f}{px:6.1f}{sure:10.1f}"
-                )
+    """Claims by error."""
+    yield f"{'error':>16}{'sets':>6}{'off':>7}{'moved':>7}{'not told':>10}   median: deg    cm    px  evidence"
+    for kind, size in sorted(ERRORS, key=_in_order):
+        own = [row for row in rows if (row["kind"], row["size"]) == (kind, size)]
+        if own:
+            verdicts = [row["verdict"] for row in own]
+            counts = [verdicts.count(word) for word in ("off", "moved", "not told")]
+            turn, cm, px, sure = (np.median([row[key] for row in own]) for key in ("degrees", "cm", "px", "evidence"))
+            what = kind if kind == "correct" else f"{kind} {size:g}"
+            yield (
+                f"{what:>16}{len(own):6d}{counts[0]:7d}{counts[1]:7d}{counts[2]:10d}"
+                f"   {turn:11.2f}{cm:6.1f}{px:6.1f}{sure:10.1f}"
+            )
 
 
 def draw(rows: list[dict[str, Any]], path: Path, sensor: str = "camera") -> None:
@@ -257,7 +172,6 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--picture", type=Path, help="of the camera's rows: where its PNG goes")
     parser.add_argument("--sets", type=int, default=SETS)
-    parser.add_argument("--sensors", nargs="+", default=["camera", "radar"])
     parser.add_argument("--kinds", type=int, default=len(ERRORS), help="of the errors, the first so many")
     options = parser.parse_args()
     journal = options.data / "checks.jsonl"
@@ -266,7 +180,7 @@ def main() -> None:
     for number in progress(range(options.sets), "drives"):
         root = simulate_set(options.data, number)
         done = {(row["set"], row["sensor"], row["kind"], row["size"]) for row in rows}
-        for row in check_set(root, number, done, tuple(options.sensors), options.kinds):
+        for row in check_set(root, number, done, options.kinds):
             rows.append(row)
             with journal.open("a") as file:
                 file.write(json.dumps(row) + "\n")
@@ -275,7 +189,6 @@ def main() -> None:
             f"{number + 1} drives, 24 frames and 12 pictures each; kradar-sim by day",
             "",
             *table(rows),
-            *frames_table(rows),
         ]
         if options.output:
             options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")

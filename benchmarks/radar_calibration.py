@@ -13,13 +13,14 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _calibration_drives import LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives
 from _report import header
-from calibration_doctor import ERRORS, draw, planted_radar
+from calibration_doctor import ERRORS, draw
 
 from farfield.calibration.jobs import KRADAR_NODE_M
 from farfield.calibration.moments import read_moments
@@ -32,6 +33,15 @@ STARTS = 8
 FRAME_S = 0.1
 RIGHT = RadarPose(x_m=-2.54, y_m=0.3, z_m=0.7)
 PLANTED = tuple(error for error in ERRORS if "drift" not in error[0])
+
+
+def planted_radar(pose: RadarPose, kind: str, size: float, rng: np.random.Generator) -> RadarPose:
+    """The radar's pose with another yaw, or shifted in the plane."""
+    if kind.endswith("deg"):
+        return replace(pose, yaw_rad=pose.yaw_rad + float(np.radians(size) * rng.choice([-1, 1])))
+    turn = rng.uniform(0, 2 * np.pi)
+    x, y = np.array([np.cos(turn), np.sin(turn)]) * size / 100
+    return replace(pose, x_m=pose.x_m + float(x), y_m=pose.y_m + float(y))
 
 
 def evidence_of(drive: SimulatedDrive, folder: Path) -> Evidence:

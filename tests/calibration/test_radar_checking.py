@@ -42,7 +42,7 @@ def test_more_frames_tell_what_few_do_not() -> None:
     systematic = np.diag(SYSTEMATIC[:3] ** 2)
     few = covariance(0.12, np.radians(0.5))
     assert not finds(systematic + few).enough
-    needed = frames_needed(systematic + few, 24)
+    needed = frames_needed(systematic + few, 24, systematic)
     assert needed > 24
     assert finds(systematic + few * 24 / needed).enough
     assert not finds(systematic + few * 24 / (needed - 1)).enough
@@ -51,7 +51,7 @@ def test_more_frames_tell_what_few_do_not() -> None:
 def test_no_number_of_frames_undoes_what_is_systematic(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("farfield.calibration.radar_checking.ASKED_M", 0.1)
     systematic = np.diag(SYSTEMATIC[:3] ** 2)
-    assert frames_needed(systematic + covariance(0.1, np.radians(0.4)), 24) == 0
+    assert frames_needed(systematic + covariance(0.1, np.radians(0.4)), 24, systematic) == 0
 
 
 def test_a_shift_between_the_axes_is_as_large_as_along_one() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.problems import appraise
-from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, SYSTEMATIC, RadarCalibration
+from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, RadarCalibration, systematic_of
 from farfield.calibration.radar_matching import (
     Evidence,
     RadarPose,
@@ -46,7 +46,7 @@ def appraise_radar(
         )
     rows, counted = partial(whitened, pairs=pairs), shares(pairs, pose.vector)
     solution = appraise(rows, pose.vector, PARAMETERS, group=pairs.track, share=counted)
-    solution = replace(solution, covariance=solution.covariance + np.diag(SYSTEMATIC**2))
+    solution = replace(solution, covariance=solution.covariance + np.diag(systematic_of(pairs, pose.vector) ** 2))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - pose.z_m
     residual = polar(pose.vector, pairs)
     found = RadarCalibration(

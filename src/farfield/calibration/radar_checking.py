@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.checking import Check, Verdict, unsaid
-from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import GATES_M, SYSTEMATIC, refine_radar
+from farfield.calibration.radar_lidar import GATES_M, Refined, refine_radar
 from farfield.calibration.radar_matching import Evidence, RadarPose, match_objects
 from farfield.errors import DatasetError
 
@@ -45,7 +44,7 @@ def check_radar(given: RadarPose, evidence: Evidence, *, least: int = LEAST_FRAM
     if whole is None:
         return unsaid(count)
     if count < least:
-        return replace(unsaid(count), needed=max(least, frames_needed(whole.covariance[:3, :3], count)))
+        return replace(unsaid(count), needed=max(least, _needed(whole, count)))
     change = whole.value[:3] - given.vector[:3]
     away = distance(change, whole.covariance[:3, :3])
     told = finds(whole.covariance[:3, :3])
@@ -70,7 +69,7 @@ def check_radar(given: RadarPose, evidence: Evidence, *, least: int = LEAST_FRAM
         drift_cm=100 * float(np.hypot(*apart[:2])),
         frames=count,
         evidence=between if verdict == "moved" else away,
-        needed=0 if told.enough else frames_needed(whole.covariance[:3, :3], count),
+        needed=0 if told.enough else _needed(whole, count),
     )
 
 
@@ -111,9 +110,18 @@ def finds(covariance: Float[np.ndarray, "3 3"]) -> Found:
     )
 
 
-def frames_needed(covariance: Float[np.ndarray, "3 3"], frames: int) -> int:
-    """How many frames of this kind would do: what is not systematic falls with their number; 0 where none would."""
-    systematic = np.diag(SYSTEMATIC[:3] ** 2)
+def _needed(found: Refined, frames: int) -> int:
+    return frames_needed(found.covariance[:3, :3], frames, np.diag(found.systematic[:3] ** 2))
+
+
+def frames_needed(covariance: Float[np.ndarray, "3 3"], frames: int, systematic: Float[np.ndarray, "3 3"]) -> int:
+    """How many frames of this kind would do: what is not systematic falls with their number; 0 where none would.
+
+    Args:
+        covariance: Of x, y and yaw, the systematic part included.
+        frames: From how many it comes.
+        systematic: The covariance of that part.
+    """
     own = covariance - systematic
     low, high = frames, _MOST_FRAMES
     if not finds(systematic + own * frames / high).enough:
@@ -124,14 +132,14 @@ def frames_needed(covariance: Float[np.ndarray, "3 3"], frames: int) -> int:
     return high
 
 
-def _refined(given: RadarPose, evidence: Evidence) -> Solution | None:
+def _refined(given: RadarPose, evidence: Evidence) -> Refined | None:
     try:
         return refine_radar(evidence, given)
     except DatasetError:
         return None
 
 
-def _objects(found: Solution, given: RadarPose, evidence: Evidence) -> int:
+def _objects(found: Refined, given: RadarPose, evidence: Evidence) -> int:
     """How many objects both sensors see where a solution puts them."""
     return len(np.unique(match_objects(evidence, found.value, given.frames, GATES_M[-1]).track))
 

@@ -173,9 +173,31 @@ def polar(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 
 
 def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
     """:func:`polar` divided by sigma."""
-    reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
-    across = np.hypot(_SIGMA_AZIMUTH_RAD, np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m) / np.maximum(reach, 1.0))
-    return polar(value, pairs) / np.column_stack([np.full(len(reach), _SIGMA_RANGE_M), across])
+    across = _across_rad(pairs)
+    return polar(value, pairs) / np.column_stack([np.full(len(across), _SIGMA_RANGE_M), across])
+
+
+def _across_rad(pairs: Pairs) -> Float[np.ndarray, " n"]:
+    """One sigma of each match in azimuth."""
+    faces = np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m)
+    return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / _reach_m(pairs)))
+
+
+def _reach_m(pairs: Pairs) -> Float[np.ndarray, " n"]:
+    return np.asarray(np.maximum(np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]), 1.0))
+
+
+def thin_shares(pairs: Pairs, counted: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """The share of what azimuths tell of y, and of yaw, that thin objects tell: posts, signs, people.
+
+    Args:
+        pairs: The matches.
+        counted: For how many observations each counts, shape (n,).
+    """
+    told = counted / _across_rad(pairs) ** 2
+    thin = pairs.width_m < THIN_M
+    of_y = told / _reach_m(pairs) ** 2
+    return float(of_y[thin].sum() / of_y.sum()), float(told[thin].sum() / told.sum())
 
 
 def peak_costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
