@@ -41,6 +41,7 @@ REMEDIES: Mapping[str, Remedy] = {
     "teacher_laid": Remedy(background=False, laid=True),
     "teacher_long": Remedy(background=False, laid=True, times=4),
     "statistics_long": Remedy(background=False, laid=True, times=4),
+    "continued_long": Remedy(times=4),
 }
 
 

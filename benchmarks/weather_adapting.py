@@ -244,6 +244,9 @@ def _gap_lines(sensor: str, grid: Grid, table: Mapping[str, Mapping[str, Row]], 
     if "teacher_long" in rows and "statistics_long" in rows:
         method = minus(rows["teacher_long"], rows["statistics_long"]).with_pooled(spread)
         lines.append(f"  teacher, four times the steps - the same without pseudo boxes: {spoken(method)}")
+        if "continued_long" in rows:
+            target = minus(rows["statistics_long"], rows["continued_long"]).with_pooled(spread)
+            lines.append(f"  statistics by domain, four times the steps - source frames alone: {spoken(target)}")
     if plain and taught:
         both = minus(rows["teacher_weather"], rows["teacher"]).with_pooled(spread)
         method = minus(rows["teacher"], rows["statistics"]).with_pooled(spread)
