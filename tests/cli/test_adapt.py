@@ -67,12 +67,13 @@ def test_its_examples_are_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("farfield.api.adapt", partial(stop, taken))
     monkeypatch.setattr("farfield.api.open_dataset", opened)
     examples = re.findall(r"^ *farfield (adapt .*)$", inspect.getdoc(run) or "", re.MULTILINE)
-    assert len(examples) == 5
+    assert len(examples) == 6
     for example in examples:
         with pytest.raises(StoppedError):
             main(shlex.split(example))
-    assert [each["detector"] for each in taken].count("pointpillars-cirrus-sim") == 4
+    assert [each["detector"] for each in taken].count("pointpillars-cirrus-sim") == 5
     assert taken[1]["minutes"] == 60
     assert taken[2]["source"] == Path("/data/kitti")
     assert taken[3]["labels"].root == Path("my-labelled-sweeps")
-    assert taken[4]["overrides"] == ("method.strong.thinning=0.5",)
+    assert taken[4]["whole_bodies"]
+    assert taken[5]["overrides"] == ("method.strong.thinning=0.5",)
