@@ -190,4 +190,5 @@ def _course(rows: Sequence[Mapping[str, float | int]]) -> Picture | None:
         "Curves of the losses and of what else was logged over the steps of all rounds",
         "Every logged step, the rounds one after the other. Losses are those of the labelled source and of the pseudo "
         "boxes; sure and ignored boxes a frame are the teacher's; docs/adaptation.md says how to read the others.",
+        "The course of the training",
     )

@@ -65,6 +65,7 @@ def write_course(path: Path, page: CoursePage) -> Path:
             "Curves of the losses and of what else was logged over the steps",
             "Every logged step; of long curves the mean of fifty stretches is drawn over the single steps. A dashed "
             "line is what chance gives. docs/adaptation.md says how to read what a method logs.",
+            "The course of the training",
         )
     write_text(path, render_template("course.html", page=page, course=course))
     return path

@@ -167,6 +167,6 @@ def _check_bodies(data: Dataset, whole_bodies: bool, name: str) -> None:
     annotation = data.annotation(0) if whole_bodies and len(data) else None
     if annotation is not None and annotation.extent != "full":
         raise ConfigError(
-            f"adapt: expected source frames that tell whole bodies, as whole_bodies asks for; those of {data.root} "
+            f"adapt: expected source frames that tell whole bodies where whole_bodies is set; those of {data.root} "
             f"show the part that the sensor sees. Give others with --source, or adapt {name} without whole_bodies."
         )
