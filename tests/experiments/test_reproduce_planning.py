@@ -1,6 +1,7 @@
 """Planning: what a grid costs, how steps are lowered to fit, which claims can be decided at a size."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,9 +11,10 @@ from tinygrid import tiny_grid
 
 from farfield.errors import ConfigError
 from farfield.experiments.claims import load as load_claims
-from farfield.experiments.reproduce.grid import load_grid
+from farfield.experiments.reproduce import measuring
+from farfield.experiments.reproduce.grid import Simulated, load_grid
 from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import Pace, StepClock, little, patience_s, short
+from farfield.experiments.reproduce.measuring import Pace, StepClock, little, measure_simulating, patience_s, short
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.reproduce.planning import (
     PAGE_S,
@@ -104,6 +106,33 @@ def test_a_trial_needs_neither_weights_nor_many_sequences() -> None:
     )
     assert (large.training.batch_size, large.training.workers) == (5, 0)
     assert little(LAPTOP.sets["train"]).sequences == 3
+
+
+class SlowToBegin:
+    """A simulation whose process takes ten seconds before its first frame of a preset, and one for each frame."""
+
+    def __init__(self) -> None:
+        self.now, self.known = 0.0, set[str]()
+
+    def process_time(self) -> float:
+        return self.now
+
+    def simulate(self, wanted: Simulated, path: Path, **how: Any) -> None:
+        self.now += 10.0 * (wanted.preset not in self.known) + wanted.sequences * wanted.frames
+        self.known.add(wanted.preset)
+        path.mkdir(parents=True)
+
+
+def test_seconds_of_a_frame_leave_out_what_a_process_makes_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    slow = SlowToBegin()
+    monkeypatch.setattr(measuring, "time", slow)
+    monkeypatch.setattr(measuring, "simulate", slow.simulate)
+    seconds, small = measure_simulating(places_of(CIRRUS, "laptop", tmp_path / "data"), {"train"}, tmp_path / "scratch")
+    assert set(seconds) == set(LAPTOP.sets)
+    assert set(seconds.values()) == {1.0}
+    assert small["train"].simulated == little(LAPTOP.sets["train"])
 
 
 @pytest.mark.parametrize(
