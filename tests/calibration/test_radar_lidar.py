@@ -9,7 +9,15 @@ from farfield.calibration.bird import Maps, Start, correlate
 from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.peaks import find_peaks
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
-from farfield.calibration.radar_lidar import SYSTEMATIC, _folded, _settled, _solved, calibrate_radar, systematic_of
+from farfield.calibration.radar_lidar import (
+    SYSTEMATIC,
+    _folded,
+    _nearest,
+    _settled,
+    _solved,
+    calibrate_radar,
+    systematic_of,
+)
 from farfield.calibration.radar_matching import Evidence, RadarPose, thin_shares
 from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_targets
@@ -88,6 +96,15 @@ def test_no_whole_frame_stays_in_the_time_offset() -> None:
     assert abs(found[0].time_offset_s - TRUTH.time_offset_s) < 0.01
     end = calibrate_radar(evidence, replace(guess, frames=TRUTH.frames + 3))
     assert (end.pose.frames, abs(end.pose.time_offset_s) <= evidence.period_s / 2) == (TRUTH.frames, True)
+
+
+def test_frame_offsets_are_compared_in_the_frames_that_they_share() -> None:
+    full_frame, nan = 90.0, np.nan  # one radar frame has many more peaks, and only the right offset uses it
+    right, wrong, alone = [full_frame, 10.0, 11.0, nan], [nan, 12.0, 12.0, 13.0], [nan, nan, nan, 1.0]
+    assert np.nanmean(wrong) < np.nanmean(right)
+    assert _nearest(np.array([right, wrong])) == 0
+    assert _nearest(np.array([wrong, right])) == 1
+    assert _nearest(np.array([right, alone])) == 0, "what shares no frame says nothing against it"
 
 
 def test_a_rough_start_does_not_draw_the_solution() -> None:

@@ -114,15 +114,14 @@ def calibrate_radar(
     most = max(len(pairs.track) for _, pairs, _ in tried)
     tried = [each for each in tried if 2 * len(each[1].track) >= most]  # few matches fit anything
     costs = np.array([peak_costs(evidence, pose, guess) for pose, _, _ in tried])
-    order = np.argsort(np.nanmean(costs, axis=1), kind="stable")
-    best = int(order[0])
+    best = _nearest(costs)
     end = _settled(evidence, tried[best], guess)
     if abs(end[0].time_offset_s) > evidence.period_s / 2:
         end = _folded(evidence, end[0].vector, end[0].frames, guess) or end
     pose, pairs, solution = end
     costs[best] = peak_costs(evidence, pose, guess)
     rivals: dict[int, float] = {}
-    for i in order[1:]:  # the best of each frame offset
+    for i in np.argsort(np.nanmean(costs, axis=1), kind="stable"):  # the best of each frame offset
         if tried[i][0].frames != pose.frames:
             rivals.setdefault(tried[i][0].frames, standing(costs[i], costs[best]))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
@@ -140,6 +139,15 @@ def calibrate_radar(
 
 
 _Tried = tuple[RadarPose, Pairs, Solution]
+
+
+def _nearest(costs: Float[np.ndarray, "tries frames"]) -> int:
+    """The try that costs least in the radar frames that it shares with the others: not all have as many peaks."""
+    best = 0
+    for i in range(1, len(costs)):
+        if np.nansum(costs[i] - costs[best]) < 0:
+            best = i
+    return best
 
 
 def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | None:
