@@ -85,7 +85,12 @@ def test_killed_twice_it_gives_the_same_and_redoes_nothing(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_the_page_of_what_is_there_and_a_plan_that_does_not_fit(tmp_path: Path) -> None:
     reproduction = tiny(tmp_path / "out")
+    for name in reproduction.settings.sets:  # of a command that was killed while it measured
+        (tmp_path / "out" / ".measure" / "data" / name).mkdir(parents=True)
     outline = reproduction.outline()
+    measured = json.loads((tmp_path / "out" / "measured.json").read_text())
+    assert measured["simulating_s"].keys() == reproduction.settings.sets.keys()
+    assert min(measured["simulating_s"].values()) > 0
     assert (outline.jobs, outline.rows, outline.seeds) == (JOBS, len(RUNS), 2)
     assert reproduction.outline() == outline  # measured once
     assert not (tmp_path / "out" / "data").exists()  # a plan simulates no data but those it measures on

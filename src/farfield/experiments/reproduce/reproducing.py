@@ -171,6 +171,7 @@ class Reproduction:
         if kept.get("for") == self._measured_for:
             return planning.paces_of(kept), dict(kept["simulating_s"]), float(kept.get("sheet_s", 0.0))
         scratch = self.out / ".measure"
+        shutil.rmtree(scratch, ignore_errors=True)  # of a command that was killed: its frames would cost nothing
         self.out.mkdir(parents=True, exist_ok=True)
         needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
         self.said("measuring: a few simulated frames, then a few steps of each kind of run")
