@@ -18,6 +18,7 @@ from farfield.experiments.reproduce.measuring import Pace, StepClock, little, me
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.reproduce.planning import (
     PAGE_S,
+    RESERVE,
     SCORING_S,
     Cost,
     Outline,
@@ -61,16 +62,19 @@ def test_steps_are_lowered_until_it_fits_and_no_further_than_the_floor() -> None
     paces = alike(listed, 0.5)
     whole = cost_of(listed, 1.0, LAPTOP, paces, {}, 96).core_minutes
     assert fitted(listed, LAPTOP, paces, {}, 96, None)[0] == 1.0
-    assert fitted(listed, LAPTOP, paces, {}, 96, whole + 1)[0] == 1.0
-    share, cost = fitted(listed, LAPTOP, paces, {}, 96, whole - 10)
+    asked = (whole + 1) / (1 - RESERVE)
+    assert fitted(listed, LAPTOP, paces, {}, 96, asked)[0] == 1.0
+    assert fitted(listed, LAPTOP, paces, {}, 96, whole + 1)[0] < 1.0  # nothing would be left for what paces err by
+    share, cost = fitted(listed, LAPTOP, paces, {}, 96, (whole - 10) / (1 - RESERVE))
     assert cost.core_minutes <= whole - 10
     assert LAPTOP.lowered(share).steps < 300
     assert cost_of(listed, share + 0.05, LAPTOP, paces, {}, 96).core_minutes > whole - 10
     with pytest.raises(ConfigError, match="fewest steps") as caught:
         fitted(listed, LAPTOP, paces, {}, 96, whole / 3)
-    assert fitted(listed, LAPTOP, paces, {}, 96, whole + 1, beside_s=120.0)[0] < 1.0
+    assert fitted(listed, LAPTOP, paces, {}, 96, asked, beside_s=120.0)[0] < 1.0
     least = cost_of(listed, 0.01, LAPTOP, paces, {}, 96).core_minutes
     assert f"at least {least:.0f} core minutes" in str(caught.value)
+    assert fitted(listed, LAPTOP, paces, {}, 96, least + 1)[1].core_minutes == pytest.approx(least)  # no reserve left
 
 
 def test_many_kinds_are_tried_no_longer_than_some() -> None:

@@ -19,6 +19,9 @@ LIKELY, POSSIBLE = 0.8, 0.3
 SCORING_S = 12.0
 """Core seconds that scoring a run on a cloud takes besides detecting, with its draws."""
 PAGE_S = 60.0
+RESERVE = 0.08
+"""Share of the minutes asked for that a plan leaves where the fewest steps let it: paces are known to a few percent,
+checkpoints take their time, and a command that is killed loses the steps since the last one."""
 _SHARES = tuple(share / 100 for share in range(100, 0, -1))
 
 
@@ -152,7 +155,9 @@ def fitted(
     *,
     beside_s: float = 0.0,
 ) -> tuple[float, Cost]:
-    """The largest share of the declared steps whose cost fits, and that cost. Seeds and rows are never fewer.
+    """The largest share of the declared steps whose cost fits with a reserve, or the least, and that cost.
+
+    Seeds and rows are never fewer.
 
     Args:
         jobs: As of :func:`cost_of`, and so the next four.
@@ -169,9 +174,10 @@ def fitted(
     cost = Cost(simulating=0.0, training=0.0, scoring=0.0)
     for share in _SHARES:
         cost = cost_of(jobs, share, settings, paces, simulating_s, frames_scored, beside_s=beside_s)
-        if core_minutes is None or cost.core_minutes <= core_minutes:
+        least = settings.lowered(share) == settings.lowered(_SHARES[-1])
+        if core_minutes is None or cost.core_minutes <= core_minutes * (1.0 if least else 1.0 - RESERVE):
             return share, cost
-        if settings.lowered(share) == settings.lowered(_SHARES[-1]):
+        if least:
             break
     parts = f"simulating {cost.simulating:.0f}, training {cost.training:.0f}, scoring {cost.scoring:.0f}"
     raise ConfigError(
