@@ -1,6 +1,6 @@
 """Radar-LiDAR calibrations from random starts, and the doctor's check of a radar, against the simulator's truth.
 
-Simulates K-Radar's car on three roads by day and by night: drives of a minute each, of which ten runs of ten frames
+Simulates K-Radar's car on three roads by day and by night: drives of a minute each, of which twenty runs of ten frames
 are kept. Eight solvers start in each drive, from up to +-2 m, +-3 degrees and +-3 frames off. The starts of one drive
 share its data, so that a row's spread is that of its drives. The doctor checks every drive with the right calibration
 and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. No constant of the solver was chosen

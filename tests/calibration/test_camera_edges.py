@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from farfield.calibration.depth_jumps import lidar_edges
+from farfield.calibration.edge_residuals import edge_residuals
 from farfield.calibration.edges import (
     align_edges,
     difference,
-    edge_residual_px,
     edge_score,
     edge_spread,
     moved,
@@ -64,7 +64,9 @@ def test_edges_bring_a_camera_back(scenes: list[tuple[np.ndarray, np.ndarray, np
     assert (np.degrees(np.abs(away[:3])) < [0.45, 0.15, 0.2]).all()  # rings are 0.7 degrees apart: pitch is worst
     assert np.abs(away[3:]).max() < 0.1
     assert edge_score(found, views).mean() > edge_score(start, views).mean()
-    assert np.median(np.abs(edge_residual_px(found, views))) < 1.5
+    residuals = edge_residuals(found, views)
+    assert residuals.median_px is not None
+    assert residuals.median_px < 1.5
     sigma, _ = edge_spread(found, views)
     assert (sigma > 0).all()
 
@@ -77,7 +79,7 @@ def test_edge_residuals_tell_less_than_half_a_pixel(scenes: list[tuple[np.ndarra
     medians = []
     for right_px in (-0.2, 0.0, 0.2, 0.4):
         matrix = CAMERA.matrix + np.array([[0, 0, right_px], [0, 0, 0], [0, 0, 0]])
-        medians.append(float(np.median(edge_residual_px(replace(CAMERA, matrix=matrix), upright))))
+        medians.append(float(np.median(edge_residuals(replace(CAMERA, matrix=matrix), upright).across_px)))
     assert np.diff(medians) == pytest.approx([-0.2] * 3, abs=0.08)
 
 

@@ -17,7 +17,7 @@ from farfield.bulk.folders import locked
 from farfield.errors import ConfigError
 from farfield.experiments.reproduce import running
 from farfield.experiments.reproduce.deciding import Scores
-from farfield.experiments.reproduce.running import quiet
+from farfield.experiments.reproduce.running import Spending, quiet
 from farfield.experiments.reproduce.scoring import Scoring
 
 
@@ -42,6 +42,26 @@ def test_peak_memory_is_what_the_process_held_at_most() -> None:
 def test_trainings_are_kept_from_saying_what_is_in_order() -> None:
     quiet()
     assert logging.getLogger("lightning_fabric").getEffectiveLevel() == logging.WARNING
+
+
+def test_what_killed_processes_took_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(running.time, "process_time", lambda: now[0])
+    monkeypatch.setattr(running.time, "monotonic", lambda: now[0])
+    path = tmp_path / "job" / "spent.json"
+    first = Spending(path)
+    for now[0] in (105.0, 115.0, 120.0):
+        first.step(1, {})
+    now[0] = 3.0  # it was killed: another process goes on
+    second = Spending(path)
+    now[0] = 10.0
+    assert second.seconds == pytest.approx(15.0 + 7.0)  # up to ten seconds of the first are lost
+    second.note()
+    assert Spending(path).seconds == pytest.approx(22.0)
+    second.done()
+    assert Spending(path).seconds == pytest.approx(0.0)
+    path.write_text("[1", encoding="utf-8")
+    assert Spending(path).seconds == pytest.approx(0.0)
 
 
 def diverge(self: object, report: object = None) -> None:

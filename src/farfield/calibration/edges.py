@@ -23,7 +23,6 @@ SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
 _TURN = np.radians(0.1)
 _SHIFT_M = 0.01
 _SHARES = np.array([0.6, 0.4])  # of upright and of level edges in a frame's score
-_CLEAR = 3.0  # times the usual gradient
 _LEAST_FRAMES = 7
 _PULL = 0.002  # what one sigma of the prior costs, in mean strength
 
@@ -157,12 +156,12 @@ def _rows(
 def edge_score(camera: Camera, views: Views, level: int = -1) -> Float[np.ndarray, " frames"]:
     """Weighted mean strength of the picture's edges under the LiDAR's, 1 for edges that fall anywhere, each frame."""
     pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
-    found = _sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
+    found = sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
     return np.bincount(views.frame, weights=found * views.weight, minlength=views.count).astype(np.float64)
 
 
-def _sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
-    """Values between pixels; 0 outside."""
+def sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
+    """Values of the gradient across each edge between pixels, at one scale; 0 outside."""
     return _sloped(views, pixels, level)[0]
 
 
@@ -359,23 +358,3 @@ def _moved_score(
     x: Float[np.ndarray, " 6"], camera: Camera, views: Views, level: int, scale: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, " frames"]:
     return edge_score(moved(camera, x * scale), views, level)
-
-
-def edge_residual_px(camera: Camera, views: Views, *, reach_px: int = 6) -> Float[np.ndarray, " n"]:
-    """How far across each LiDAR edge the nearest clear edge of the picture lies, signed, shape (n,), in pixels.
-
-    Clear are the gradient's local maxima that are three times the usual one; within ``reach_px`` to each side. Their
-    places are those of parabolas through the pixels beside them.
-    """
-    pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
-    pixels = np.nan_to_num(pixels, nan=-1e6)
-    steps = np.arange(-reach_px - 1.0, reach_px + 1.5, 0.5)
-    across = np.eye(2)[views.axis]
-    found = np.stack([_sampled(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
-    inner = found[2:-2]
-    top = (inner > _CLEAR) & (inner >= found[1:-3]) & (inner >= found[3:-1])
-    nearest = np.where(top, np.abs(steps[2:-2])[:, None], np.inf).argmin(axis=0)
-    low, mid, high = (np.take_along_axis(found, nearest[None] + each, axis=0)[0] for each in (0, 2, 4))
-    bend = np.minimum(low - 2 * mid + high, -1e-9)
-    within = np.clip(0.5 * (low - high) / bend, -0.5, 0.5)
-    return (steps[2:-2][nearest] + within)[top.any(axis=0)]

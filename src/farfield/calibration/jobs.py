@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from farfield.calibration.edge_residuals import edge_residuals
 from farfield.calibration.edges import (
     PARAMETERS,
     Views,
     align_edges,
     difference,
-    edge_residual_px,
     edge_score,
     edge_spread,
     views_of,
@@ -172,11 +172,11 @@ def distance_note(distances: tuple[float, ...] | None) -> list[str]:
 
 
 def _residual(camera: Camera, views: Views) -> dict[str, Any]:
-    away = edge_residual_px(camera, views)
-    counts, limits = np.histogram(away, bins=np.arange(-6.25, 6.5, 0.5))
+    found = edge_residuals(camera, views)
+    counts, limits = np.histogram(found.across_px, bins=np.arange(-6.25, 6.5, 0.5))
     return {
-        "edges": len(away),
-        "median_px": float(np.median(np.abs(away))) if len(away) else None,
+        "edges": len(found.across_px),
+        "median_px": found.median_px,
         "score": float(edge_score(camera, views).mean()),
         "histogram": {"limits_px": limits.tolist(), "counts": counts.tolist()},
     }

@@ -287,7 +287,7 @@ def _figure(value: float | None, *, in_mb: bool) -> str:
 
 
 def _minutes(timing: Mapping[str, Any]) -> float:
-    """Minutes of the processor that the finished runs took, those that were killed left out."""
+    """Minutes of the processor that the finished runs took."""
     clocks = [clock for run in timing["runs"].values() for clock in run["clock"]]
     return sum(float(clock["processor_s"]) for clock in clocks) / 60
 

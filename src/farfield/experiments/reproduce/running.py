@@ -16,10 +16,12 @@ from farfield.experiments.reproduce.grid import Tree
 from farfield.experiments.reproduce.jobs import Job, waves
 from farfield.experiments.reproduce.scoring import Scoring
 from farfield.files.atomic import read_bytes, write_text
+from farfield.training.report import Report
 
 JOURNAL = ".journal.jsonl"
 SCORES, WEIGHTS = "scores.json", "weights.safetensors"
 _MAX_BYTES = 1 << 28
+_SPENT, _NOTED_EVERY_S = "spent.json", 10.0
 _STATUS = Path("/proc/self/status")
 
 
@@ -41,25 +43,63 @@ class Doing:
     def __call__(self, unit: Unit) -> Done:
         """Train unless the weights are there, score, and write the scores."""
         job: Job = unit.parameters
-        home, began, busy = self.folder / job.folder, time.monotonic(), time.process_time()
+        home, began = self.folder / job.folder, time.monotonic()
+        spending = Spending(home / _SPENT)
         quiet()
         weights = home / WEIGHTS
-        failed = "" if weights.is_file() else _trained(job, home)
+        failed = "" if weights.is_file() else _trained(job, home, spending)
+        spending.note()
         trained = time.monotonic()
         clock: dict[str, Any] = {"training_s": round(trained - began, 1), "peak_memory_mb": peak_memory_mb()}
         scores = failure(job, failed) if failed else self.scoring.of_job(job, weights)
         write_text(home / SCORES, json.dumps(scores, separators=(",", ":")) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
         clock["scoring_s"] = round(time.monotonic() - trained, 1)
-        clock["processor_s"] = round(time.process_time() - busy, 1)
+        clock["processor_s"] = round(spending.seconds, 1)
         _note(home / "clock.jsonl", clock)
+        spending.done()
         return Done(files=(home / SCORES,), clock=clock)
 
 
-def _trained(job: Job, home: Path) -> str:
+class Spending(Report):
+    """The processor's time that a job takes, with what was taken by processes that were killed at it.
+
+    Args:
+        path: The file that keeps it while the job is not done.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._begun, self._noted = path, time.process_time(), time.monotonic()
+        with suppress(OSError, ValueError, TypeError, KeyError, FileFormatError):
+            known = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
+            self._begun -= float(known["processor_s"])
+
+    @property
+    def seconds(self) -> float:
+        """Of all processes so far."""
+        return time.process_time() - self._begun
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Keep it now and then."""
+        del step, losses
+        if time.monotonic() - self._noted >= _NOTED_EVERY_S:
+            self.note()
+
+    def note(self) -> None:
+        """Keep it."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(self._path, json.dumps({"processor_s": round(self.seconds, 1)}) + "\n")
+        self._noted = time.monotonic()
+
+    def done(self) -> None:
+        """The job is done: what it took is told elsewhere."""
+        self._path.unlink(missing_ok=True)
+
+
+def _trained(job: Job, home: Path, report: Report) -> str:
     """Train a job; what went wrong if it diverged, which it would do again."""
     try:
-        Plan(job.experiment, home).run()
+        Plan(job.experiment, home).run(report)
     except RuntimeError as error:
         if "non-finite" not in str(error):
             raise

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.depth_jumps import LidarEdges
+from farfield.calibration.edge_residuals import edge_residuals
 from farfield.calibration.edges import (
     PARAMETERS,
     Views,
     align_edges,
     difference,
-    edge_residual_px,
     edge_score,
     edge_spread,
     seen_by,
@@ -118,11 +118,11 @@ class CameraTask:
         del frame
         camera = self._camera(now.values)
         views = self._seen(camera)
-        away = edge_residual_px(camera, views)
+        away = edge_residuals(camera, views)
         off = np.array([each for each, pick in zip(self.off_px(now), now.picks, strict=True) if each and pick.used])
         figures = (
-            Figure(name="edges", value=float(len(away)), unit=""),
-            Figure(name="off, median", value=float(np.median(np.abs(away))) if len(away) else None, unit="px"),
+            Figure(name="edges", value=float(len(away.across_px)), unit=""),
+            Figure(name="off, median", value=away.median_px, unit="px"),
             Figure(name="strength", value=float(edge_score(camera, views).mean()), unit="x"),
             Figure(name="pairs", value=float(len(off)), unit=""),
             Figure(name="pairs, rms", value=float(np.sqrt((off**2).mean())) if len(off) else None, unit="px"),
@@ -130,7 +130,7 @@ class CameraTask:
         sigma, notes = edge_spread(camera, views) if full else (None, ())
         return Residuals(
             figures=figures,
-            histogram=bars(away, _LIMITS_PX, "px"),
+            histogram=bars(away.across_px, _LIMITS_PX, "px"),
             known=() if sigma is None else known_of(PARAMETERS, sigma),
             notes=(*notes, *self._hints(now, camera)),
         )
