@@ -159,6 +159,16 @@ def test_their_version_of_a_box_is_kept_where_a_person_says_so(chromium, live, p
     assert page.box(row["id"])["box"] == pytest.approx(first["box"])
 
 
+def wait_until_unlocked(page, origin):
+    """Wait until the browser has noticed that the window is closed: until then its edits are its own."""
+    page.goto(f"{origin}/nothing")  # of the same origin, and holds no lock itself
+    for _ in range(200):
+        if page.evaluate("navigator.locks.query().then((found) => found.held.length)") == 0:
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError("the closed window still holds its lock")
+
+
 def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(chromium, live):
     line = Line(live.port)
     origin = live.origin
@@ -179,6 +189,7 @@ def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(chromium
         first.page.close()
         line.join()
         second = Screen(context.new_page(), live.origin)
+        wait_until_unlocked(second.page, live.origin)
         second.page.goto(f"{live.origin}/?test=1&frame=0")
         second.settled()
         second.until("state.connected && farfieldTest.state.pending === 0")
