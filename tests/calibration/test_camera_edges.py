@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.edge_residuals import edge_residuals
+from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
 from farfield.calibration.edges import (
     align_edges,
     difference,
@@ -81,6 +81,13 @@ def test_edge_residuals_tell_less_than_half_a_pixel(scenes: list[tuple[np.ndarra
         matrix = CAMERA.matrix + np.array([[0, 0, right_px], [0, 0, 0], [0, 0, 0]])
         medians.append(float(np.median(edge_residuals(replace(CAMERA, matrix=matrix), upright).across_px)))
     assert np.diff(medians) == pytest.approx([-0.2] * 3, abs=0.08)
+
+
+def test_the_median_residual_counts_each_edge_as_the_score_does() -> None:
+    across = np.array([-1.0, 3.0, 0.5, 4.0])
+    for weight, median in (([1, 1, 1, 0], 1.0), ([1, 5, 1, 1], 3.0), ([1, 1, 6, 1], 0.5)):
+        assert EdgeResiduals(across_px=across, weight=np.array(weight, dtype=float)).median_px == median
+    assert EdgeResiduals(across_px=np.zeros(0), weight=np.zeros(0)).median_px is None
 
 
 def test_a_jump_is_an_edge_and_a_slope_is_none() -> None:
