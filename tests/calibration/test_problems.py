@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration import Parameter, solve
+from farfield.calibration.problems import considered
 from farfield.errors import ConfigError
 
 SLOPE = (
@@ -63,3 +64,13 @@ def test_what_cannot_be_told_is_named_and_keeps_the_prior() -> None:
 def test_no_residuals_are_refused() -> None:
     with pytest.raises(ConfigError, match="finite residuals"):
         solve(lambda value: np.zeros((0, 1)), np.zeros(2), SLOPE)
+
+
+def test_errors_that_all_residuals_share_do_not_average_out() -> None:
+    """A line through points that are all 0.3 too high, and tilted by 0.02: both go into the solution as they are."""
+    x, y = drawn(np.random.default_rng(0), 3.0)
+    rows, value = partial(line, x=x, y=y, sigma=0.1), np.array([1.5, -0.4])
+    high, tilted = np.full((len(x), 1), 0.3 / 0.1), (0.02 * x / 0.1)[:, None]
+    found = considered(rows, value, SLOPE, np.stack([high, tilted]))
+    np.testing.assert_allclose(found, np.diag([0.3**2, 0.02**2]), atol=1e-5)
+    np.testing.assert_array_equal(considered(rows, value, SLOPE, np.zeros((1, len(x), 1))), np.zeros((2, 2)))

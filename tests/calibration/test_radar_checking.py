@@ -10,7 +10,7 @@ from farfield.calibration.radar_checking import (
     finds,
     frames_needed,
 )
-from farfield.calibration.radar_lidar import SYSTEMATIC
+from farfield.calibration.radar_systematic import SYSTEMATIC
 
 AHEAD_M = 30.0
 

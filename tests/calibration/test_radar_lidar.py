@@ -10,15 +10,13 @@ from farfield.calibration.moments import Moment, above_ground_m
 from farfield.calibration.peaks import find_peaks
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
 from farfield.calibration.radar_lidar import (
-    SYSTEMATIC,
     _folded,
     _nearest,
     _settled,
     _solved,
     calibrate_radar,
-    systematic_of,
 )
-from farfield.calibration.radar_matching import Evidence, RadarPose, thin_shares
+from farfield.calibration.radar_matching import Evidence, RadarPose
 from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_targets
 from farfield.errors import ConfigError, DatasetError
@@ -234,22 +232,6 @@ def test_a_pose_is_appraised_as_it_stands() -> None:
     assert len(matches_of(evidence, TRUTH, 999)[0]) == 0
     with pytest.raises(DatasetError, match="move the cloud nearer"):
         appraise_radar(evidence, RadarPose(x_m=90.0, y_m=60.0, z_m=0.7))
-
-
-def test_vehicles_alone_leave_more_that_no_number_of_them_averages_away() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 20))
-    _, posts = appraise_radar(evidence, TRUTH)
-    assert thin_shares(posts, np.ones(len(posts.track))) == (1.0, 1.0)
-    np.testing.assert_array_equal(systematic_of(posts, TRUTH.vector), SYSTEMATIC)
-    cars = replace(posts, width_m=np.full(len(posts.track), 4.5))
-    assert thin_shares(cars, np.ones(len(cars.track))) == (0.0, 0.0)
-    alone = systematic_of(cars, TRUTH.vector)
-    np.testing.assert_allclose(alone[1:3], np.hypot(SYSTEMATIC[1:3], [0.085, np.radians(0.2)]))
-    np.testing.assert_array_equal(alone[[0, 3]], SYSTEMATIC[[0, 3]])
-    some = replace(posts, width_m=np.where(np.arange(len(posts.track)) % 2, 4.5, posts.width_m))
-    mixed = systematic_of(some, TRUTH.vector)
-    assert (SYSTEMATIC[1:3] < mixed[1:3]).all()
-    assert (mixed[1:3] < alone[1:3]).all()
 
 
 class StopError(Exception):

@@ -179,6 +179,38 @@ def appraise(
     )
 
 
+def considered(
+    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    value: Float[np.ndarray, " k"],
+    parameters: Sequence[Parameter],
+    errors: Float[np.ndarray, "e n d"],
+    *,
+    share: Float[np.ndarray, " n"] | None = None,
+    huber: float = _HUBER,
+) -> Float[np.ndarray, "k k"]:
+    """What errors that residuals have in common, so that none of them averages out, add to a solution's covariance.
+
+    They are not solved for, only considered (Schmidt 1966; Tapley, Schutz and Born, Statistical Orbit Determination,
+    2004, section 6.2).
+
+    Args:
+        residuals: As of :func:`solve`.
+        value: The solution, shape (k,).
+        parameters: As of :func:`solve`.
+        errors: What one sigma of each of e independent errors does to the residuals, shape (e, n, d).
+        share: As of :func:`solve`.
+        huber: As of :func:`solve`.
+    """
+    last = residuals(value)
+    own = np.ones(len(last)) if share is None else share
+    scale = np.array([each.scale for each in parameters])
+    prior = np.array([each.prior_sigma for each in parameters]) / scale
+    jacobian, weight = _jacobian(residuals, value, scale), own * _weights(last, huber)
+    fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian) + np.diag(1.0 / prior**2)
+    moved = np.linalg.solve(fisher, np.einsum("n,ndi,end->ie", weight, jacobian, errors)) * scale[:, None]
+    return np.asarray(moved @ moved.T)
+
+
 @dataclass(frozen=True, eq=False)
 class _Whole:
     """Residuals and prior in scaled steps from the start."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.problems import appraise
-from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, RadarCalibration, systematic_of
+from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, RadarCalibration
 from farfield.calibration.radar_matching import (
     Evidence,
     RadarPose,
@@ -19,6 +19,7 @@ from farfield.calibration.radar_matching import (
     whitened,
 )
 from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of
+from farfield.calibration.radar_systematic import systematic_of
 from farfield.errors import DatasetError
 
 
@@ -46,7 +47,7 @@ def appraise_radar(
         )
     rows, counted = partial(whitened, pairs=pairs), shares(pairs, pose.vector)
     solution = appraise(rows, pose.vector, PARAMETERS, group=pairs.track, share=counted)
-    solution = replace(solution, covariance=solution.covariance + np.diag(systematic_of(pairs, pose.vector) ** 2))
+    solution = replace(solution, covariance=solution.covariance + systematic_of(pairs, pose.vector))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - pose.z_m
     residual = polar(pose.vector, pairs)
     found = RadarCalibration(

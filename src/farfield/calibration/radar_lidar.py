@@ -21,10 +21,10 @@ from farfield.calibration.radar_matching import (
     peak_costs,
     polar,
     shares,
-    thin_shares,
     whitened,
 )
 from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of, standing
+from farfield.calibration.radar_systematic import systematic_of
 from farfield.errors import DatasetError
 
 RANGE_CELL_M = 0.462890625  # of K-Radar
@@ -40,11 +40,6 @@ _MAPS_SHARE = 0.5  # of the time
 _STEPS = np.array([0.05, 0.1, np.radians(0.2), 0.005])  # first ones of a search: x, y, yaw, time offset
 _NEAR_STEPS, _NEAR_COST = 0.02, 1e-3  # where it ends: in those steps, and in squared sigmas a frame
 _MOST_TRIED = 200
-SYSTEMATIC = np.array([0.03, 0.025, np.radians(0.05), 0.004])
-"""What more objects do not average away, one sigma: range bias, glint that favours a side, tracking of velocities; set
-from simulated drives with known truth."""
-_OF_VEHICLES = np.array([0.0, 0.085, np.radians(0.2), 0.0])
-"""The same of y and yaw where vehicles alone tell them: all echoes of one side of the road are drawn alike."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,7 +120,7 @@ def calibrate_radar(
         if tried[i][0].frames != pose.frames:
             rivals.setdefault(tried[i][0].frames, standing(costs[i], costs[best]))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
-    solution = replace(solution, covariance=solution.covariance + np.diag(systematic_of(pairs, solution.value) ** 2))
+    solution = replace(solution, covariance=solution.covariance + systematic_of(pairs, solution.value))
     residual = polar(solution.value, pairs)
     return RadarCalibration(
         pose=pose,
@@ -238,17 +233,6 @@ def _solved(
     return found
 
 
-def systematic_of(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 4"]:
-    """What no number of such matches averages away, one sigma: more where few of them are thin.
-
-    Args:
-        pairs: The matches.
-        value: x, y, yaw and time offset.
-    """
-    of_y, of_yaw = thin_shares(pairs, shares(pairs, value))
-    return np.asarray(np.hypot(SYSTEMATIC, _OF_VEHICLES * (1.0 - np.array([0.0, of_y, of_yaw, 0.0]))))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Refined:
     """A radar's pose by matched objects.
@@ -256,12 +240,12 @@ class Refined:
     Args:
         value: x, y, yaw and time offset.
         covariance: Their covariance, the systematic part included.
-        systematic: One sigma of that part.
+        systematic: That part of it.
     """
 
     value: Float[np.ndarray, " 4"]
     covariance: Float[np.ndarray, "4 4"]
-    systematic: Float[np.ndarray, " 4"]
+    systematic: Float[np.ndarray, "4 4"]
 
 
 def refine_radar(evidence: Evidence, guess: RadarPose) -> Refined:
@@ -279,5 +263,4 @@ def refine_radar(evidence: Evidence, guess: RadarPose) -> Refined:
         raise DatasetError(f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer")
     _, pairs, solution = _settled(evidence, (_posed(found[1].value, guess.frames, guess), *found), guess)
     systematic = systematic_of(pairs, solution.value)
-    covariance = solution.covariance + np.diag(systematic**2)
-    return Refined(value=solution.value, covariance=covariance, systematic=systematic)
+    return Refined(value=solution.value, covariance=solution.covariance + systematic, systematic=systematic)
