@@ -68,11 +68,20 @@ class SimulatedDrive:
         return open_dataset(writer.root, format="kradar")
 
 
+KINDS = [(road, light) for light in LIGHTS for road in ROADS]
+
+
 def drives(rounds: int, first: int = DEVELOPED) -> list[SimulatedDrive]:
     """Drives in the order in which they are made: each road by day and by night in every round."""
-    kinds = [(road, light) for light in LIGHTS for road in ROADS]
-    return [
-        SimulatedDrive(road=road, light=light, number=first + len(kinds) * turn + place)
-        for turn in range(rounds)
-        for place, (road, light) in enumerate(kinds)
-    ]
+    return [_numbered(first + number) for number in range(len(KINDS) * rounds)]
+
+
+def highways(count: int, first: int) -> list[SimulatedDrive]:
+    """So many drives on highways from a number on: there the spread is greatest."""
+    found = (_numbered(number) for number in range(first, first + len(KINDS) * count))
+    return [each for each in found if each.road == "highway"][:count]
+
+
+def _numbered(number: int) -> SimulatedDrive:
+    road, light = KINDS[number % len(KINDS)]
+    return SimulatedDrive(road=road, light=light, number=number)

@@ -6,7 +6,7 @@ share its data, so that a row's spread is that of its drives. The doctor checks 
 and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. No constant of the solver was chosen
 on these drives. They stay in --data, as does all that is done: a second run goes on where the first ended.
 
-    python benchmarks/radar_calibration.py --rounds 2 --output benchmarks/results/radar_calibration.txt
+    python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
 """
 
 import argparse
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _calibration_drives import LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives
+from _calibration_drives import DEVELOPED, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways
 from _report import header
 from calibration_doctor import ERRORS, draw
 
@@ -175,6 +175,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--picture", type=Path, help="of the doctor's rows: where its PNG goes")
     parser.add_argument("--rounds", type=int, default=2, help="drives of each road by day and by night")
+    parser.add_argument("--highways", type=int, default=0, help="so many more drives on highways after those")
     parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
@@ -182,7 +183,8 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.data.mkdir(parents=True, exist_ok=True)
-    wanted = drives(1, first=0) if options.developed else drives(options.rounds)
+    after = DEVELOPED + 6 * options.rounds
+    wanted = drives(1, first=0) if options.developed else [*drives(options.rounds), *highways(options.highways, after)]
     rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})
     lines = [

@@ -72,7 +72,7 @@ def test_what_is_taken_out_is_a_depth_that_grows_with_the_sine() -> None:
         track=np.arange(2),
         tracked=np.ones(2, dtype=bool),
     )
-    sigma, prior, sine = 0.2, 0.3, 0.5
+    sigma, prior, sine = 0.2, 0.15, 0.5
     told = 2 * sine**2 / sigma**2 / (2 * sine**2 / sigma**2 + 1 / prior**2)
     left = whitened(np.zeros(4), pairs)
     np.testing.assert_allclose(left[:, 0], -0.1 / sigma * (1 - told), rtol=1e-6)

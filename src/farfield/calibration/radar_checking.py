@@ -27,7 +27,7 @@ LEAST_FRAMES = 80
 LEAST_OBJECTS = 20
 """From fewer no sigma is to be trusted: behind a truck that stays ahead a whole drive shows a dozen objects."""
 _SURE = 1.64  # so much farther, 19 of 20 are claimed
-_FLOOR_M, _FLOOR_RAD = 0.12, float(np.radians(0.3))  # less is no error
+_FLOOR_M, _FLOOR_RAD = 0.08, float(np.radians(0.3))  # less is no error
 _MOST_FRAMES = 100_000
 
 

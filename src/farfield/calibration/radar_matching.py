@@ -22,7 +22,7 @@ _WEAK_GATE_M = 1.0  # a farther one is not told from noise
 _SIGMA_RANGE_M = 0.2
 _SIGMA_AZIMUTH_RAD = np.radians(0.15)
 _SIGMA_FACE_M = 0.05
-_SIGMA_DEPTH_M = 0.3  # by which the ranges of all objects on one side may be off together
+_SIGMA_DEPTH_M = 0.15  # by which the ranges of all objects on one side may be off together
 _CLIPPED = 2.0  # sigmas of a range that count for it
 _SIGMA_PEAK_RAD = np.radians(0.22)  # where its target is not known
 _GLINT = 0.15  # of an object's width: by how much its brightest point is off its middle
@@ -178,8 +178,9 @@ def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, 
 
     How deep a body answers depends on what it is and on the side that it shows: cars in the next lane by a decimetre
     more than posts beside the road. On a highway the left holds one kind and the right the other, which is just what
-    another y would do to the ranges. So each side has a depth of its own, 0.3 m from nothing, that grows with the sine
-    of the bearing; it is solved for in every residual.
+    another y would do to the ranges. So each side has a depth of its own, 0.15 m from nothing, that grows with the
+    sine of the bearing; it is solved for in every residual. Of 0.1, 0.15 and 0.3 m it is what errs least on the
+    eighteen simulated highways on which it was chosen.
     """
     found = polar(value, pairs) / np.column_stack([np.full(len(pairs.track), _SIGMA_RANGE_M), across_rad(pairs)])
     sine = pairs.radar_m[:, 1] / _reach_m(pairs)

@@ -21,7 +21,9 @@ from farfield.training.report import Report
 JOURNAL = ".journal.jsonl"
 SCORES, WEIGHTS = "scores.json", "weights.safetensors"
 _MAX_BYTES = 1 << 28
-_SPENT, _NOTED_EVERY_S = "spent.json", 10.0
+SPENT = "spent.json"
+"""Of the time that a job has taken while it is not done; see :class:`Spending`."""
+_NOTED_EVERY_S = 10.0
 _STATUS = Path("/proc/self/status")
 
 
@@ -44,7 +46,7 @@ class Doing:
         """Train unless the weights are there, score, and write the scores."""
         job: Job = unit.parameters
         home, began = self.folder / job.folder, time.monotonic()
-        spending = Spending(home / _SPENT)
+        spending = Spending(home / SPENT)
         quiet()
         weights = home / WEIGHTS
         failed = "" if weights.is_file() else _trained(job, home, spending)

@@ -16,6 +16,7 @@ from farfield.detectors.runtime import Detector
 from farfield.experiments.plan import Plan, annotated_frames, part_of
 from farfield.experiments.reproduce.jobs import code_digest
 from farfield.experiments.reproduce.places import simulate, wanting
+from farfield.experiments.reproduce.running import SPENT, Spending
 from farfield.experiments.reproduce.scoring import json_of_sample
 from farfield.experiments.reproduce.transfer.deciding import lines_of, tree_of
 from farfield.experiments.reproduce.transfer.declared import Table, TransferRun, experiment_tree, runs_of
@@ -23,6 +24,7 @@ from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure, sample
 from farfield.training.method import LABELLED
+from farfield.training.report import Report
 
 SCORES, WEIGHTS, FLOORS = "scores.json", "weights.safetensors", "floors.json"
 CLOUD = "radar"
@@ -103,19 +105,22 @@ class Doing:
     def __call__(self, unit: Unit) -> Done:
         """Train unless the weights are there, detect, score, and write the scores."""
         wanted: TransferRun = unit.parameters
-        home, began, busy = self.folder / wanted.folder, time.monotonic(), time.process_time()
+        home, began = self.folder / wanted.folder, time.monotonic()
+        spending = Spending(home / SPENT)
         logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
         if not (home / WEIGHTS).is_file():
-            self._train(wanted, home)
+            self._train(wanted, home, spending)
+        spending.note()
         trained_s = time.monotonic() - began
         clock = {"training_s": round(trained_s, 1), "processor_s": 0.0}
         kept = self.score(wanted, home)
-        clock["processor_s"] = round(time.process_time() - busy, 1)
+        clock["processor_s"] = round(spending.seconds, 1)
         write_text(home / SCORES, json.dumps({**kept, "clock": clock}) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
+        spending.done()
         return Done(files=(home / SCORES,), clock=clock)
 
-    def _train(self, wanted: TransferRun, home: Path) -> None:
+    def _train(self, wanted: TransferRun, home: Path, report: Report) -> None:
         table = self.sets.table
         row = table.rows[wanted.row]
         source = TransferRun(row=row.start, share=1.0, seed=wanted.seed)
@@ -124,7 +129,7 @@ class Doing:
         experiment = experiment_of(experiment_tree(table, wanted, data=path, start=start), where=wanted.folder)
         seen = self.sets.seen(row.world, "train", drop_doppler=row.drop_doppler)
         data = annotated_frames(part_of(seen, (0.0, wanted.share)), "skip")
-        Plan(experiment, home, data={LABELLED: data}).run()
+        Plan(experiment, home, data={LABELLED: data}).run(report)
 
     def score(self, wanted: TransferRun, home: Path) -> dict[str, Any]:
         """Detect in the world's ``"val"`` set with the weights in a folder, and score."""
