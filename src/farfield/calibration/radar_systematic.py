@@ -10,7 +10,7 @@ from farfield.calibration.radar_matching import across_rad, shares, whitened
 from farfield.calibration.radar_pairs import PARAMETERS, Pairs
 from farfield.calibration.targets import THIN_M
 
-SYSTEMATIC = np.array([0.03, 0.02, np.radians(0.04), 0.004])
+SYSTEMATIC = np.array([0.03, 0.025, np.radians(0.05), 0.004])
 """Of x, y, yaw and time offset whatever the objects, one sigma: range bias, side lobes, tracking of velocities; this
 and the following set from simulated drives with known truth."""
 _TILT_RAD, _TILTED_M = np.radians(0.2), 40.0
