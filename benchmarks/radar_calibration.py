@@ -3,8 +3,9 @@
 Simulates K-Radar's car on three roads by day and by night: drives of a minute each, of which twenty runs of ten frames
 are kept. Eight solvers start in each drive, from up to +-2 m, +-3 degrees and +-3 frames off. The starts of one drive
 share its data, so that a row's spread is that of its drives. The doctor checks every drive with the right calibration
-and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. No constant of the solver was chosen
-on these drives. They stay in --data, as does all that is done: a second run goes on where the first ended.
+and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. How deep a side of
+the road may be was chosen on the highways up to number 25, among others; on those from 28 on no constant was. The drives
+stay in --data, as does all that is done: a second run goes on where the first ended.
 
     python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
 """
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _calibration_drives import DEVELOPED, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways
+from _calibration_drives import DEVELOPED, KINDS, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways
 from _report import header
 from calibration_doctor import ERRORS, draw
 
@@ -183,7 +184,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.data.mkdir(parents=True, exist_ok=True)
-    after = DEVELOPED + 6 * options.rounds
+    after = DEVELOPED + len(KINDS) * options.rounds
     wanted = drives(1, first=0) if options.developed else [*drives(options.rounds), *highways(options.highways, after)]
     rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})

@@ -183,7 +183,7 @@ def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, 
     eighteen simulated highways on which it was chosen.
     """
     found = polar(value, pairs) / np.column_stack([np.full(len(pairs.track), _SIGMA_RANGE_M), across_rad(pairs)])
-    sine = pairs.radar_m[:, 1] / _reach_m(pairs)
+    sine = pairs.radar_m[:, 1] / reach_m(pairs)
     sides = np.column_stack([np.maximum(sine, 0.0), np.maximum(-sine, 0.0)]) / _SIGMA_RANGE_M
     counted = sides * shares(pairs, value)[:, None]
     told = sides.T @ counted + np.eye(2) / _SIGMA_DEPTH_M**2
@@ -194,10 +194,11 @@ def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, 
 def across_rad(pairs: Pairs) -> Float[np.ndarray, " n"]:
     """One sigma of each match in azimuth."""
     faces = np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m)
-    return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / _reach_m(pairs)))
+    return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / reach_m(pairs)))
 
 
-def _reach_m(pairs: Pairs) -> Float[np.ndarray, " n"]:
+def reach_m(pairs: Pairs) -> Float[np.ndarray, " n"]:
+    """How far from the radar each match is, seen from above; at least 1 m."""
     return np.asarray(np.maximum(np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]), 1.0))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.calibration.problems import considered
-from farfield.calibration.radar_matching import across_rad, shares, whitened
+from farfield.calibration.radar_matching import across_rad, reach_m, shares, whitened
 from farfield.calibration.radar_pairs import PARAMETERS, Pairs
 from farfield.calibration.targets import THIN_M
 
@@ -29,7 +29,7 @@ def systematic_of(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndar
         pairs: The matches.
         value: x, y, yaw and time offset.
     """
-    reach = np.maximum(np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]), 1.0)
+    reach = reach_m(pairs)
     wide = (pairs.width_m >= THIN_M) / across_rad(pairs)
     turned = np.stack([wide * _TILT_RAD * (1.0 - _TILTED_M / reach), wide * _BESIDE_M / reach])
     errors = np.stack([np.zeros_like(turned), np.clip(turned, -_MOST, _MOST)], axis=-1)
