@@ -69,12 +69,20 @@ class Graphed(nn.Module):
 
 
 def speed(site: Site) -> Iterator[Row]:
-    """Every detector in every precision, as it is; then dense trunks compiled and as CUDA graphs."""
+    """Every detector in every precision, as it is; then dense trunks as CUDA graphs."""
     if not site.gpu:
-        yield site.needs_gpu("fp16, torch.compile and CUDA graphs", "below: two frames in fp32 and bf16 on the CPU")
+        yield site.needs_gpu("fp16 and CUDA graphs", "below: two frames in fp32 and bf16 on the CPU")
     yield from each([*LIDAR, *RADAR], partial(_eager, site))
     if site.gpu:
-        yield from each(list(DENSE), partial(_faster, site))
+        yield from each(list(DENSE), partial(_changed, site, "CUDA graph", _graphed))
+
+
+def compiled(site: Site) -> Iterator[Row]:
+    """Dense trunks by torch.compile, each of which takes half a minute to compile."""
+    if not site.gpu:
+        yield site.needs_gpu("torch.compile", "")
+        return
+    yield from each(list(DENSE), partial(_changed, site, "torch.compile", _compiled))
 
 
 def _eager(site: Site, name: str) -> Iterator[Row]:
@@ -86,18 +94,17 @@ def _eager(site: Site, name: str) -> Iterator[Row]:
         yield _timed(f"{name}, {precision}", taken, peak, name, precision, len(cloud))
 
 
-def _faster(site: Site, name: str) -> Iterator[Row]:
+def _changed(site: Site, words: str, change: Callable[[Detector, Any], None], name: str) -> Iterator[Row]:
     cloud = busy_cloud(site)
     for precision in PRECISIONS[1:]:
-        for words, change in (("CUDA graph", _graphed), ("torch.compile", _compiled)):
-            detector = detector_of(network_of(name), site.device, precision)
-            expected = len(detector(cloud))
-            change(detector, cloud)
-            with peak_mb(site.device) as peak:
-                taken = milliseconds(partial(detector, cloud), site.device, **_rounds(site))
-            row = _timed(f"{name}, {precision}, {words}", taken, peak, name, precision, len(cloud))
-            found = len(detector(cloud))
-            yield Row(row.what, f"{row.figure}; {found} boxes, eager {expected}", row.verdict, row.numbers)
+        detector = detector_of(network_of(name), site.device, precision)
+        expected = len(detector(cloud))
+        change(detector, cloud)
+        with peak_mb(site.device) as peak:
+            taken = milliseconds(partial(detector, cloud), site.device, **_rounds(site))
+        row = _timed(f"{name}, {precision}, {words}", taken, peak, name, precision, len(cloud))
+        found = len(detector(cloud))
+        yield Row(row.what, f"{row.figure}; {found} boxes, eager {expected}", row.verdict, row.numbers)
 
 
 def _graphed(detector: Detector, cloud: Any) -> None:

@@ -31,8 +31,7 @@ def header() -> str:
         "machine": f"{processor()}, {os.cpu_count()} cores, {_memory_gib():.0f} GiB, {platform.system()}",
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "python": f"{platform.python_version()}, {_versions('numpy', 'scipy', 'torch')}",
-        "commit": git(root, "rev-parse", "--short", "HEAD")
-        + (" (dirty)" if git(root, "status", "--porcelain", "--untracked-files=no") else ""),
+        "commit": commit(root),
     }
     return "\n".join(f"{name:<8} {value}" for name, value in lines.items())
 
@@ -59,6 +58,14 @@ def _versions(*packages: str) -> str:
         except PackageNotFoundError:
             continue
     return ", ".join(found)
+
+
+def commit(root: Path) -> str:
+    """The commit, ``dirty`` where the tree differs from it; of a copy without its history what FARFIELD_COMMIT says."""
+    found = git(root, "rev-parse", "--short", "HEAD")
+    if found == "unknown":
+        return os.environ.get("FARFIELD_COMMIT", found)
+    return found + (" (dirty)" if git(root, "status", "--porcelain", "--untracked-files=no") else "")
 
 
 def git(root: Path, *arguments: str) -> str:

@@ -53,6 +53,7 @@ PARTS = {
     "loader": Part("frames a second with a loader", "_gpu_speed:loader"),
     "resume": Part("a checkpoint of one device, gone on from on the other", "_gpu_training:resume"),
     "training": Part("training steps of every detector", "_gpu_training:train"),
+    "compiled": Part("dense trunks by torch.compile", "_gpu_speed:compiled"),
 }
 """The parts in the order of what a short loan of a GPU should show first."""
 
