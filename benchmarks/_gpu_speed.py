@@ -50,6 +50,7 @@ class Graphed(nn.Module):
 
     def __init__(self, module: nn.Module, image: Tensor) -> None:
         super().__init__()
+        self.module = module  # the graph reads its weights
         self.image = image.clone()
         stream = torch.cuda.Stream()
         stream.wait_stream(torch.cuda.current_stream())
@@ -256,6 +257,9 @@ def _backbone(site: Site, theirs: Callable[..., Any] | None, dtype: str, size: s
             f"ours, {what}", f"{np.median(mine):.2f} ms (fastest {mine.min():.2f}), rulebooks anew", MEASURED, numbers
         )
         if theirs is None:
+            return
+        if dtype == "bfloat16":
+            yield Row(f"spconv, {what}", "spconv 2.3 has no bfloat16", ABSENT)
             return
         other = theirs(dtype, site.device)
         taken = milliseconds(partial(other, features, keys), site.device, **_rounds(site))

@@ -68,10 +68,11 @@ def test_an_even_kernel_is_refused():
         submanifold_book(cells(), SHAPE, (2, 3, 3))
 
 
-def _product(features, weight, order, table):
+def _product(features, weight, order, table, bias=None, relu=False):
     padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
     made = torch.einsum("nki,kio->no", padded[table.long()], weight)
-    return torch.empty_like(made).index_copy_(0, order, made)
+    made = made if bias is None else made + bias
+    return torch.empty_like(made).index_copy_(0, order, made.relu() if relu else made)
 
 
 def _weight_gradient(features, gradient, order, table):

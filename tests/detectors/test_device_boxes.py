@@ -105,14 +105,17 @@ def test_codes_give_the_boxes_of_the_host(rng, style):
         "pedestrian": on_host.AnchorConfig(size_m=(0.7, 0.6, 1.8), z_m=-0.9),
     }
     grid = on_host.AnchorGrid(anchors, nx=50, ny=33, cell_m=0.4, y_min_m=-6.7, style=style)
-    index = rng.integers(0, len(grid), 3000)
+    index = rng.permutation(len(grid))[:3000]
     code = rng.normal(0, 2, (3000, 7))
     code[:40, 6], code[40:80, 3] = np.pi / 2, 9.0  # residuals at the edge, sizes beyond the limits
     direction = rng.integers(0, 2, 3000)
     rows, expected = grid.rows(index), grid.decode(code, direction, index)
     there = torch.from_numpy(index)
     np.testing.assert_array_equal(on_device.anchor_rows(grid, there).numpy(), rows)
-    got = on_device.decoded(grid, torch.from_numpy(code), torch.from_numpy(direction), there).numpy()
+    codes, directions = torch.zeros(len(grid), 7, dtype=torch.float64), torch.zeros(len(grid), 2)
+    codes[there] = torch.from_numpy(code)
+    directions[there, torch.from_numpy(direction)] = 1.0
+    got = on_device.decoded(grid, codes, directions, there).numpy()
     np.testing.assert_allclose(got[:, :6], expected[:, :6], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(wrap_angle_rad(got[:, 6] - expected[:, 6]), 0, atol=1e-12)
 

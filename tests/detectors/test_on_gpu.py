@@ -62,6 +62,8 @@ def test_boxes_are_those_that_the_cpu_makes_of_the_same_maps(rng, name, precisio
 def test_nothing_large_goes_back_but_the_boxes(rng, name):
     there, seen = detector(name, "cuda", score_threshold=0.3), cloud(rng)
     there(seen)
+    with copies_of():  # the first look of a process may miss some
+        there(seen)
     with copies_of() as copies:
         boxes = there(seen)
     back = [size for words, size in copies if "DtoH" in words]
@@ -71,10 +73,12 @@ def test_nothing_large_goes_back_but_the_boxes(rng, name):
 
 
 def test_a_full_gpu_is_explained(rng):
-    there = detector("second", "cuda", grid={**SMALL["second"].settings["grid"], "voxel_m": [0.05, 0.05, 0.2]})
+    grid = {**SMALL["second"].settings["grid"], "cell_m": [0.05, 0.05, 0.2]}
+    there = detector("second", "cuda", grid={key: value for key, value in grid.items() if key != "voxel_m"})
     seen = cloud(rng, 60_000)
     torch.cuda.empty_cache()
-    torch.cuda.set_per_process_memory_fraction(1e-3)
+    allowed = torch.cuda.memory_reserved() + 32e6
+    torch.cuda.set_per_process_memory_fraction(allowed / torch.cuda.get_device_properties(0).total_memory)
     try:
         with pytest.raises(OutOfMemory, match=r"this process holds .*fewer frames at a time"):
             there(seen)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from farfield.detectors.devices import constant
+from farfield.detectors.triton_jit import kernels_for
 from farfield.geometry.boxes import Boxes
 
 _BEV = (0, 1, 3, 4, 6)  # x, y, length, width, yaw of a row x, y, z, length, width, height, yaw
@@ -20,6 +21,7 @@ _PAIRS = 2**18  # at a time: float64 temporaries of 8 MiB
 _GAPS = 2**22  # distances at a time
 _ROUNDS = 4  # between two looks at whether anything changed
 _LEAST_RISE = 1e-250
+_MOST_BITS = 2**14  # boxes whose pairs a GPU writes down, a bit each in words of 32: 67 MB
 
 
 def bev_intersection_m2(a: Tensor, b: Tensor) -> Tensor:
@@ -107,32 +109,47 @@ def rotated_nms(rows: Tensor, score: Tensor, *, iou_threshold: float, limit: int
         Indices of the kept boxes, best first, shape (k,), int64.
     """
     order = torch.sort(score, descending=True, stable=True).indices
-    better, worse = overlapping(rows[order], iou_threshold)
-    alive = torch.ones(len(order), device=rows.device)
+    return order[staying(rows[order], iou_threshold)[:limit]]
+
+
+def staying(ranked: Tensor, iou_threshold: float) -> Tensor:
+    """Which of the boxes stay, ascending, shape (k,), int64.
+
+    Args:
+        ranked: As of :func:`overlapping`.
+        iou_threshold: As of :func:`rotated_nms`.
+    """
+    kernels = kernels_for(ranked.device, "triton_nms")
+    if kernels is not None and len(ranked) <= _MOST_BITS:
+        limits = constant((float(iou_threshold),), ranked.device)
+        kept: Tensor = kernels.staying(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
+        return kept
+    better, worse = overlapping(ranked, iou_threshold)
+    alive = torch.ones(len(ranked), device=ranked.device)
     settled = len(better) == 0
     while not settled:
         before = alive
         for _ in range(_ROUNDS):
             before, alive = alive, (torch.zeros_like(alive).index_add_(0, worse, alive[better]) == 0).to(alive.dtype)
         settled = torch.equal(before, alive)
-    return order[(alive > 0).nonzero().squeeze(1)[:limit]]
+    return (alive > 0).nonzero().squeeze(1)
 
 
 def kept_boxes(
-    rows: Tensor, score: Tensor, kind: Tensor, names: Sequence[str], *, iou_threshold: float, limit: int
+    ranked: Tensor, score: Tensor, kind: Tensor, names: Sequence[str], *, iou_threshold: float, limit: int
 ) -> Boxes:
     """What is left of a frame's boxes after suppression, best first: the one copy to the host.
 
     Args:
-        rows: As of :func:`rotated_nms`.
-        score: Shape (n,).
+        ranked: As of :func:`overlapping`.
+        score: Shape (n,), descending.
         kind: Number of each box's class, shape (n,), int64.
         names: The classes.
         iou_threshold: As of :func:`rotated_nms`.
         limit: As of :func:`rotated_nms`.
     """
-    kept = rotated_nms(rows, score, iou_threshold=iou_threshold, limit=limit)
-    packed = torch.cat([rows[kept], score[kept, None].double(), kind[kept, None].double()], 1).cpu().numpy()
+    kept = staying(ranked, iou_threshold)[:limit]
+    packed = torch.cat([ranked, score[:, None].double(), kind[:, None].double()], 1)[kept].cpu().numpy()
     return Boxes(
         centre_m=packed[:, :3],
         size_m=packed[:, 3:6],

@@ -60,10 +60,14 @@ def sent(tensor: Tensor, device: torch.device) -> Tensor:
 
 
 @lru_cache(maxsize=256)
-def constant(values: tuple[float, ...] | tuple[tuple[float, ...], ...], device: torch.device) -> Tensor:
-    """Fixed numbers as float64 on a device: they travel once for each process. Not to be written to."""
+def constant(
+    values: tuple[float, ...] | tuple[tuple[float, ...], ...],
+    device: torch.device,
+    dtype: torch.dtype = torch.float64,
+) -> Tensor:
+    """Fixed numbers on a device: they travel once for each process. Not to be written to."""
     with torch.inference_mode(False):
-        return torch.tensor(values, dtype=torch.float64, device=device)
+        return torch.tensor(values, dtype=dtype, device=device)
 
 
 @contextmanager

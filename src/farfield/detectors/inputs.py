@@ -60,20 +60,29 @@ def cloud_tensor(cloud: Cloud, columns: Sequence[str]) -> Tensor:
     Raises:
         ConfigError: If the cloud lacks one of the columns.
     """
-    rows = np.column_stack([cloud.column(name) for name in columns])
+    rows = np.empty((len(cloud), len(columns)), dtype=np.float32)
+    for number, name in enumerate(columns):
+        rows[:, number] = cloud.column(name)
+    strength = [cloud.column(name) for name in _FINITE if name in cloud.columns]
+    if all(map(_all_finite, (cloud.points_m, rows, *strength))):
+        return torch.from_numpy(rows)
     kept = np.isfinite(cloud.points_m).all(axis=1)
-    for name in _FINITE:
-        if name in cloud.columns:
-            kept &= np.isfinite(cloud.column(name))
+    for values in strength:
+        kept &= np.isfinite(values)
     rows = rows[kept]
     return torch.from_numpy(np.where(np.isfinite(rows), rows, np.float32(0.0)))
 
 
+def _all_finite(values: np.ndarray) -> bool:
+    """Whether all are finite: a sum in float64 of float32 numbers is, unless one of them is not."""
+    return bool(np.isfinite(values.sum(dtype=np.float64)))
+
+
 def stacked(clouds: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     """The points of several frames, shape (n, c), and the frame number of each, shape (n,), int64."""
-    points = torch.cat(list(clouds))
-    lengths = torch.tensor([len(cloud) for cloud in clouds], device=points.device)
-    return points, torch.repeat_interleave(torch.arange(len(clouds), device=points.device), lengths)
+    points = clouds[0] if len(clouds) == 1 else torch.cat(list(clouds))
+    frame = [torch.full((len(cloud),), number, device=points.device) for number, cloud in enumerate(clouds)]
+    return points, frame[0] if len(clouds) == 1 else torch.cat(frame)
 
 
 class Inputs(Mapping[str, list[Tensor]]):

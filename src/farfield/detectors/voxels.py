@@ -8,9 +8,11 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor
 
+from farfield.detectors.devices import constant
 from farfield.detectors.inputs import POSITION, Positions, features_of, stacked
 from farfield.detectors.renaming import renamed
 from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
+from farfield.detectors.triton_jit import kernels_for
 
 _MAX_CELLS = 4_000_000_000
 OLD_NAMES = {"grid.voxel_m": "grid.cell_m"}
@@ -89,7 +91,13 @@ def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: i
         Rows of the points inside the grid, shape (m,), int64, and the key of each one's voxel, shape (m,), int64, as
         :func:`~farfield.detectors.sparse.tensor.encode_keys` numbers them.
     """
-    depth, nx, ny = grid.shape(multiple)
+    depth, nx, ny = shape = grid.shape(multiple)
+    kernels = kernels_for(points.device, "triton_voxels")
+    if kernels is not None and points.dtype == torch.float32:
+        given = numbers(grid, multiple, points.device)
+        key = kernels.voxel_keys(points.contiguous(), batch, given, shape, depth - grid.extra_layers)
+        rows = (key >= 0).nonzero().squeeze(1)
+        return rows, key[rows]
     dx, dy, dz = grid.cell_m
     ix = torch.floor(points[:, 0] / dx)
     iy = torch.floor((points[:, 1] - grid.y_min_m(multiple)) / dy)
@@ -158,6 +166,11 @@ def mean_voxels(
     rows, key = voxel_keys(points, batch, grid, multiple)
     keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
     shape = grid.shape(multiple)
+    kernels = kernels_for(points.device, "triton_voxels")
+    if kernels is not None and not published and points.dtype == torch.float32 and not points.requires_grad:
+        first, given = 0 if positions == "absolute" else 2, numbers(grid, multiple, points.device)
+        features = kernels.mean_features(points.contiguous(), rows, keys, member, given, shape, first)
+        return SparseTensor(features, keys, shape, len(clouds))
     points, count = points[rows], count[:, None].to(points.dtype)
     centre = voxel_centres_m(keys, grid, multiple).to(points.dtype)
     values = torch.cat([points[:, :3] - centre[member], points[:, features_of(columns)]], 1)
@@ -173,6 +186,13 @@ def mean_voxels(
         parts = [offset / position.new_tensor(grid.cell_m), scaled, torch.log1p(count)]
         features = torch.cat([*parts, rest], 1)
     return SparseTensor(features, keys, shape, len(clouds))
+
+
+def numbers(grid: VoxelGridConfig, multiple: int, device: torch.device) -> Tensor:
+    """First edge and step along x, y, z, and scales of x, y, z, as the kernels take them, shape (9,), float32."""
+    first = (0.0, grid.y_min_m(multiple), grid.z_min_m)
+    scale = (grid.range_m, grid.half_width_m, max(abs(grid.z_min_m), abs(grid.z_max_m)))
+    return constant((*first, *grid.cell_m, *scale), device, torch.float32)
 
 
 def voxel_centres_m(keys: Tensor, grid: VoxelGridConfig, multiple: int) -> Tensor:

@@ -13,6 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from farfield.detectors.anchors.assigning import AnchorAssigner
+from farfield.detectors.anchors.best import best_anchors
 from farfield.detectors.anchors.device import boxes_there
 from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
 from farfield.detectors.contract import ClassRows, DetectorConfig, OfAnchor
@@ -150,11 +151,9 @@ class AnchorHead(nn.Conv2d):
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
-        kind = None if logits.ndim == 1 else logits.argmax(1)
-        best, index = torch.topk(logits.float() if kind is None else logits.float().amax(1), self._limit(len(logits)))
-        score = torch.sigmoid(best)
-        keep = score >= self.config.score_threshold
-        index, score = index[keep], score[keep]
+        strength = logits.float() if logits.ndim == 1 else logits.float().amax(1)
+        config = self.config
+        index, score = best_anchors(strength, limit=config.candidates, score_threshold=config.score_threshold)
         anchor = index.cpu().numpy()
         direction = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
         rows = self.anchors.decode(codes[index].double().cpu().numpy(), direction, anchor)
@@ -163,13 +162,10 @@ class AnchorHead(nn.Conv2d):
             centre_m=rows[:, :3],
             size_m=rows[:, 3:6],
             yaw_rad=rows[:, 6],
-            label=self.anchors.labels(anchor) if kind is None else names[kind[index].cpu().numpy()],
-            score=score.double().cpu().numpy(),
+            label=self.anchors.labels(anchor) if logits.ndim == 1 else names[logits[index].argmax(1).cpu().numpy()],
+            score=score.cpu().numpy(),
         )
-        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
-
-    def _limit(self, anchors: int) -> int:
-        return min(self.config.candidates, anchors)
+        return boxes[rotated_nms(boxes, iou_threshold=config.nms_iou, limit=config.max_boxes)]
 
 
 def _joined(parts: Sequence[np.ndarray], device: torch.device) -> Tensor:

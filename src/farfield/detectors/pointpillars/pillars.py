@@ -5,14 +5,17 @@ sorting their cell numbers.
 """
 
 from collections.abc import Sequence
+from types import ModuleType
 
 import torch
 from torch import Tensor, nn
 
+from farfield.detectors.devices import constant
 from farfield.detectors.folding import fold_linear
 from farfield.detectors.grid import GridConfig
 from farfield.detectors.inputs import Positions, features_of
 from farfield.detectors.norm import normalise_rows
+from farfield.detectors.triton_jit import kernels_for
 
 _DESCRIBED = ("x", "y", "z", "dx of mean", "dy of mean", "dz of mean", "dx of centre", "dy of centre", "log_count")
 
@@ -58,6 +61,10 @@ class PillarEncoder(nn.Module):
         Returns:
             Pillar features, shape (batch_size, channels, nx, ny), in channels_last memory, zero where no point fell.
         """
+        kernels = kernels_for(points.device, "pointpillars.triton_pillars")
+        folded = isinstance(self.norm, nn.Identity) and self.linear.bias is not None
+        if kernels is not None and folded and not torch.is_grad_enabled() and kernels.takes(self.linear.weight):
+            return self._image(kernels, points, batch, batch_size)
         points, key = self._inside(points, batch)
         pillars, member = torch.unique(key, return_inverse=True)
         features = self._decorate(points, key, member, len(pillars))
@@ -67,6 +74,28 @@ class PillarEncoder(nn.Module):
         pooled = pooled.scatter_reduce(0, member[:, None].expand(-1, self.channels), features, "amax")
         canvas = pooled.new_zeros(batch_size * self.nx * self.ny, self.channels).index_copy(0, pillars, pooled)
         return canvas.view(batch_size, self.nx, self.ny, self.channels).permute(0, 3, 1, 2)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Edge of a cell, right edge of the grid, lowest and highest z, and scales of x, y and z, metres."""
+        grid = self.grid
+        scales = (grid.range_m, grid.half_width_m, grid.z_max_m)
+        return grid.cell_m, self.y_min_m, grid.z_min_m, grid.z_max_m, *scales
+
+    def _image(self, kernels: ModuleType, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
+        """The same by kernels, without a gradient."""
+        image: Tensor = kernels.image(
+            points.contiguous(),
+            batch,
+            batch_size,
+            self.linear.weight,
+            self.linear.bias,
+            constant(self.numbers, points.device, torch.float32),
+            nx=self.nx,
+            ny=self.ny,
+            first=self.first,
+        )
+        return image.permute(0, 3, 1, 2)
 
     def fold_norm(self) -> None:
         """Fold the normalisation into the linear layer, for inference."""

@@ -4,15 +4,20 @@ The pairs of :class:`~farfield.detectors.sparse.rulebook.Rulebook` are what a CP
 host. The Triton kernels read the table alone.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
+from farfield.detectors.sparse.neighbours import MAX_MARKS
 from farfield.detectors.sparse.rulebook import conv_shape
 from farfield.detectors.sparse.tensor import Triple, decode_keys
+from farfield.detectors.triton_jit import kernels_for
 
 _KEY_BITS = 62
 
@@ -26,42 +31,55 @@ class DeviceBook:
         keys: Output cells, shape (n_out,), int64, ascending.
         shape: Output grid.
         table: Row of the input under each kernel element, ``n_in`` for none, shape (n_out, K), int32.
-        back: The table that leads back, shape (n_in, K), int32; None for a symmetric book.
+        met: A number a row that is equal where equal elements meet an input, shape (n_out,); None to count them.
         shape_in: Input grid.
-        symmetric: Inputs and outputs are the same cells and the kernel is odd: its own inverse, the kernel mirrored.
+        find_back: Finds the table that leads back, shape (n_in, K), int32, and its ``met``; None for a symmetric book.
     """
 
     keys_in: Tensor
     keys: Tensor
     shape: Triple
     table: Tensor
-    back: Tensor | None
+    met: Tensor | None
     shape_in: Triple
-    symmetric: bool = field(default=False, kw_only=True)
+    find_back: "Callable[[], Found] | None" = None
 
     @property
     def size(self) -> int:
         """Elements of the kernel."""
         return self.table.shape[1]
 
+    @property
+    def symmetric(self) -> bool:
+        """Inputs and outputs are the same cells and the kernel is odd: its own inverse, the kernel mirrored."""
+        return self.find_back is None
+
     @cached_property
     def inverse(self) -> "DeviceBook":
         """The rulebook that leads back: input and output change places."""
-        if self.back is None:
+        if self.find_back is None:
             raise ValueError("Expected a rulebook between different cells; a symmetric one is its own inverse.")
-        book = DeviceBook(self.keys, self.keys_in, self.shape_in, self.back, self.table, self.shape)
+        here, (table, met) = (self.table, self.met), self.find_back()
+        book = DeviceBook(self.keys, self.keys_in, self.shape_in, table, met, self.shape, lambda: here)
         book.__dict__["inverse"] = self
         return book
 
     @cached_property
     def similar(self) -> tuple[Tensor, Tensor]:
         """The table with similar rows together; see :attr:`farfield.detectors.sparse.rulebook.Rulebook.similar`."""
+        if self.met is not None:
+            order = torch.sort(self.met, stable=True).indices
+            return order, self.table[order]
         present = self.table < len(self.keys_in)
         rarest_first = present.sum(0).argsort()[:_KEY_BITS]
         chosen = present.index_select(1, rarest_first).long()
         weight = torch.arange(chosen.shape[1] - 1, -1, -1, device=chosen.device)
         order = torch.sort(torch.bitwise_left_shift(chosen, weight).sum(1), stable=True).indices
         return order, self.table[order]
+
+
+Found = tuple[Tensor, Tensor | None]
+"""A table, and the ``met`` of a :class:`DeviceBook`."""
 
 
 def submanifold_book(keys: Tensor, shape: Triple, kernel: Triple) -> DeviceBook:
@@ -72,18 +90,38 @@ def submanifold_book(keys: Tensor, shape: Triple, kernel: Triple) -> DeviceBook:
     """
     if any(size % 2 == 0 for size in kernel):
         raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
+    kernels = kernels_for(keys.device, "sparse.triton_books")
+    if kernels is not None:
+        centred = (kernel[0] // 2, kernel[1] // 2, kernel[2] // 2)
+        table, met = kernels.find_rows(keys, keys, _steps(kernel, centred), shape=shape)
+        return DeviceBook(keys, keys, shape, table, met, shape)
     frame, *place = decode_keys(keys, shape).unbind(1)
     along = [at[:, None] + _counted(size, at) - size // 2 for at, size in zip(place, kernel, strict=True)]
-    return DeviceBook(keys, keys, shape, _rows(keys, frame, along, shape), None, shape, symmetric=True)
+    return DeviceBook(keys, keys, shape, _rows(keys, frame, along, shape), None, shape)
 
 
-def strided_book(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple) -> DeviceBook:
+def strided_book(
+    keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, padding: Triple, frames: int | None = None
+) -> DeviceBook:
     """Outputs at every cell that some input reaches; see :func:`farfield.detectors.sparse.rulebook.strided_rulebook`.
+
+    Args:
+        keys: Input cells, shape (n,), int64, ascending, each once.
+        shape: Their grid.
+        kernel: Size along z, x and y, like the following.
+        stride: Step.
+        padding: Empty cells on both sides.
+        frames: Number of grids; what the last key says if left out.
 
     Raises:
         ValueError: If the kernel does not fit the padded grid.
     """
     out_shape = conv_shape(shape, kernel, stride, padding)
+    kernels = kernels_for(keys.device, "sparse.triton_books")
+    if kernels is not None and len(keys):
+        frames = frames or int(keys[-1]) // math.prod(shape) + 1
+        if frames * math.prod(out_shape) <= MAX_MARKS:
+            return _marked_book(kernels, keys, shape, out_shape, _steps(kernel, padding), stride, frames)
     frame, *place = decode_keys(keys, shape).unbind(1)
     along, even = [], []
     for at, size, step, border in zip(place, kernel, stride, padding, strict=True):
@@ -95,7 +133,37 @@ def strided_book(keys: Tensor, shape: Triple, kernel: Triple, stride: Triple, pa
     frame, *place = decode_keys(reached, out_shape).unbind(1)
     given = zip(place, kernel, stride, padding, strict=True)
     under = [at[:, None] * step - border + _counted(size, at) for at, size, step, border in given]
-    return DeviceBook(keys, reached, out_shape, _rows(keys, frame, under, shape), _found(reached, cells), shape)
+    table = _rows(keys, frame, under, shape)
+    return DeviceBook(keys, reached, out_shape, table, None, shape, lambda: (_found(reached, cells), None))
+
+
+def _marked_book(
+    kernels: ModuleType,
+    keys: Tensor,
+    shape: Triple,
+    out_shape: Triple,
+    steps: list[Triple],
+    stride: Triple,
+    frames: int,
+) -> DeviceBook:
+    """The book by kernels: outputs are marked on the whole grid, a byte a cell, and listed."""
+    marks = torch.zeros(frames * math.prod(out_shape), dtype=torch.uint8, device=keys.device)
+    inwards = {"shape": out_shape, "shape_sought": shape, "stride": stride, "back": True}
+    kernels.mark(marks, keys, steps, **inwards)
+    reached = marks.nonzero().squeeze(1)
+    table, met = kernels.find_rows(keys, reached, steps, shape=shape, shape_sought=out_shape, stride=stride)
+
+    def find_back() -> Found:
+        found: Found = kernels.find_rows(reached, keys, steps, **inwards)
+        return found
+
+    return DeviceBook(keys, reached, out_shape, table, met, shape, find_back)
+
+
+def _steps(kernel: Triple, before: Triple) -> list[Triple]:
+    """Steps of each element of a kernel whose first one lies so many cells before."""
+    z, x, y = (range(-first, size - first) for size, first in zip(kernel, before, strict=True))
+    return list(product(z, x, y))
 
 
 def _counted(size: int, like: Tensor) -> Tensor:

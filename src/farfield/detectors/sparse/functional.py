@@ -1,7 +1,7 @@
 """Sparse convolution: gather, multiply, sum; with a hand-written gradient that stores only the rulebook."""
 
-import importlib.util
 from functools import cache
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -12,6 +12,7 @@ from torch.nn import functional
 from farfield.detectors.sparse.device_books import DeviceBook
 from farfield.detectors.sparse.rulebook import BLOCK_PAIRS, Rulebook
 from farfield.detectors.sparse.tables import NeighbourTable, table_product
+from farfield.detectors.triton_jit import has_triton
 
 _MAX_PRODUCT_BYTES = 2**28
 _GATHERED_BYTES = 2**22  # stays in the cache
@@ -21,7 +22,11 @@ _BATCHED = (torch.bfloat16, torch.float16)
 
 
 def sparse_conv(
-    features: Tensor, weight: Tensor, book: Rulebook | DeviceBook | NeighbourTable, bias: Tensor | None = None
+    features: Tensor,
+    weight: Tensor,
+    book: Rulebook | DeviceBook | NeighbourTable,
+    bias: Tensor | None = None,
+    relu: bool = False,
 ) -> Tensor:
     """Convolve the features of occupied cells.
 
@@ -30,17 +35,22 @@ def sparse_conv(
         weight: Kernel, shape (K, c_in, c_out), of the features' dtype.
         book: Which input meets which output; by a table there is no gradient.
         bias: Added to each output, shape (c_out,), of the features' dtype.
+        relu: Make negative outputs zero.
 
     Returns:
         Output rows, shape (n_out, c_out).
     """
     if isinstance(book, NeighbourTable):
-        return table_product(features, weight, book.rows, bias)
+        return _rectified(table_product(features, weight, book.rows, bias), relu)
     given = (features, weight) if bias is None else (features, weight, bias)
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given):
         out: Tensor = _SparseConv.apply(features, weight, book)
-        return out if bias is None else out + bias
-    return gather_product(features, weight, book, bias)
+        return _rectified(out if bias is None else out + bias, relu)
+    return gather_product(features, weight, book, bias, relu)
+
+
+def _rectified(rows: Tensor, relu: bool) -> Tensor:
+    return rows.relu_() if relu else rows  # nobody else holds them
 
 
 def _add_bias(rows: Tensor, bias: Tensor | None) -> Tensor:
@@ -77,7 +87,13 @@ class _SparseConv(torch.autograd.Function):
         return to_features, to_weight, None
 
 
-def gather_product(features: Tensor, weight: Tensor, book: Rulebook | DeviceBook, bias: Tensor | None = None) -> Tensor:
+def gather_product(
+    features: Tensor,
+    weight: Tensor,
+    book: Rulebook | DeviceBook,
+    bias: Tensor | None = None,
+    relu: bool = False,
+) -> Tensor:
     """Each output the sum of ``features[source] @ weight[element]`` over its pairs, and the bias; no gradient.
 
     Products are made one kernel element at a time and written side by side; then each output sums its own. That reads
@@ -85,9 +101,13 @@ def gather_product(features: Tensor, weight: Tensor, book: Rulebook | DeviceBook
     """
     kernels = _gpu_kernels(features)
     if kernels is not None:
-        out: Tensor = kernels.gather_product(features, weight, *book.similar)
-        return _add_bias(out, bias)
+        made: Tensor = kernels.gather_product(features, weight, *book.similar, bias, relu)
+        return made
     assert isinstance(book, Rulebook), "a table is for the kernels alone"
+    return _rectified(_pair_product(features, weight, book, bias), relu)
+
+
+def _pair_product(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor | None) -> Tensor:
     c_out = weight.shape[2]
     if len(book.sources) * c_out * features.element_size() > _MAX_PRODUCT_BYTES:
         return _add_bias(_add_up(features, weight, book), bias)
@@ -184,6 +204,4 @@ def _gpu_kernels(features: Tensor) -> ModuleType | None:
 
 @cache
 def _import_kernels() -> ModuleType | None:
-    if importlib.util.find_spec("triton") is None:
-        return None
-    return importlib.import_module("farfield.detectors.sparse.triton_kernels")
+    return import_module("farfield.detectors.sparse.triton_kernels") if has_triton() else None

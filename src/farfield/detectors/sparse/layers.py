@@ -64,11 +64,12 @@ class _Conv(nn.Module, ABC):
         book = self.rulebook(sparse)
         return sparse.moved(sparse.features.new_empty(len(book.keys), 0), book.keys, book.shape)
 
-    def forward(self, sparse: SparseTensor) -> SparseTensor:
+    def forward(self, sparse: SparseTensor, relu: bool = False) -> SparseTensor:
+        """Apply the layer, and ReLU if asked."""
         book = self.rulebook(sparse)
         dtype = self.dtype(sparse.features.device.type)
         bias = None if self.bias is None else self.bias.to(dtype)
-        features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias)
+        features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias, relu)
         return sparse.moved(features, book.keys, book.shape)
 
     def extra_repr(self) -> str:
@@ -135,12 +136,13 @@ class SparseConv(_Conv):
         tabled = self.book is None and self.by_table(sparse)
         name = ("strided", tabled, self.kernel, self.stride, self.padding, sparse.shape, id(sparse.keys))
         if name not in sparse.rulebooks:
-            find = strided_book if self.by_kernels(sparse) else strided_rulebook
-            sparse.rulebooks[name] = (
-                strided_table(sparse, self.kernel, self.stride, self.padding)
-                if tabled
-                else find(sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
-            )
+            cells = (sparse.keys, sparse.shape, self.kernel, self.stride, self.padding)
+            if tabled:
+                sparse.rulebooks[name] = strided_table(sparse, *cells[2:])
+            elif self.by_kernels(sparse):
+                sparse.rulebooks[name] = strided_book(*cells, sparse.batch_size)
+            else:
+                sparse.rulebooks[name] = strided_rulebook(*cells)
         book = cast(Book, sparse.rulebooks[name])
         if self.book is not None and sparse.rulebooks.setdefault(self.book, book) is not book:
             raise ValueError(f"Expected rulebook {self.book!r} at one set of cells; got a second: name it otherwise.")
@@ -190,6 +192,8 @@ class SparseBlock(nn.Module):
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Apply the block."""
+        if isinstance(self.norm, nn.Identity):
+            return cast(SparseTensor, self.conv(sparse, self.relu))
         sparse = self.conv(sparse)
         features = normalise_rows(self.norm, sparse.features)
         return sparse.replace(features.relu_() if self.relu else features)  # nobody else holds them

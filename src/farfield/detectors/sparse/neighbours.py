@@ -7,7 +7,10 @@ import torch
 from torch import Tensor
 
 from farfield.detectors.sparse.tensor import Triple, decode_keys
+from farfield.detectors.triton_jit import kernels_for
 
+MAX_MARKS = 2**28
+"""Cells of a grid that a GPU may mark, a byte each."""
 _MAX_BITMAP_CELLS = 2**30  # two tables of 128 MiB
 _WORD_BITS = 5  # 32 cells to a word
 _WORDS_PER_CELL = 256
@@ -26,13 +29,17 @@ def neighbour_table(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Se
         Row in ``keys`` of each neighbour, ``n`` where it is not occupied or outside the grid, shape (m, K), int32: so
         features with one row appended can be indexed as they are.
     """
+    kernels = kernels_for(keys.device, "sparse.triton_books")
+    if kernels is not None and len(offsets):
+        rows: Tensor = kernels.find_rows(keys, query_keys, offsets, shape=shape)[0]
+        return rows
     table = torch.full((len(query_keys) * len(offsets),), len(keys), dtype=torch.int32, device=keys.device)
     if len(keys) == 0 or len(table) == 0:
         return table.view(len(query_keys), len(offsets))
     numbering = Numbering.around(keys, query_keys, shape, offsets)
     wanted = numbering.numbers(query_keys)[:, None] + numbering.steps(offsets, keys.device)
-    pairs, rows = occupied(numbering, numbering.numbers(keys), wanted.view(-1))
-    table[pairs] = rows
+    pairs, found = occupied(numbering, numbering.numbers(keys), wanted.view(-1))
+    table[pairs] = found
     return table.view(len(query_keys), len(offsets))
 
 
@@ -155,18 +162,24 @@ def _count_bits(words: Tensor) -> Tensor:
     return (words + (words >> 16)).bitwise_and_(0x3F)
 
 
-def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> Tensor:
+def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple], frames: int | None = None) -> Tensor:
     """Grow a set of cells.
 
     Args:
-        keys: Cells, shape (n,), int64.
+        keys: Cells, shape (n,), int64, in any order.
         shape: Cells along z, x and y.
         offsets: Steps (dz, dx, dy) from each cell to the cells to add; steps out of the grid add nothing.
+        frames: Number of grids: with it, a GPU marks the cells on all of them where they are few enough.
 
     Returns:
         The cells and all added ones, ascending, each once, shape (m,), int64.
     """
     depth, nx, ny = shape
+    kernels = kernels_for(keys.device, "sparse.triton_books")
+    if kernels is not None and frames is not None and frames * depth * nx * ny <= MAX_MARKS:
+        marks = torch.zeros(frames * depth * nx * ny, dtype=torch.uint8, device=keys.device)
+        kernels.mark(marks, keys, [(0, 0, 0), *offsets], shape=shape)
+        return marks.nonzero().squeeze(1)
     _, iz, ix, iy = decode_keys(keys, shape).unbind(1)
     grown = [keys]
     for dz, dx, dy in offsets:

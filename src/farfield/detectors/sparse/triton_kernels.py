@@ -1,16 +1,16 @@
 """Sparse convolution on a GPU: implicit matrix products over the neighbour table, written in Triton.
 
 Gathered rows never reach the GPU's memory; sums are float32. Rows come sorted by their set of neighbours, so that a
-program skips kernel elements that none of its rows has. Imported on first use only: CPU builds of PyTorch lack Triton.
+program skips kernel elements that none of its rows has.
 """
 
-import inspect
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from farfield.detectors.triton_jit import jit
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")
@@ -19,16 +19,12 @@ _BLOCK_ROWS = 64
 _PARTIAL_BYTES = 2**26
 
 
-def _jit(kernel: Callable[..., Any]) -> Any:
-    # Triton reads the function's source, so it needs the function itself, not what a type checker wrapped around it.
-    return triton.jit(inspect.unwrap(kernel))
-
-
-@_jit
+@jit
 def _gather_product_kernel(  # type: ignore[no-untyped-def]
-    features, weight, table, order, out, count, none,
+    features, weight, table, order, bias, out, count, none,
     size: tl.constexpr, c_in: tl.constexpr, c_out: tl.constexpr,
     block_rows: tl.constexpr, block_in: tl.constexpr, block_out: tl.constexpr,
+    biased: tl.constexpr, relu: tl.constexpr,
 ):  # fmt: skip
     row = tl.program_id(0) * block_rows + tl.arange(0, block_rows)
     column = tl.program_id(1) * block_out + tl.arange(0, block_out)
@@ -45,12 +41,16 @@ def _gather_product_kernel(  # type: ignore[no-untyped-def]
                 place = (element * c_in + channel)[:, None] * c_out + column[None, :]
                 right = tl.load(weight + place, mask=(channel < c_in)[:, None] & column_in[None, :], other=0.0)
                 total += tl.dot(left, right, input_precision="ieee")
+    if biased:
+        total += tl.load(bias + column, mask=column_in, other=0.0).to(tl.float32)[None, :]
+    if relu:
+        total = tl.maximum(total, 0.0)
     target = tl.load(order + row, mask=row_in, other=0).to(tl.int64)
     place = target[:, None] * c_out + column[None, :]
     tl.store(out + place, total.to(out.dtype.element_ty), mask=row_in[:, None] & column_in[None, :])
 
 
-@_jit
+@jit
 def _weight_gradient_kernel(  # type: ignore[no-untyped-def]
     features, gradient, table, order, partial, count, none, share,
     size: tl.constexpr, c_in: tl.constexpr, c_out: tl.constexpr,
@@ -78,14 +78,23 @@ def _weight_gradient_kernel(  # type: ignore[no-untyped-def]
     tl.store(partial + place, total, mask=channel_in[:, None] & column_in[None, :])
 
 
-def gather_product(features: Tensor, weight: Tensor, order: Tensor, table: Tensor) -> Tensor:
-    """Rows ``sum_k features[table[:, k]] @ weight[k]``, put back in order.
+def gather_product(
+    features: Tensor,
+    weight: Tensor,
+    order: Tensor,
+    table: Tensor,
+    bias: Tensor | None = None,
+    relu: bool = False,
+) -> Tensor:
+    """Rows ``sum_k features[table[:, k]] @ weight[k] + bias``, put back in order.
 
     Args:
         features: Input rows, shape (n_in, c_in).
         weight: Kernel, shape (K, c_in, c_out), of the features' dtype: float32, float16 or bfloat16.
         order: Output row of each row of the table, shape (n_out,), int64.
         table: Input row under each kernel element, ``n_in`` for none, shape (n_out, K), int32.
+        bias: Added to each row, shape (c_out,).
+        relu: Make negative numbers of the result zero.
 
     Returns:
         Output rows, shape (n_out, c_out).
@@ -97,8 +106,8 @@ def gather_product(features: Tensor, weight: Tensor, order: Tensor, table: Tenso
     block_out = _tile(c_out)
     grid = (triton.cdiv(len(table), _BLOCK_ROWS), triton.cdiv(c_out, block_out))
     _gather_product_kernel[grid](
-        features.contiguous(), weight.contiguous(), table, order, out, len(table), len(features),
-        size, c_in, c_out, _BLOCK_ROWS, min(_tile(c_in), 32), block_out,
+        features.contiguous(), weight.contiguous(), table, order, out if bias is None else bias, out, len(table),
+        len(features), size, c_in, c_out, _BLOCK_ROWS, min(_tile(c_in), 32), block_out, bias is not None, relu,
     )  # fmt: skip
     return out
 

@@ -15,6 +15,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
+from farfield.detectors.anchors.best import logit
 from farfield.detectors.contract import ClassRows, DetectorConfig
 from farfield.detectors.device_nms import kept_boxes
 from farfield.detectors.features import FeatureMap, in_type_of
@@ -186,12 +187,12 @@ class CentreHead(nn.Module):
     def found(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The boxes at all peaks, rows (n, 7) float64, their scores, classes and frames, each of shape (n,)."""
         logits = maps.logits.float()
-        score = torch.sigmoid(logits)
-        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & (score >= self.config.score_threshold)
+        high = logits >= logit(self.config.score_threshold)
+        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & high
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
         rows = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
-        return rows, score[row, kind].double(), kind, frame
+        return rows, torch.sigmoid(logits[row, kind].double()), kind, frame
 
     def boxes_there(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
         """The boxes of each frame after suppression on the device that they are on; arguments as :meth:`found` has."""
@@ -226,7 +227,9 @@ def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], reach: int) -> T
     around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
     table = neighbour_table(keys, keys, (1, *shape), around).long()
     padded = torch.cat([logits, logits.new_full((1, logits.shape[1]), -torch.inf)])
-    best = torch.full_like(logits, -torch.inf)
+    if logits.is_cuda:
+        return logits >= padded[table].amax(1)
+    best = torch.full_like(logits, -torch.inf)  # on a CPU the gathered rows of all steps would leave the cache
     for column in table.unbind(1):
         best = torch.maximum(best, padded[column])
     return logits >= best

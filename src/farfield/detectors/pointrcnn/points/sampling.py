@@ -6,13 +6,14 @@ one run a frame serves them all.
 """
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 
 import numpy as np
 import torch
 from jaxtyping import Float32, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
+
+from farfield.detectors.triton_jit import kernels_for
 
 _SIDE_BY_SIDE = 8  # a CPU samples this many frames faster one by one, more of them faster side by side
 
@@ -148,10 +149,9 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> tuple
     points = points.detach().float()
     if not any(taken):
         return torch.zeros(0, dtype=torch.long, device=points.device), taken
-    if points.is_cuda and find_spec("triton"):  # builds of torch for the CPU come without it
-        from farfield.detectors.pointrcnn.points import triton_kernels
-
-        return triton_kernels.farthest_points(points, lengths, count), taken
+    kernels = kernels_for(points.device, "pointrcnn.points.triton_kernels")
+    if kernels is not None:
+        return kernels.farthest_points(points, lengths, count), taken
     if not points.is_cuda and sum(taken) <= _SIDE_BY_SIDE * max(taken):
         xyz = points.numpy()
         parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, taken, strict=True)]
