@@ -1,6 +1,7 @@
 """One command that proves and measures on a GPU what can be; on a CPU it runs whole and says what needs a GPU.
 
 usage: python benchmarks/gpu_check.py [--only PART ...] [--minutes 10] [--json FILE] [--archive FILE] [--list]
+       python benchmarks/gpu_check.py --join FILE ... [--json FILE]
 
 Each part runs in a process of its own, so that one that breaks off, even with the GPU's context, leaves the others be.
 No network and no data but what is simulated here, or a cloud made beforehand: ``--archive`` makes it where there is the
@@ -176,6 +177,28 @@ def check(only: list[str], minutes: float, archive: Path) -> dict[str, Any]:
     return found
 
 
+def joined(paths: list[Path]) -> dict[str, Any]:
+    """The results of several calls on one device at one commit, as one: such as checks side by side, then times alone.
+
+    Raises:
+        ValueError: If they are of different devices, versions or commits.
+    """
+    found = [json.loads(path.read_text("utf-8")) for path in paths]
+    same = {(json.dumps(one["hardware"], sort_keys=True), _line_of(one["header"], "commit")) for one in found}
+    if len(same) != 1:
+        raise ValueError(f"expected results of one device and one commit; got {len(same)}")
+    parts = {name: part for one in found for name, part in one["parts"].items()}
+    heads = [one["header"] for one in found]
+    commands = [line for head in heads for line in head.splitlines() if line.startswith("command")]
+    rest = [line for line in heads[0].splitlines() if not line.startswith("command")]
+    ordered = {name: parts[name] for name in PARTS if name in parts}
+    return {**found[0], "header": "\n".join([*commands, *rest]), "parts": ordered}
+
+
+def _line_of(header_text: str, name: str) -> str:
+    return next(line for line in header_text.splitlines() if line.startswith(name))
+
+
 def text(found: dict[str, Any]) -> str:
     """Header, hardware and table."""
     words = ", ".join(f"{key} {value}" for key, value in found["hardware"].items() if value is not None)
@@ -192,6 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--archive", type=Path, default=ARCHIVE, help="a cloud made beforehand; made where it is absent"
     )
     parser.add_argument("--list", action="store_true", help="say what parts there are")
+    parser.add_argument("--join", type=Path, nargs="+", metavar="FILE", help="make one table of several calls' JSON")
     parser.add_argument("--serve", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.list:
@@ -200,7 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.serve:
         serve(options.serve, options.archive)
         return 0
-    found = check(options.only, options.minutes, options.archive)
+    found = joined(options.join) if options.join else check(options.only, options.minutes, options.archive)
     print(text(found))
     _store(found, options.json)
     return int(any(row["verdict"] == "FAILED" for part in found["parts"].values() for row in part["rows"]))

@@ -71,15 +71,15 @@ def books(device):
 
 
 def bias_and_relu(device):
-    """A sparse convolution adds its bias and rectifies as the plain version does."""
+    """A sparse convolution adds its bias and a residual and rectifies as the plain version, its rows sorted or not."""
     keys, generator = cells(0.3, 1), torch.Generator().manual_seed(1)
     book = submanifold_rulebook(keys, SHAPE, (3, 3, 3))
-    features, weight = (torch.randn(size, generator=generator) for size in ((len(keys), 20), (27, 20, 40)))
-    bias = torch.randn(40, generator=generator)
-    rows = tuple(rows.to(device) for rows in book.similar)
-    for relu in (False, True):
-        expected = functional.gather_product(features, weight, book, bias, relu)
-        got = triton_kernels.gather_product(features.to(device), weight.to(device), *rows, bias.to(device), relu)
+    sizes = ((len(keys), 20), (27, 20, 40), (40,), (len(keys), 40))
+    features, weight, bias, residual = (torch.randn(size, generator=generator) for size in sizes)
+    for relu, added, rows in product((False, True), (None, residual), (book.similar, (None, book.table.int()))):
+        expected = functional.gather_product(features, weight, book, bias, relu, added)
+        there = [None if part is None else part.to(device) for part in (*rows, bias, added)]
+        got = triton_kernels.gather_product(features.to(device), weight.to(device), *there[:3], relu, there[3])
         torch.testing.assert_close(got.cpu(), expected, rtol=1e-5, atol=1e-5)
         assert bool((expected < 0).any()) is not relu
 

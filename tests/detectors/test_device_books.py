@@ -68,11 +68,12 @@ def test_an_even_kernel_is_refused():
         submanifold_book(cells(), SHAPE, (2, 3, 3))
 
 
-def _product(features, weight, order, table, bias=None, relu=False):
+def _product(features, weight, order, table, bias=None, relu=False, added=None):
     padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
     made = torch.einsum("nki,kio->no", padded[table.long()], weight)
-    made = made if bias is None else made + bias
-    return torch.empty_like(made).index_copy_(0, order, made.relu() if relu else made)
+    made = torch.empty_like(made).index_copy_(0, order, made) + (0 if bias is None else bias)
+    made = made if added is None else made + added
+    return made.relu() if relu else made
 
 
 def _weight_gradient(features, gradient, order, table):

@@ -13,7 +13,7 @@ from torch import nn
 
 from farfield.detectors.norm import affine, normalise_rows
 from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
-from farfield.detectors.sparse.functional import has_kernels, sparse_conv
+from farfield.detectors.sparse.functional import completed, has_kernels, sparse_conv
 from farfield.detectors.sparse.rulebook import Rulebook, strided_rulebook, submanifold_rulebook
 from farfield.detectors.sparse.tables import (
     NeighbourTable,
@@ -64,12 +64,12 @@ class _Conv(nn.Module, ABC):
         book = self.rulebook(sparse)
         return sparse.moved(sparse.features.new_empty(len(book.keys), 0), book.keys, book.shape)
 
-    def forward(self, sparse: SparseTensor, relu: bool = False) -> SparseTensor:
-        """Apply the layer, and ReLU if asked."""
+    def forward(self, sparse: SparseTensor, relu: bool = False, added: torch.Tensor | None = None) -> SparseTensor:
+        """Apply the layer; add something to its outputs, shape (n_out, c_out), and apply ReLU, if asked."""
         book = self.rulebook(sparse)
         dtype = self.dtype(sparse.features.device.type)
         bias = None if self.bias is None else self.bias.to(dtype)
-        features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias, relu)
+        features = sparse_conv(sparse.features.to(dtype), self.weight.to(dtype), book, bias, relu, added)
         return sparse.moved(features, book.keys, book.shape)
 
     def extra_repr(self) -> str:
@@ -190,13 +190,12 @@ class SparseBlock(nn.Module):
         """Find the rulebook; gives the cells after the block, without features."""
         return self.conv.plan(sparse)
 
-    def forward(self, sparse: SparseTensor) -> SparseTensor:
-        """Apply the block."""
+    def forward(self, sparse: SparseTensor, added: torch.Tensor | None = None) -> SparseTensor:
+        """Apply the block; what is added, shape (n_out, c), comes before ReLU."""
         if isinstance(self.norm, nn.Identity):
-            return cast(SparseTensor, self.conv(sparse, self.relu))
+            return cast(SparseTensor, self.conv(sparse, self.relu, added))
         sparse = self.conv(sparse)
-        features = normalise_rows(self.norm, sparse.features)
-        return sparse.replace(features.relu_() if self.relu else features)  # nobody else holds them
+        return sparse.replace(completed(normalise_rows(self.norm, sparse.features), self.relu, added))
 
     @torch.no_grad()
     def fold_norm(self) -> None:

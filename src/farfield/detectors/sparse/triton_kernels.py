@@ -21,10 +21,10 @@ _PARTIAL_BYTES = 2**26
 
 @jit
 def _gather_product_kernel(  # type: ignore[no-untyped-def]
-    features, weight, table, order, bias, out, count, none,
+    features, weight, table, order, bias, added, out, count, none,
     size: tl.constexpr, c_in: tl.constexpr, c_out: tl.constexpr,
     block_rows: tl.constexpr, block_in: tl.constexpr, block_out: tl.constexpr,
-    biased: tl.constexpr, relu: tl.constexpr,
+    ordered: tl.constexpr, biased: tl.constexpr, residual: tl.constexpr, relu: tl.constexpr,
 ):  # fmt: skip
     row = tl.program_id(0) * block_rows + tl.arange(0, block_rows)
     column = tl.program_id(1) * block_out + tl.arange(0, block_out)
@@ -43,11 +43,16 @@ def _gather_product_kernel(  # type: ignore[no-untyped-def]
                 total += tl.dot(left, right, input_precision="ieee")
     if biased:
         total += tl.load(bias + column, mask=column_in, other=0.0).to(tl.float32)[None, :]
+    target = row.to(tl.int64)
+    if ordered:
+        target = tl.load(order + row, mask=row_in, other=0).to(tl.int64)
+    place = target[:, None] * c_out + column[None, :]
+    real = row_in[:, None] & column_in[None, :]
+    if residual:
+        total += tl.load(added + place, mask=real, other=0.0).to(tl.float32)
     if relu:
         total = tl.maximum(total, 0.0)
-    target = tl.load(order + row, mask=row_in, other=0).to(tl.int64)
-    place = target[:, None] * c_out + column[None, :]
-    tl.store(out + place, total.to(out.dtype.element_ty), mask=row_in[:, None] & column_in[None, :])
+    tl.store(out + place, total.to(out.dtype.element_ty), mask=real)
 
 
 @jit
@@ -81,20 +86,22 @@ def _weight_gradient_kernel(  # type: ignore[no-untyped-def]
 def gather_product(
     features: Tensor,
     weight: Tensor,
-    order: Tensor,
+    order: Tensor | None,
     table: Tensor,
     bias: Tensor | None = None,
     relu: bool = False,
+    added: Tensor | None = None,
 ) -> Tensor:
-    """Rows ``sum_k features[table[:, k]] @ weight[k] + bias``, put back in order.
+    """Rows ``sum_k features[table[:, k]] @ weight[k] + bias + added``, put back in order.
 
     Args:
         features: Input rows, shape (n_in, c_in).
         weight: Kernel, shape (K, c_in, c_out), of the features' dtype: float32, float16 or bfloat16.
-        order: Output row of each row of the table, shape (n_out,), int64.
+        order: Output row of each row of the table, shape (n_out,), int64; None where they are in order.
         table: Input row under each kernel element, ``n_in`` for none, shape (n_out, K), int32.
         bias: Added to each row, shape (c_out,).
         relu: Make negative numbers of the result zero.
+        added: Added to the result, shape (n_out, c_out).
 
     Returns:
         Output rows, shape (n_out, c_out).
@@ -106,8 +113,10 @@ def gather_product(
     block_out = _tile(c_out)
     grid = (triton.cdiv(len(table), _BLOCK_ROWS), triton.cdiv(c_out, block_out))
     _gather_product_kernel[grid](
-        features.contiguous(), weight.contiguous(), table, order, out if bias is None else bias, out, len(table),
-        len(features), size, c_in, c_out, _BLOCK_ROWS, min(_tile(c_in), 32), block_out, bias is not None, relu,
+        features.contiguous(), weight.contiguous(), table, table if order is None else order,
+        out if bias is None else bias, out if added is None else added.contiguous(), out, len(table), len(features),
+        size, c_in, c_out, _BLOCK_ROWS, min(_tile(c_in), 32), block_out,
+        order is not None, bias is not None, added is not None, relu,
     )  # fmt: skip
     return out
 

@@ -39,7 +39,7 @@ class ResidualBlock(nn.Module):
     def __init__(self, channels: int, kernel: Triple = (3, 3, 3)) -> None:
         super().__init__()
         self.first = normalised(SubmanifoldConv(channels, channels, kernel), channels)
-        self.second = normalised(SubmanifoldConv(channels, channels, kernel), channels, relu=False)
+        self.second = normalised(SubmanifoldConv(channels, channels, kernel), channels)
 
     def plan(self, sparse: SparseTensor) -> SparseTensor:
         """Find the rulebook that both convolutions share."""
@@ -47,8 +47,7 @@ class ResidualBlock(nn.Module):
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Apply the block; the cells stay."""
-        added = self.second(self.first(sparse)).features
-        return sparse.replace(torch.relu(sparse.features.to(added.dtype) + added))
+        return cast(SparseTensor, self.second(self.first(sparse), sparse.features))
 
 
 class VoxelEncoder(SparseSequential):
