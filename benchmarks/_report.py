@@ -61,11 +61,12 @@ def _versions(*packages: str) -> str:
 
 
 def commit(root: Path) -> str:
-    """The commit, ``dirty`` where the tree differs from it; of a copy without its history what FARFIELD_COMMIT says."""
-    found = git(root, "rev-parse", "--short", "HEAD")
-    if found == "unknown":
-        return os.environ.get("FARFIELD_COMMIT", found)
-    return found + (" (dirty)" if git(root, "status", "--porcelain", "--untracked-files=no") else "")
+    """The commit, ``dirty`` where the tree differs from it; what FARFIELD_COMMIT says of a copy without its history."""
+    if stated := os.environ.get("FARFIELD_COMMIT"):
+        return stated
+    return git(root, "rev-parse", "--short", "HEAD") + (
+        " (dirty)" if git(root, "status", "--porcelain", "--untracked-files=no") else ""
+    )
 
 
 def git(root: Path, *arguments: str) -> str:

@@ -7,7 +7,7 @@ host. The Triton kernels read the table alone.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from types import ModuleType
 
@@ -153,10 +153,7 @@ def _marked_book(
     reached = marks.nonzero().squeeze(1)
     table, met = kernels.find_rows(keys, reached, steps, shape=shape, shape_sought=out_shape, stride=stride)
 
-    def find_back() -> Found:
-        found: Found = kernels.find_rows(reached, keys, steps, **inwards)
-        return found
-
+    find_back = partial(kernels.find_rows, reached, keys, steps, **inwards)
     return DeviceBook(keys, reached, out_shape, table, met, shape, find_back)
 
 
