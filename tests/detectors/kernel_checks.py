@@ -99,7 +99,7 @@ def suppression(device):
         )
         rows[count // 2 :] = rows[: count - count // 2] + rng.normal(0, 0.2, (count - count // 2, 7))
         rows[:, 3:6] = np.abs(rows[:, 3:6]) + 0.05
-        for threshold in (0.0, 0.1, 0.5):
+        for threshold in (device_nms.LEAST_IOU, 0.1, 0.5):
             better, worse = device_nms.overlapping(torch.from_numpy(rows), threshold)
             alive = np.ones(count, dtype=bool)
             for one, other in sorted(zip(better.tolist(), worse.tolist(), strict=True)):

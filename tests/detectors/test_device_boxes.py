@@ -15,6 +15,7 @@ from small import batch_of, small_detector
 from farfield.detectors import device_nms, nms
 from farfield.detectors.anchors import device as on_device
 from farfield.detectors.anchors import grid as on_host
+from farfield.detectors.anchors.best import best_anchors
 from farfield.detectors.anchors.head import AnchorHead
 from farfield.geometry import iou
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
@@ -71,6 +72,31 @@ def test_suppression_keeps_what_the_cpu_keeps(rng, n, threshold):
     expected = nms.rotated_nms(as_boxes(rows, score), iou_threshold=threshold, limit=100)
     got = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=threshold, limit=100)
     np.testing.assert_array_equal(got.numpy(), expected)
+
+
+def test_boxes_side_by_side_do_not_suppress_one_another_at_threshold_zero(rng):
+    place, yaw_rad, turn = rng.uniform(-9, 9, (400, 2)), rng.uniform(-3, 3, 400), rng.uniform(-3, 3, 400)
+    one = np.column_stack([place, np.zeros(400), np.full((400, 3), [4, 2, 1.5]), yaw_rad])
+    other = one + 0.0
+    other[:, 0] -= 2.4 * np.sin(yaw_rad)  # beside it; the gap is less than the sum of half the diagonals
+    other[:, 1] += 2.4 * np.cos(yaw_rad)
+    other[:, 3:5], other[:, 6] = [1.5, 1.0], yaw_rad + turn
+    for rows in zip(one, other, strict=True):
+        pair, score = np.stack(rows), np.array([0.9, 0.8])
+        assert len(nms.rotated_nms(as_boxes(pair, score), iou_threshold=0.0)) == 2
+        assert len(device_nms.rotated_nms(*map(torch.from_numpy, (pair, score)), iou_threshold=0.0)) == 2
+
+
+@pytest.mark.parametrize("limit", [5, 40, 400])
+def test_the_best_anchors_are_the_first_of_equal_ones(rng, limit):
+    strength = torch.from_numpy(rng.normal(0, 1, 2000).round(1).astype(np.float32))
+    index, score = best_anchors(strength, limit=limit, score_threshold=0.6)
+    order = np.argsort(-strength.numpy(), kind="stable")
+    expected = order[1 / (1 + np.exp(-strength.numpy()[order].astype(np.float64))) >= 0.6][:limit]
+    assert index.tolist() == expected.tolist()
+    np.testing.assert_allclose(score.numpy(), 1 / (1 + np.exp(-strength.numpy()[expected].astype(np.float64))))
+    assert len(best_anchors(strength, limit=limit, score_threshold=0.0)[0]) == limit
+    assert len(best_anchors(strength, limit=limit, score_threshold=1.0)[0]) == 0
 
 
 def test_a_long_chain_of_overlaps_is_settled_to_its_end():

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from farfield.detectors.devices import constant
+from farfield.detectors.nms import LEAST_IOU
 from farfield.detectors.triton_jit import kernels_for
 from farfield.geometry.boxes import Boxes
 
@@ -87,7 +88,7 @@ def overlapping(ranked: Tensor, iou_threshold: float) -> tuple[Tensor, Tensor]:
         near = (gap < reach[some, None] + reach[None]) & (some[:, None] < number[None])
         for pairs in near.nonzero().split(_PAIRS):
             better, worse = some[pairs[:, 0]], pairs[:, 1]
-            over = (bev_iou(flat[better], flat[worse]) > iou_threshold).nonzero().squeeze(1)
+            over = (bev_iou(flat[better], flat[worse]) > max(iou_threshold, LEAST_IOU)).nonzero().squeeze(1)
             found.append(torch.stack([better[over], worse[over]]))
     better, worse = torch.cat(found, 1)
     return better, worse
@@ -121,7 +122,7 @@ def staying(ranked: Tensor, iou_threshold: float) -> Tensor:
     """
     kernels = kernels_for(ranked.device, "triton_nms")
     if kernels is not None and len(ranked) <= _MOST_BITS:
-        limits = constant((float(iou_threshold),), ranked.device)
+        limits = constant((max(float(iou_threshold), LEAST_IOU),), ranked.device)
         kept: Tensor = kernels.staying(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
         return kept
     better, worse = overlapping(ranked, iou_threshold)

@@ -7,13 +7,16 @@ from scipy.spatial import cKDTree
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 
+LEAST_IOU = 1e-9
+"""Overlap that counts as none: what rounding makes of boxes that lie apart."""
+
 
 def rotated_nms(boxes: Boxes, *, iou_threshold: float, limit: int = 500) -> Int[np.ndarray, " k"]:
     """Greedy suppression in bird's-eye view, whatever the labels.
 
     Args:
         boxes: Scored boxes.
-        iou_threshold: A box that overlaps a better one by more than this is dropped.
+        iou_threshold: A box that overlaps a better one by more than this, and by more than rounding, is dropped.
         limit: Keep at most this many.
 
     Returns:
@@ -31,7 +34,7 @@ def rotated_nms(boxes: Boxes, *, iou_threshold: float, limit: int = 500) -> Int[
     reach = np.hypot(*ranked.size_m[:, :2].T) / 2
     pairs = cKDTree(ranked.centre_m[:, :2]).query_pairs(2 * reach.max(), output_type="ndarray")
     better, worse = pairs.min(axis=1), pairs.max(axis=1)
-    overlap = paired_iou(ranked[better], ranked[worse], kind="bev") > iou_threshold
+    overlap = paired_iou(ranked[better], ranked[worse], kind="bev") > max(iou_threshold, LEAST_IOU)
     better, worse = better[overlap], worse[overlap]
     by_better = np.argsort(better, kind="stable")
     better, worse = better[by_better], worse[by_better]
