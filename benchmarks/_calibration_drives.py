@@ -18,6 +18,7 @@ LIGHTS = ("day", "night")
 SEED = 6
 SECONDS = 60.0
 DEVELOPED = 6  # the first drives, on which the solver was developed: they are not reported
+UNSEEN = 48  # the first of the drives on which nothing was chosen, not even the threshold of a claim
 RUNS = tuple(range(5, 560, 29))
 LENGTH = 10
 
@@ -80,6 +81,11 @@ def highways(count: int, first: int) -> list[SimulatedDrive]:
     """So many drives on highways from a number on: there the spread is greatest."""
     found = (_numbered(number) for number in range(first, first + len(KINDS) * count))
     return [each for each in found if each.road == "highway"][:count]
+
+
+def unseen(count: int) -> list[SimulatedDrive]:
+    """So many drives on which nothing was chosen, roads and lights in turn."""
+    return [_numbered(UNSEEN + number) for number in range(count)]
 
 
 def _numbered(number: int) -> SimulatedDrive:

@@ -8,6 +8,7 @@ the road may be was chosen on the highways up to number 25, among others; on dri
 drives stay in --data, as does all that is done: a second run goes on where the first ended.
 
     python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
+    python benchmarks/radar_calibration.py --unseen 20 --output benchmarks/results/radar_calibration_unseen.txt
 """
 
 import argparse
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _calibration_drives import DEVELOPED, KINDS, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways
+from _calibration_drives import DEVELOPED, KINDS, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways, unseen
 from _report import header
 from calibration_doctor import ERRORS, draw
 
@@ -178,6 +179,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2, help="drives of each road by day and by night")
     parser.add_argument("--highways", type=int, default=0, help="so many more drives on highways after those")
     parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
+    parser.add_argument("--unseen", type=int, help="so many drives instead on which nothing was chosen")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
         "--seconds", type=float, default=np.inf, help="after which no drive begins; 0 prints what is there"
@@ -186,6 +188,8 @@ def main() -> None:
     options.data.mkdir(parents=True, exist_ok=True)
     after = DEVELOPED + len(KINDS) * options.rounds
     wanted = drives(1, first=0) if options.developed else [*drives(options.rounds), *highways(options.highways, after)]
+    if options.unseen:
+        wanted = unseen(options.unseen)
     rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})
     lines = [

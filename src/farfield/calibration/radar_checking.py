@@ -21,8 +21,8 @@ from farfield.errors import DatasetError
 
 ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))
 """Errors that are found nearly always, or nothing is told: a shift in the plane, a turn."""
-CLAIMED = 3.7
-"""Sigmas of three values together: one correct calibration in three hundred lies farther off."""
+CLAIMED = 3.3
+"""Sigmas of three values together: one correct calibration in eighty lies farther off."""
 LEAST_FRAMES = 80
 LEAST_OBJECTS = 20
 """From fewer no sigma is to be trusted: behind a truck that stays ahead a whole drive shows a dozen objects."""
