@@ -25,11 +25,12 @@ from _gpu_common import (
     peak_mb,
     wait,
 )
-from torch import Tensor, nn
+from torch import Tensor
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.graphs import record_trunk
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.runtime import Detector
 
@@ -40,42 +41,13 @@ RANGE_POINTS = 30_000
 LOADED_FRAMES = 64
 
 
-class Graphed(nn.Module):
-    """A module recorded once as a CUDA graph and replayed; its input must keep its shape.
-
-    Args:
-        module: What is recorded.
-        image: An input of it.
-    """
-
-    def __init__(self, module: nn.Module, image: Tensor) -> None:
-        super().__init__()
-        self.module = module  # the graph reads its weights
-        self.image = image.clone()
-        stream = torch.cuda.Stream()
-        stream.wait_stream(torch.cuda.current_stream())
-        with torch.no_grad(), torch.cuda.stream(stream):
-            for _ in range(3):
-                module(self.image)
-        torch.cuda.current_stream().wait_stream(stream)
-        self.graph = torch.cuda.CUDAGraph()
-        with torch.no_grad(), torch.cuda.graph(self.graph):
-            self.out = module(self.image)
-
-    def forward(self, image: Tensor) -> Tensor:
-        """The output for an image; the next call overwrites it."""
-        self.image.copy_(image)
-        self.graph.replay()
-        return self.out
-
-
 def speed(site: Site) -> Iterator[Row]:
     """Every detector in every precision, as it is; then dense trunks as CUDA graphs."""
     if not site.gpu:
         yield site.needs_gpu("fp16 and CUDA graphs", "below: two frames in fp32 and bf16 on the CPU")
     yield from each([*LIDAR, *RADAR], partial(_eager, site))
     if site.gpu:
-        yield from each(list(DENSE), partial(_changed, site, "CUDA graph", _graphed))
+        yield from each(list(DENSE), partial(_changed, site, "CUDA graph", record_trunk))
 
 
 def compiled(site: Site) -> Iterator[Row]:
@@ -106,15 +78,6 @@ def _changed(site: Site, words: str, change: Callable[[Detector, Any], None], na
         row = _timed(f"{name}, {precision}, {words}", taken, peak, name, precision, len(cloud))
         found = len(detector(cloud))
         yield Row(row.what, f"{row.figure}; {found} boxes, eager {expected}", row.verdict, row.numbers)
-
-
-def _graphed(detector: Detector, cloud: Any) -> None:
-    images: list[Tensor] = []
-    backbone = detector.network.backbone
-    hook = backbone.register_forward_pre_hook(lambda _, given: images.append(given[0]))
-    detector(cloud)
-    hook.remove()
-    detector.network.backbone = Graphed(backbone, images[0])
 
 
 def _compiled(detector: Detector, cloud: Any) -> None:

@@ -5,8 +5,8 @@ are kept. Eight solvers start in each drive, from up to +-2 m, +-3 degrees and +
 share its data, so that a row's spread is that of its drives. The doctor checks every drive with the right calibration
 and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. How deep a side of the road may be was
 chosen on the highways up to number 25, among others; the threshold of a claim on drives up to number 46. On those of
---unseen, from number 48 on, nothing was. The drives stay in --data, as does all that is done: a second run goes on where
-the first ended.
+--unseen, from number 48 on, nothing was. The drives stay in --data, as does all that is done: a second run goes on
+where the first ended.
 
     python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
     python benchmarks/radar_calibration.py --unseen 20 --output benchmarks/results/radar_calibration_unseen.txt

@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -10,6 +11,7 @@ from small import small_detector
 
 from farfield.detectors import devices
 from farfield.detectors.devices import OutOfMemory, chosen_device, fitting
+from farfield.detectors.graphs import record_trunk
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import default_precision
@@ -112,3 +114,9 @@ def test_a_detector_says_what_to_change_where_a_gpu_is_full(rng, monkeypatch):
     cloud = Cloud(rng.uniform(0, 9, (40, 3)).astype("float32"), None, {})
     with pytest.raises(OutOfMemory, match=r"Tried to allocate 9.00 GiB.\).*fewer frames at a time, precision bf16"):
         found(cloud)
+
+
+def test_only_a_trunk_on_a_gpu_is_recorded():
+    there = Detector(small_detector("pointpillars"), device="cpu")
+    with pytest.raises(ConfigError, match="on a GPU; got pointpillars on cpu"):
+        record_trunk(there, Cloud(np.zeros((1, 3), np.float32)))

@@ -11,6 +11,7 @@ from _gpu_training import RESUMED, trained
 from small import SMALL, small_detector
 
 from farfield.detectors.devices import OutOfMemory
+from farfield.detectors.graphs import record_trunk
 from farfield.detectors.runtime import Detector
 from farfield.frame import Cloud
 
@@ -68,6 +69,17 @@ def test_nothing_large_goes_back_but_the_boxes(rng, name):
     assert len(boxes) > 20
     assert [size for size in back if size > SMALL_COPY] == [len(boxes) * 9 * 8]
     assert not [words for words, size in copies if size > 65536 and "Pageable" in words], "expected pinned memory"
+
+
+@pytest.mark.parametrize("name", ["pointpillars", "second", "voxelnet"])
+def test_a_recorded_trunk_finds_the_same_boxes(rng, name):
+    there, seen, other = detector(name, "cuda", score_threshold=0.3), cloud(rng), cloud(rng)
+    expected, several = [there(each) for each in (seen, other)], there.detect([seen, other])
+    record_trunk(there, seen)
+    for got, wanted in zip(
+        [there(seen), there(other), *there.detect([seen, other])], [*expected, *several], strict=True
+    ):
+        assert _compared(name, got, wanted).verdict == "ok"
 
 
 def test_a_full_gpu_is_explained(rng):
