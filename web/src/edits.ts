@@ -17,21 +17,31 @@ let store = "";
 
 const keyOf = (edit: Edit): string => ("box" in edit ? `${edit.frame} ${edit.box}` : `track ${edit.track}`);
 
-/** Take up the edits that an earlier page of this data set could not send. A window that lives holds the lock of its own. */
+/**
+ * Take up the edits that other pages of this data set could not send. A window that lives holds the lock of its own: where one does,
+ * this waits until it is closed.
+ */
 export async function open(data: string): Promise<void> {
   sent.clear();
   if (!store) {
     const prefix = `farfield-edits ${data} `;
     store = prefix + windowName;
     void navigator.locks?.request(store, () => new Promise(() => undefined));
-    const held = new Set((await navigator.locks?.query())?.held?.map((lock) => lock.name));
-    for (const name of Object.keys(localStorage).filter((one) => one.startsWith(prefix) && one !== store && !held.has(one))) {
-      queue.push(...(JSON.parse(localStorage.getItem(name) ?? "[]") as Edit[]));
-      localStorage.removeItem(name);
+    const held = ((await navigator.locks?.query())?.held ?? []).map((lock) => lock.name ?? "");
+    const others = new Set([...Object.keys(localStorage), ...held].filter((one) => one.startsWith(prefix) && one !== store));
+    for (const name of others) {
+      if (held.includes(name)) void navigator.locks.request(name, () => { takeUp(name); pump(); });
+      else takeUp(name);
     }
-    if (queue.length > 0) report("info", `${queue.length} edits of before are sent again.`);
   }
   pump();
+}
+
+function takeUp(name: string): void {
+  const found = JSON.parse(localStorage.getItem(name) ?? "[]") as Edit[];
+  localStorage.removeItem(name);
+  queue.push(...found);
+  if (found.length > 0) report("info", `${found.length} edits of before are sent again.`);
 }
 
 function keep(): void {

@@ -200,3 +200,37 @@ def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(chromium
         live.origin = origin
         context.close()
         line.close()
+
+
+def test_edits_of_a_window_that_is_closed_later_are_sent_by_one_that_waits(chromium, live):
+    line = Line(live.port)
+    origin = live.origin
+    live.origin = f"http://127.0.0.1:{line.port}"
+    name, _, value = live.cookie.partition("=")
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    try:
+        context.add_cookies([{"name": name, "value": value, "url": live.origin}])
+        first, second = (Screen(context.new_page(), live.origin) for _ in range(2))
+        first.page.goto(f"{live.origin}/?test=1&frame=0")
+        first.settled()
+        row = chosen(first, 8)
+        first.page.evaluate("() => { window.WebSocket = class { send() {} close() {} } }")  # it alone stays cut off
+        line.cut()
+        first.until("state.connected === false")
+        first.press("w")
+        first.until("state.pending === 1")
+        wanted = first.selected["box"]
+        line.join()
+        second.page.goto(f"{live.origin}/?test=1&frame=0")
+        second.settled()
+        assert second.box(row["id"])["box"] == pytest.approx(row["box"])
+        assert first.page.evaluate("farfieldTest.state.pending") == 1
+        first.page.close()
+        second.until(f"state.boxes.find((one) => one.id === '{row['id']}').version > {row['version']}")
+        second.until("state.pending === 0")
+        assert wanted != row["box"]
+        assert second.box(row["id"])["box"] == pytest.approx(wanted)
+    finally:
+        live.origin = origin
+        context.close()
+        line.close()
