@@ -9,7 +9,7 @@ chosen on the highways up to number 25, among others; the threshold of a claim o
 where the first ended.
 
     python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
-    python benchmarks/radar_calibration.py --unseen 20 --output benchmarks/results/radar_calibration_unseen.txt
+    python benchmarks/radar_calibration.py --rounds 0 --unseen 20 --picture docs/images/calibration_doctor_radar.png
 """
 
 import argparse
@@ -24,6 +24,7 @@ import numpy as np
 from _calibration_drives import DEVELOPED, KINDS, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways, unseen
 from _report import header
 from calibration_doctor import ERRORS, draw
+from scipy.stats import binom
 
 from farfield.calibration.jobs import KRADAR_NODE_M
 from farfield.calibration.moments import read_moments
@@ -115,6 +116,21 @@ def starts_table(rows: list[dict[str, Any]]) -> Iterator[str]:
             yield f"{name:<15} {starts_row(own)}"
 
 
+def medians(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Medians over drives, and what they may be: intervals of 95 % between order statistics."""
+    yield "\nMedian over drives of x, y (cm) and yaw (degrees), and the interval of 95 % that so many drives leave"
+    for name, roads in [*((road, (road,)) for road in ROADS), ("all", ROADS)]:
+        own = [row for row in rows if row["kind"] == "start" and row["road"] in roads]
+        by_drive = {row["drive"]: np.abs(row["error"][:3]) for row in own}
+        if not by_drive:
+            continue
+        away = np.sort(np.array(list(by_drive.values())) * [100.0, 100.0, 180 / np.pi], axis=0)
+        least = max(int(binom.ppf(0.025, len(away), 0.5)) - 1, 0)
+        parts = zip(("x", "y", "yaw"), (1, 1, 3), np.median(away, 0), away[least], away[-1 - least], strict=True)
+        told = [f"{axis} {middle:.{n}f} ({low:.{n}f} to {high:.{n}f})" for axis, n, middle, low, high in parts]
+        yield f"{name:<9} {len(away):3d} drives: {', '.join(told)}"
+
+
 def whole_error(row: dict[str, Any]) -> np.ndarray:
     """Errors of x, y and yaw, and of the time that frames and time offset name together.
 
@@ -180,7 +196,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2, help="drives of each road by day and by night")
     parser.add_argument("--highways", type=int, default=0, help="so many more drives on highways after those")
     parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
-    parser.add_argument("--unseen", type=int, help="so many drives instead on which nothing was chosen")
+    parser.add_argument("--unseen", type=int, default=0, help="so many drives more, on which nothing was chosen")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
         "--seconds", type=float, default=np.inf, help="after which no drive begins; 0 prints what is there"
@@ -189,8 +205,7 @@ def main() -> None:
     options.data.mkdir(parents=True, exist_ok=True)
     after = DEVELOPED + len(KINDS) * options.rounds
     wanted = drives(1, first=0) if options.developed else [*drives(options.rounds), *highways(options.highways, after)]
-    if options.unseen:
-        wanted = unseen(options.unseen)
+    wanted += unseen(options.unseen)
     rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})
     lines = [
@@ -198,7 +213,7 @@ def main() -> None:
         f"{count} drives of {len(RUNS)} runs of {LENGTH} frames within a minute, {options.starts} starts in each",
         "",
     ]
-    lines += [*starts_table(rows), *drives_table(rows), *checks_table(rows)]
+    lines += [*starts_table(rows), *medians(rows), *drives_table(rows), *checks_table(rows)]
     print("\n".join(lines))
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
