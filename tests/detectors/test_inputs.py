@@ -60,3 +60,9 @@ def test_inputs_join_frame_by_frame():
         one + Inputs({"lidar": [torch.zeros(3, 4)]})
     with pytest.raises(ConfigError, match="as many frames"):
         Inputs({"lidar": [torch.zeros(3, 4)], "radar": []})
+
+
+def test_infinities_of_both_signs_are_dropped_without_a_warning():
+    given = cloud(power=[np.inf, 2, -np.inf, 4])
+    rows = cloud_tensor(given, (*POSITION, "power"))
+    assert rows[:, 3].tolist() == [2, 4]

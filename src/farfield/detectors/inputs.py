@@ -75,7 +75,8 @@ def cloud_tensor(cloud: Cloud, columns: Sequence[str]) -> Tensor:
 
 def _all_finite(values: np.ndarray) -> bool:
     """Whether all are finite: a sum in float64 of float32 numbers is, unless one of them is not."""
-    return bool(np.isfinite(values.sum(dtype=np.float64)))
+    with np.errstate(invalid="ignore"):  # infinities of both signs
+        return bool(np.isfinite(values.sum(dtype=np.float64)))
 
 
 def stacked(clouds: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
