@@ -15,18 +15,18 @@ def logit(score: float) -> float:
     return math.log(score / (1 - score))
 
 
-def best_anchors(strength: Tensor, *, limit: int, score_threshold: float) -> tuple[Tensor, Tensor]:
+def best_anchors(logits: Tensor, *, limit: int, score_threshold: float) -> tuple[Tensor, Tensor]:
     """The anchors of the highest scores, best first, of equal ones the first.
 
     Args:
-        strength: Logit of each anchor, shape (n,), float32.
+        logits: Logit of each anchor, shape (n,), or of each of its classes, of which the highest counts, (n, classes).
         limit: So many at most.
         score_threshold: Of a lower score none.
 
     Returns:
         Their numbers, shape (k,), int64, and their scores, shape (k,), float64.
     """
-    least = logit(score_threshold)
+    strength, least = logits.float() if logits.ndim == 1 else logits.float().amax(1), logit(score_threshold)
     index = (strength >= least).nonzero().squeeze(1)
     if len(index) > _MANY * limit:
         index = (strength >= torch.topk(strength, limit).values[-1]).nonzero().squeeze(1)

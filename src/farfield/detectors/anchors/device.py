@@ -94,8 +94,7 @@ def boxes_there(maps: Sequence[Tensor], grid: AnchorGrid, config: Any) -> list[B
 
 def _frame(maps: tuple[Tensor, ...], grid: AnchorGrid, config: Any) -> Boxes:
     logits, codes, directions = maps
-    strength = logits.float() if logits.ndim == 1 else logits.float().amax(1)
-    index, score = best_anchors(strength, limit=config.candidates, score_threshold=config.score_threshold)
+    index, score = best_anchors(logits, limit=config.candidates, score_threshold=config.score_threshold)
     number = index % grid.per_cell // 2 if logits.ndim == 1 else logits[index].argmax(1)
     rows = decoded(grid, codes, directions, index)
     return kept_boxes(rows, score, number, grid.names, iou_threshold=config.nms_iou, limit=config.max_boxes)

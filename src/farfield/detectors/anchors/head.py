@@ -151,9 +151,8 @@ class AnchorHead(nn.Conv2d):
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
-        strength = logits.float() if logits.ndim == 1 else logits.float().amax(1)
         config = self.config
-        index, score = best_anchors(strength, limit=config.candidates, score_threshold=config.score_threshold)
+        index, score = best_anchors(logits, limit=config.candidates, score_threshold=config.score_threshold)
         anchor = index.cpu().numpy()
         direction = (directions[index, 1] > directions[index, 0]).long().cpu().numpy()
         rows = self.anchors.decode(codes[index].double().cpu().numpy(), direction, anchor)
