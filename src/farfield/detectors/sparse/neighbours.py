@@ -162,13 +162,21 @@ def _count_bits(words: Tensor) -> Tensor:
     return (words + (words >> 16)).bitwise_and_(0x3F)
 
 
-def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple], frames: int | None = None) -> Tensor:
+def dilate(
+    keys: Tensor,
+    shape: Triple,
+    offsets: Sequence[Triple],
+    *,
+    others: Tensor | None = None,
+    frames: int | None = None,
+) -> Tensor:
     """Grow a set of cells.
 
     Args:
         keys: Cells, shape (n,), int64, in any order.
         shape: Cells along z, x and y.
         offsets: Steps (dz, dx, dy) from each cell to the cells to add; steps out of the grid add nothing.
+        others: Cells that are added as they are, shape (k,), int64.
         frames: Number of grids: with it, a GPU marks the cells on all of them where they are few enough.
 
     Returns:
@@ -179,9 +187,11 @@ def dilate(keys: Tensor, shape: Triple, offsets: Sequence[Triple], frames: int |
     if kernels is not None and frames is not None and frames * depth * nx * ny <= MAX_MARKS:
         marks = torch.zeros(frames * depth * nx * ny, dtype=torch.uint8, device=keys.device)
         kernels.mark(marks, keys, [(0, 0, 0), *offsets], shape=shape)
+        if others is not None:
+            marks.index_fill_(0, others, 1)
         return marks.nonzero().squeeze(1)
     _, iz, ix, iy = decode_keys(keys, shape).unbind(1)
-    grown = [keys]
+    grown = [keys] if others is None else [keys, others]
     for dz, dx, dy in offsets:
         inside = _within(iz, dz, depth) & _within(ix, dx, nx) & _within(iy, dy, ny)
         grown.append((keys + ((dz * nx + dx) * ny + dy))[inside])

@@ -61,8 +61,7 @@ class CentreDiffusion(nn.Module):
         votes = self.vote(sparse.features).float()
         score, steps = torch.sigmoid(votes[:, 0]), votes[:, 1:].clamp(-self.reach_cells, self.reach_cells)
         rows, voted, rest = self._landing(sparse, score.detach(), steps)
-        grown = dilate(voted, sparse.shape, self.ring, sparse.batch_size)
-        keys = dilate(torch.cat([sparse.keys, grown]), sparse.shape, [], sparse.batch_size)
+        keys = dilate(voted, sparse.shape, self.ring, others=sparse.keys, frames=sparse.batch_size)
         carried = self.carry(torch.cat([sparse.features[rows], rest.to(sparse.features.dtype)], 1))
         carried = carried * score[rows, None].to(carried.dtype)
         landed, stayed = torch.searchsorted(keys, voted), torch.searchsorted(keys, sparse.keys)
@@ -73,8 +72,8 @@ class CentreDiffusion(nn.Module):
         height = height_m.new_zeros(len(keys)).index_add(0, landed, height_m[rows]) / count.clamp(min=1)
         known = (count > 0).index_fill(0, stayed, True)
         height = _spread(height.index_copy(0, stayed, height_m), known, keys, sparse.shape, self.ring)
-        wider = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
-        return Diffused(wider, height, votes)
+        grown = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
+        return Diffused(grown, height, votes)
 
     def _landing(self, sparse: SparseTensor, score: Tensor, steps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows of the voting cells, keys of the cells they vote for, and their places in those cells, (v, 2)."""
