@@ -164,13 +164,14 @@ def mean_voxels(
     """
     points, batch = stacked(clouds)
     rows, key = voxel_keys(points, batch, grid, multiple)
-    keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
     shape = grid.shape(multiple)
     kernels = kernels_for(points.device, "triton_voxels")
     if kernels is not None and not published and points.dtype == torch.float32 and not points.requires_grad:
+        keys, member = torch.unique(key, return_inverse=True)
         first, given = 0 if positions == "absolute" else 2, numbers(grid, multiple, points.device)
         features = kernels.mean_features(points.contiguous(), rows, keys, member, given, shape, first)
         return SparseTensor(features, keys, shape, len(clouds))
+    keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
     points, count = points[rows], count[:, None].to(points.dtype)
     centre = voxel_centres_m(keys, grid, multiple).to(points.dtype)
     values = torch.cat([points[:, :3] - centre[member], points[:, features_of(columns)]], 1)

@@ -119,8 +119,7 @@ def _in_order(features: Tensor, book: Rulebook | DeviceBook) -> bool:
     Matrix units multiply more in less time than sorting the rows takes; float32 has none, and a training sorts once for
     three products.
     """
-    unsorted = isinstance(book, DeviceBook) and "similar" not in book.__dict__
-    return unsorted and features.element_size() == 2 and not torch.is_grad_enabled()
+    return isinstance(book, DeviceBook) and features.element_size() == 2 and not torch.is_grad_enabled()
 
 
 def _pair_product(features: Tensor, weight: Tensor, book: Rulebook, bias: Tensor | None) -> Tensor:

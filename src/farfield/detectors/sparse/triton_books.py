@@ -24,13 +24,17 @@ _BITS = 62
 
 @jit
 def _met(  # type: ignore[no-untyped-def]
-    key, dz, dx, dy, z_size, x_size, y_size, z_there, x_there, y_there,
+    sought, offsets, row, row_in, element, element_in, z_size, x_size, y_size, z_there, x_there, y_there,
     z_step: tl.constexpr, x_step: tl.constexpr, y_step: tl.constexpr, back: tl.constexpr,
 ):  # fmt: skip
-    """Key of the cell that a step leads to, -1 for none.
+    """Keys of the cells that the steps of some elements lead to from some rows, -1 for none.
 
     Forward, from an output: place * stride + step on the input's grid. Back, from an input: (place - step) / stride.
     """
+    dz = tl.load(offsets + element * 3, mask=element_in, other=0)[None, :]
+    dx = tl.load(offsets + element * 3 + 1, mask=element_in, other=0)[None, :]
+    dy = tl.load(offsets + element * 3 + 2, mask=element_in, other=0)[None, :]
+    key = tl.load(sought + row, mask=row_in, other=0)[:, None]
     rest = key // y_size
     y = key - rest * y_size
     above = rest // x_size
@@ -58,12 +62,8 @@ def _rows_kernel(  # type: ignore[no-untyped-def]
     element = tl.arange(0, wide)
     row_in, element_in = row < count, element < size
     real = row_in[:, None] & element_in[None, :]
-    dz = tl.load(offsets + element * 3, mask=element_in, other=0)
-    dx = tl.load(offsets + element * 3 + 1, mask=element_in, other=0)
-    dy = tl.load(offsets + element * 3 + 2, mask=element_in, other=0)
-    key = tl.load(sought + row, mask=row_in, other=0)
     wanted = _met(
-        key[:, None], dz[None, :], dx[None, :], dy[None, :], z_size, x_size, y_size, z_there, x_there, y_there,
+        sought, offsets, row, row_in, element, element_in, z_size, x_size, y_size, z_there, x_there, y_there,
         z_step, x_step, y_step, back,
     )  # fmt: skip
     low = tl.zeros((block, wide), dtype=tl.int32)
@@ -91,12 +91,8 @@ def _marks_kernel(  # type: ignore[no-untyped-def]
     row = tl.program_id(0) * block + tl.arange(0, block)
     element = tl.arange(0, wide)
     row_in, element_in = row < count, element < size
-    dz = tl.load(offsets + element * 3, mask=element_in, other=0)
-    dx = tl.load(offsets + element * 3 + 1, mask=element_in, other=0)
-    dy = tl.load(offsets + element * 3 + 2, mask=element_in, other=0)
-    key = tl.load(sought + row, mask=row_in, other=0)
     reached = _met(
-        key[:, None], dz[None, :], dx[None, :], dy[None, :], z_size, x_size, y_size, z_there, x_there, y_there,
+        sought, offsets, row, row_in, element, element_in, z_size, x_size, y_size, z_there, x_there, y_there,
         z_step, x_step, y_step, back,
     )  # fmt: skip
     one = tl.full((block, wide), 1, tl.uint8)
