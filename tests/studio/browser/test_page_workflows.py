@@ -169,68 +169,65 @@ def wait_until_unlocked(page, origin):
     raise AssertionError("the closed window still holds its lock")
 
 
-def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(chromium, live):
-    line = Line(live.port)
-    origin = live.origin
+@pytest.fixture
+def parted(chromium, live):
+    """A line to the studio that can be cut, and pages of one browser that come to it by that line."""
+    line, origin = Line(live.port), live.origin
     live.origin = f"http://127.0.0.1:{line.port}"
     name, _, value = live.cookie.partition("=")
     context = chromium.new_context(viewport={"width": 1280, "height": 800})
     try:
         context.add_cookies([{"name": name, "value": value, "url": live.origin}])
-        first = Screen(context.new_page(), live.origin)
-        first.page.goto(f"{live.origin}/?test=1&frame=0")
-        first.settled()
-        row = chosen(first, 7)
-        line.cut()
-        first.until("state.connected === false")
-        first.press("w")
-        first.until("state.pending === 1")
-        wanted = first.selected["box"]
-        first.page.close()
-        line.join()
-        second = Screen(context.new_page(), live.origin)
-        wait_until_unlocked(second.page, live.origin)
-        second.page.goto(f"{live.origin}/?test=1&frame=0")
-        second.settled()
-        second.until("state.connected && farfieldTest.state.pending === 0")
-        assert wanted != row["box"]
-        second.until(f"state.boxes.find((one) => one.id === '{row['id']}').version > {row['version']}")
-        assert second.box(row["id"])["box"] == pytest.approx(wanted)
+        yield line, *(Screen(context.new_page(), live.origin) for _ in range(2))
     finally:
         live.origin = origin
         context.close()
         line.close()
 
 
-def test_edits_of_a_window_that_is_closed_later_are_sent_by_one_that_waits(chromium, live):
-    line = Line(live.port)
-    origin = live.origin
-    live.origin = f"http://127.0.0.1:{line.port}"
-    name, _, value = live.cookie.partition("=")
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
-    try:
-        context.add_cookies([{"name": name, "value": value, "url": live.origin}])
-        first, second = (Screen(context.new_page(), live.origin) for _ in range(2))
-        first.page.goto(f"{live.origin}/?test=1&frame=0")
-        first.settled()
-        row = chosen(first, 8)
-        first.page.evaluate("() => { window.WebSocket = class { send() {} close() {} } }")  # it alone stays cut off
-        line.cut()
-        first.until("state.connected === false")
-        first.press("w")
-        first.until("state.pending === 1")
-        wanted = first.selected["box"]
-        line.join()
-        second.page.goto(f"{live.origin}/?test=1&frame=0")
-        second.settled()
-        assert second.box(row["id"])["box"] == pytest.approx(row["box"])
-        assert first.page.evaluate("farfieldTest.state.pending") == 1
-        first.page.close()
-        second.until(f"state.boxes.find((one) => one.id === '{row['id']}').version > {row['version']}")
-        second.until("state.pending === 0")
-        assert wanted != row["box"]
-        assert second.box(row["id"])["box"] == pytest.approx(wanted)
-    finally:
-        live.origin = origin
-        context.close()
-        line.close()
+def opened(window, origin):
+    """Open the studio in a window."""
+    window.page.goto(f"{origin}/?test=1&frame=0")
+    window.settled()
+
+
+def taken_up(window, row, wanted):
+    """Wait until a window has sent the edit of another one, and look at the box."""
+    window.until(f"state.boxes.find((one) => one.id === '{row['id']}').version > {row['version']}")
+    window.until("state.connected && farfieldTest.state.pending === 0")
+    assert wanted != row["box"]
+    assert window.box(row["id"])["box"] == pytest.approx(wanted)
+
+
+def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(live, parted):
+    line, first, second = parted
+    opened(first, live.origin)
+    row = chosen(first, 7)
+    line.cut()
+    first.until("state.connected === false")
+    first.press("w")
+    first.until("state.pending === 1")
+    wanted = first.selected["box"]
+    first.page.close()
+    line.join()
+    wait_until_unlocked(second.page, live.origin)
+    opened(second, live.origin)
+    taken_up(second, row, wanted)
+
+
+def test_edits_of_a_window_that_is_closed_later_are_sent_by_one_that_waits(live, parted):
+    line, first, second = parted
+    opened(first, live.origin)
+    row = chosen(first, 8)
+    first.page.evaluate("() => { window.WebSocket = class { send() {} close() {} } }")  # it alone stays cut off
+    line.cut()
+    first.until("state.connected === false")
+    first.press("w")
+    first.until("state.pending === 1")
+    wanted = first.selected["box"]
+    line.join()
+    opened(second, live.origin)
+    assert second.box(row["id"])["box"] == pytest.approx(row["box"])
+    assert first.page.evaluate("farfieldTest.state.pending") == 1
+    first.page.close()
+    taken_up(second, row, wanted)
