@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import torch
-from _gpu_common import ABSENT, NEEDS_GPU, PRECISIONS, Row, Site, each
+from _gpu_common import ABSENT, NEEDS_GPU, OK, PRECISIONS, Row, Site, each
 
 from farfield.detectors.devices import DTYPES
 from farfield.detectors.sparse import Rulebook, functional, strided_rulebook, submanifold_rulebook
@@ -27,7 +27,7 @@ CHOSEN = 4096
 
 
 def run(site: Site) -> Iterator[Row]:
-    """Rows of both operators."""
+    """Rows of every operator."""
     if importlib.util.find_spec("triton") is None:
         yield Row("sparse convolution, farthest points", "Triton is not installed: pip install triton", ABSENT)
         return
@@ -41,8 +41,19 @@ def run(site: Site) -> Iterator[Row]:
             sizes = [f"{pairs:,} pairs" for pairs in (PAIRS if site.gpu else INTERPRETED)]
             yield from each(sizes, partial(_convolutions, site, precision))
     yield from each(["farthest points"], partial(_farthest, site))
+    from _gpu_kernel_checks import CHECKS
+
+    yield from each(list(CHECKS), partial(_checked, site))
     if not site.gpu:
         yield site.needs_gpu("sizes to 2 million pairs, 65,536 points", "the kernels ran in Triton's interpreter")
+
+
+def _checked(site: Site, name: str) -> Iterator[Row]:
+    """A kernel on small and odd cases; where it differs the row says how."""
+    from _gpu_kernel_checks import CHECKS
+
+    CHECKS[name](site.device.type)
+    yield Row(f"{name}, small and odd cases", "as the plain version", OK)
 
 
 def _convolutions(site: Site, precision: str, size: str) -> Iterator[Row]:

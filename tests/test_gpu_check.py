@@ -70,6 +70,32 @@ def test_a_part_that_takes_too_long_is_stopped(parts, monkeypatch):
     assert part["seconds"] < 30
 
 
+def stored(folder, name, part, commit="abc1234"):
+    """The JSON of a call of one part."""
+    found = {"header": f"command  {name}\ndate     today\ncommit   {commit}", "hardware": {"gpu": "G"}, "cloud": "none"}
+    row = {"what": part, "figure": "seen", "verdict": "ok", "numbers": {}}
+    found["parts"] = {part: {"rows": [row], "seconds": 1.0, "cpu_seconds": 1.0}}
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(found), encoding="utf-8")
+    return path
+
+
+def test_several_calls_are_joined_in_the_order_of_the_parts(tmp_path, capsys):
+    one, two = stored(tmp_path, "one", "training"), stored(tmp_path, "two", "kernels")
+    out = tmp_path / "joined.json"
+    assert gpu_check.main(["--join", str(one), str(two), "--json", str(out)]) == 0
+    found = json.loads(out.read_text("utf-8"))
+    assert list(found["parts"]) == ["kernels", "training"]
+    assert found["header"].splitlines() == ["command  one", "command  two", "date     today", "commit   abc1234"]
+    assert "2 rows: 2 ok" in capsys.readouterr().out
+
+
+def test_calls_at_two_commits_are_not_joined(tmp_path):
+    one, two = stored(tmp_path, "one", "training"), stored(tmp_path, "two", "kernels", commit="def5678")
+    with pytest.raises(ValueError, match="one device and one commit; got 2"):
+        gpu_check.joined([one, two])
+
+
 def test_every_part_has_a_function_that_gives_rows():
     from importlib import import_module
 

@@ -6,19 +6,16 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from _gpu_cases import SHAPE, STRIDED, cells
+
 from farfield.detectors.sparse import functional, layers, strided_rulebook, submanifold_rulebook
 from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
 from farfield.detectors.sparse.tensor import SparseTensor
 
-SHAPE = (5, 9, 8)
+SOME = [cells(0.4), cells(0.02), cells(1.0, 1), cells(0.4)[:1], cells(0.4)[:0]]
 
 
-def cells(share=0.4, frames=3):
-    generator = torch.Generator().manual_seed(0)
-    return (torch.rand(360 * frames, generator=generator) < share).nonzero().squeeze(1)
-
-
-@pytest.mark.parametrize("keys", [cells(), cells(0.02), cells(1.0, 1), cells()[:1], cells()[:0]])
+@pytest.mark.parametrize("keys", SOME)
 @pytest.mark.parametrize("kernel", [(3, 3, 3), (1, 3, 3), (1, 1, 1), (5, 3, 1)])
 def test_submanifold_tables_are_those_of_the_pairs(keys, kernel):
     book, pairs = submanifold_book(keys, SHAPE, kernel), submanifold_rulebook(keys, SHAPE, kernel)
@@ -31,18 +28,8 @@ def test_submanifold_tables_are_those_of_the_pairs(keys, kernel):
         _ = book.inverse
 
 
-@pytest.mark.parametrize("keys", [cells(), cells(0.02), cells(1.0, 1), cells()[:1], cells()[:0]])
-@pytest.mark.parametrize(
-    ("kernel", "stride", "padding"),
-    [
-        ((3, 3, 3), (2, 2, 2), (1, 1, 1)),
-        ((3, 3, 3), (2, 2, 2), (0, 1, 1)),
-        ((3, 1, 1), (2, 1, 1), (0, 0, 0)),
-        ((2, 2, 2), (2, 2, 2), (0, 0, 0)),
-        ((1, 2, 2), (1, 2, 2), (0, 0, 0)),
-        ((3, 3, 3), (1, 3, 2), (1, 2, 1)),
-    ],
-)
+@pytest.mark.parametrize("keys", SOME)
+@pytest.mark.parametrize(("kernel", "stride", "padding"), STRIDED)
 def test_strided_tables_are_those_of_the_pairs_there_and_back(keys, kernel, stride, padding):
     book = strided_book(keys, SHAPE, kernel, stride, padding)
     pairs = strided_rulebook(keys, SHAPE, kernel, stride, padding)
@@ -55,7 +42,7 @@ def test_strided_tables_are_those_of_the_pairs_there_and_back(keys, kernel, stri
 
 
 def test_similar_rows_come_together_as_in_the_rulebook():
-    keys = cells()
+    keys = cells(0.4)
     order, _ = submanifold_book(keys, SHAPE, (3, 3, 3)).similar
     expected, table = submanifold_rulebook(keys, SHAPE, (3, 3, 3)).similar
     missing = table == len(keys)
@@ -65,7 +52,7 @@ def test_similar_rows_come_together_as_in_the_rulebook():
 
 def test_an_even_kernel_is_refused():
     with pytest.raises(ValueError, match="odd along every axis"):
-        submanifold_book(cells(), SHAPE, (2, 3, 3))
+        submanifold_book(cells(0.4), SHAPE, (2, 3, 3))
 
 
 def _product(features, weight, order, table, bias=None, relu=False, added=None):
@@ -96,7 +83,7 @@ def test_layers_with_tables_compute_and_learn_as_with_pairs(monkeypatch):
         layers.SubmanifoldConv(12, 12),
         layers.InverseConv(12, 6, (3, 3, 3), "down", bias=True),
     )
-    keys, results = cells(), []
+    keys, results = cells(0.4), []
     values = torch.randn(len(keys), 4)
     for kernels in (False, True):
         if kernels:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch")
 
+from _gpu_cases import drawn
 from small import batch_of, small_detector
 
 from farfield.detectors import device_nms, nms
@@ -19,21 +20,6 @@ from farfield.detectors.anchors.best import best_anchors
 from farfield.detectors.anchors.head import AnchorHead
 from farfield.geometry import iou
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
-
-
-def drawn(rng, n, spread_m=30.0):
-    """Boxes as rows, many of them upon one another."""
-    rows = np.column_stack(
-        [
-            rng.uniform(-spread_m, spread_m, (n, 2)),
-            rng.normal(0, 1, n),
-            rng.uniform(0.3, 12, (n, 2)),
-            rng.uniform(1, 3, n),
-            rng.uniform(-9, 9, n),
-        ]
-    )
-    rows[n // 2 :] = rows[: n - n // 2] + rng.normal(0, 0.2, (n - n // 2, 7)) * [1, 1, 1, 0, 0, 0, 1]
-    return rows
 
 
 def as_boxes(rows, score, label="vehicle"):
@@ -68,7 +54,7 @@ def test_areas_are_those_of_the_exact_method(rng):
 @pytest.mark.parametrize("threshold", [0.01, 0.1, 0.5, 1.0])
 @pytest.mark.parametrize("n", [0, 1, 2, 7, 700])
 def test_suppression_keeps_what_the_cpu_keeps(rng, n, threshold):
-    rows, score = drawn(rng, n), rng.uniform(0, 1, n).round(2)  # with ties
+    rows, score = drawn(rng, n, 30), rng.uniform(0, 1, n).round(2)  # with ties
     expected = nms.rotated_nms(as_boxes(rows, score), iou_threshold=threshold, limit=100)
     got = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=threshold, limit=100)
     np.testing.assert_array_equal(got.numpy(), expected)
@@ -109,7 +95,7 @@ def test_a_long_chain_of_overlaps_is_settled_to_its_end():
 
 
 def test_many_boxes_are_compared_in_parts(rng, monkeypatch):
-    rows, score = drawn(rng, 300), rng.uniform(0, 1, 300)
+    rows, score = drawn(rng, 300, 30), rng.uniform(0, 1, 300)
     whole = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=0.2)
     monkeypatch.setattr(device_nms, "_GAPS", 1000)
     monkeypatch.setattr(device_nms, "_PAIRS", 16)

@@ -1,8 +1,3 @@
-import importlib.util
-import os
-import subprocess
-import sys
-
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -325,59 +320,7 @@ def test_what_cannot_work_is_refused():
         SparseTensor(torch.zeros(2, 1), torch.zeros(3, dtype=torch.int64), SHAPE, 1)
 
 
-# The kernels against the plain form: also run on its own, in a process where Triton interprets its kernels.
-KERNEL_CHECK = """
-import sys
-import torch
-from farfield.detectors.sparse import strided_rulebook, submanifold_rulebook
-from farfield.detectors.sparse import functional, triton_kernels
-
-device, dtype, tolerance = sys.argv[1], getattr(torch, sys.argv[2]), float(sys.argv[3])
-generator = torch.Generator().manual_seed(0)
-shape = (5, 9, 8)
-keys = (torch.rand(360, generator=generator) < 0.4).nonzero().squeeze(1)
-books = [submanifold_rulebook(keys, shape, (3, 3, 3)), strided_rulebook(keys, shape, (3, 3, 3), (2, 2, 2), (1, 1, 1))]
-for book in [*books, books[1].inverse]:
-    for c_in, c_out in ((5, 20), (40, 16)):
-        draw = lambda *size: torch.randn(*size, generator=generator)
-        features, gradient = draw(len(book.keys_in), c_in), draw(len(book.keys), c_out)
-        weight = draw(len(book.counts), c_in, c_out)
-        exact = functional.gather_product(features.double(), weight.double(), book)
-        exact_weight = functional.weight_gradient(features.double(), gradient.double(), book)
-        rows = tuple(rows.to(device) for rows in book.similar)
-        features, weight, gradient = (x.to(device, dtype) for x in (features, weight, gradient))
-        got = triton_kernels.gather_product(features, weight, *rows)
-        got_weight = triton_kernels.weight_gradient(features, gradient, *rows)
-        assert got.dtype == dtype and got_weight.dtype == torch.float32
-        for value, truth in ((got, exact), (got_weight, exact_weight)):
-            assert value.shape == truth.shape
-            error = (value.cpu().double() - truth).abs().max() / truth.abs().max()
-            assert error < tolerance, (c_in, c_out, float(error))
-"""
-PRECISIONS = [("float32", "1e-6"), ("bfloat16", "1e-2"), ("float16", "2e-3")]
-needs_triton = pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="Triton is not installed")
-needs_gpu = pytest.mark.gpu
-
-
-def check_kernels(device, dtype, tolerance, **environment):
-    command = [sys.executable, "-c", KERNEL_CHECK, device, dtype, tolerance]
-    done = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-@needs_triton
-def test_kernels_agree_with_the_plain_form_when_interpreted():
-    check_kernels("cpu", "float32", "1e-6", TRITON_INTERPRET="1")
-
-
-@needs_triton
-@needs_gpu
-@pytest.mark.parametrize(("dtype", "tolerance"), PRECISIONS)
-def test_kernels_agree_with_the_plain_form_on_the_gpu(dtype, tolerance):
-    check_kernels("cuda", dtype, tolerance)
-
-
-@needs_gpu
+@pytest.mark.gpu
 @pytest.mark.parametrize("triton", [True, False])
 def test_gpu_gives_what_the_cpu_gives(triton, monkeypatch):
     if not triton:

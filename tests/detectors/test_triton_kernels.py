@@ -10,20 +10,21 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("triton", reason="Triton is not installed")
 
-CHECKS = ("books", "bias_and_relu", "suppression", "decoding", "voxel_means", "pillars")
+CHECKS = ("books", "convolution", "bias_and_relu", "suppression", "decoding", "voxel_means", "pillars")
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", CHECKS)
 def test_compiled(name):
-    import kernel_checks
+    import _gpu_kernel_checks
 
-    kernel_checks.CHECKS[name]("cuda")
+    assert tuple(_gpu_kernel_checks.CHECKS) == CHECKS
+    _gpu_kernel_checks.CHECKS[name]("cuda")
 
 
 @pytest.mark.slow
 def test_interpreted():
-    script = Path(__file__).with_name("kernel_checks.py")
+    script = Path(__file__).parents[2] / "benchmarks" / "_gpu_kernel_checks.py"
     environment = {**os.environ, "TRITON_INTERPRET": "1"}
     done = subprocess.run(
         [sys.executable, str(script), "cpu"], env=environment, capture_output=True, text=True, check=False

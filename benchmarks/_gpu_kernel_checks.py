@@ -1,6 +1,8 @@
-"""Triton's kernels against their plain versions, on a GPU or in Triton's interpreter: ``python kernel_checks.py cpu``.
+"""Triton's kernels against their plain versions at small sizes and odd cases, on a GPU or in Triton's interpreter.
 
-The interpreter must be chosen before Triton is imported (TRITON_INTERPRET=1), so that has a process of its own.
+    TRITON_INTERPRET=1 python benchmarks/_gpu_kernel_checks.py cpu
+
+The interpreter must be chosen before Triton is imported, so that has a process of its own.
 """
 
 import sys
@@ -8,6 +10,7 @@ from itertools import product
 
 import numpy as np
 import torch
+from _gpu_cases import SHAPE, STRIDED, cells, drawn
 
 from farfield.detectors import device_nms, triton_nms, triton_voxels, voxels
 from farfield.detectors.anchors import device as on_device
@@ -26,22 +29,6 @@ from farfield.detectors.sparse import (
     triton_kernels,
 )
 from farfield.detectors.sparse.rulebook import kernel_offsets
-
-SHAPE = (5, 9, 8)
-STRIDED = [
-    ((3, 3, 3), (2, 2, 2), (1, 1, 1)),
-    ((3, 3, 3), (2, 2, 2), (0, 1, 1)),
-    ((3, 1, 1), (2, 1, 1), (0, 0, 0)),
-    ((2, 2, 2), (2, 2, 2), (0, 0, 0)),
-    ((1, 2, 2), (1, 2, 2), (0, 0, 0)),
-    ((3, 3, 3), (1, 3, 2), (1, 2, 1)),
-]
-
-
-def cells(share, frames=3):
-    """Keys of some of the cells."""
-    generator = torch.Generator().manual_seed(0)
-    return (torch.rand(360 * frames, generator=generator) < share).nonzero().squeeze(1)
 
 
 def books(device):
@@ -70,6 +57,29 @@ def books(device):
             assert torch.equal(back.cpu(), pairs.inverse.table)
 
 
+def convolution(device):
+    """Products and gradients of the weights are those of pairs in float64, in every number type."""
+    exactness = {torch.float32: 1e-6, torch.bfloat16: 1e-2, torch.float16: 2e-3}
+    keys, generator = cells(0.4, 1), torch.Generator().manual_seed(0)
+    strided = strided_rulebook(keys, SHAPE, *STRIDED[0])
+    books_of = (submanifold_rulebook(keys, SHAPE, (3, 3, 3)), strided, strided.inverse)
+    dtypes = list(exactness) if device == "cuda" else [torch.float32]  # the interpreter multiplies bfloat16 wrongly
+    for book, (c_in, c_out), dtype in product(books_of, ((5, 20), (40, 16)), dtypes):
+        sizes = ((len(book.keys_in), c_in), (len(book.counts), c_in, c_out), (len(book.keys), c_out))
+        features, weight, gradient = (torch.randn(size, generator=generator) for size in sizes)
+        exact = functional.gather_product(features.double(), weight.double(), book)
+        exact_weight = functional.weight_gradient(features.double(), gradient.double(), book)
+        rows = tuple(rows.to(device) for rows in book.similar)
+        features, weight, gradient = (part.to(device, dtype) for part in (features, weight, gradient))
+        got = triton_kernels.gather_product(features, weight, *rows)
+        got_weight = triton_kernels.weight_gradient(features, gradient, *rows)
+        assert (got.dtype, got_weight.dtype) == (dtype, torch.float32)
+        for value, truth in ((got, exact), (got_weight, exact_weight)):
+            assert value.shape == truth.shape
+            error = float((value.cpu().double() - truth).abs().max() / truth.abs().max())
+            assert error < exactness[dtype], (c_in, c_out, dtype, error)
+
+
 def bias_and_relu(device):
     """A sparse convolution adds its bias and a residual and rectifies as the plain version, its rows sorted or not."""
     keys, generator = cells(0.3, 1), torch.Generator().manual_seed(1)
@@ -88,17 +98,7 @@ def suppression(device):
     """The same boxes stay, chains of equal scores among them."""
     rng = np.random.default_rng(0)
     for count, spread_m in ((1, 1), (2, 1), (31, 10), (33, 20), (200, 3), (300, 40)):
-        rows = np.column_stack(
-            [
-                rng.uniform(-spread_m, spread_m, (count, 2)),
-                rng.normal(0, 1, count),
-                rng.uniform(0.3, 12, (count, 2)),
-                rng.uniform(1, 3, count),
-                rng.uniform(-9, 9, count),
-            ]
-        )
-        rows[count // 2 :] = rows[: count - count // 2] + rng.normal(0, 0.2, (count - count // 2, 7))
-        rows[:, 3:6] = np.abs(rows[:, 3:6]) + 0.05
+        rows = drawn(rng, count, spread_m)
         for threshold in (device_nms.LEAST_IOU, 0.1, 0.5):
             better, worse = device_nms.overlapping(torch.from_numpy(rows), threshold)
             alive = np.ones(count, dtype=bool)
@@ -190,7 +190,8 @@ def pillars(device):
         torch.testing.assert_close(got.permute(0, 3, 1, 2).cpu(), expected, rtol=1e-5, atol=1e-5)
 
 
-CHECKS = {check.__name__: check for check in (books, bias_and_relu, suppression, decoding, voxel_means, pillars)}
+_ALL = (books, convolution, bias_and_relu, suppression, decoding, voxel_means, pillars)
+CHECKS = {check.__name__: check for check in _ALL}
 
 if __name__ == "__main__":
     for check in CHECKS.values():
