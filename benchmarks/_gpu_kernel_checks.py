@@ -135,16 +135,17 @@ def decoding(device):
 
 
 def clouds(columns, step_m):
-    """Points of three frames, some outside the grid and some on borders of cells."""
+    """Points of three frames, some outside the grid, some on borders of cells and many in a few cells."""
     generator = torch.Generator().manual_seed(0)
     width, least = torch.tensor([44.0, 24, 5, 1, 1])[:columns], torch.tensor([2.0, 12, 3.5, 0, 0])[:columns]
     made = [torch.rand(count, columns, generator=generator) * width - least for count in (700, 0, 300)]
     made[0][:50, :2] = torch.round(made[0][:50, :2] / step_m) * step_m
+    made[2][:200, :2] = made[2][:200, :2] / 40 + 5.0
     return made
 
 
 def voxel_means(device):
-    """Voxels and their features are those of the CPU: sums of a few numbers in another order."""
+    """Voxels and their features are those of the CPU but for its rounding, whatever the order of the points."""
     columns = ("x_m", "y_m", "z_m", "intensity", "lag_s")
     for extra_layers, positions in product((0, 1), ("absolute", "relative")):
         grid = voxels.VoxelGridConfig(
@@ -161,10 +162,28 @@ def voxel_means(device):
         first = 0 if positions == "absolute" else 2
         got = triton_voxels.mean_features(points, rows, keys, member, numbers, shape, first)
         torch.testing.assert_close(got.cpu(), expected.features, rtol=1e-5, atol=1e-5)
+        order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(1)).to(device)
+        again = triton_voxels.mean_features(points, rows[order], keys, member[order], numbers, shape, first)
+        assert torch.equal(again, got)
+
+
+def image_of(encoder, points, batch, device):
+    """The kernels' image of pillars."""
+    return triton_pillars.image(
+        points.to(device),
+        batch.to(device),
+        3,
+        encoder.linear.weight.to(device),
+        encoder.linear.bias.to(device),
+        constant(encoder.numbers, torch.device(device), torch.float32),
+        nx=encoder.nx,
+        ny=encoder.ny,
+        first=encoder.first,
+    )
 
 
 def pillars(device):
-    """The image of pillars is that of the CPU."""
+    """The image of pillars is that of the CPU, whatever the order of the points."""
     for columns, positions in ((("x_m", "y_m", "z_m"), "absolute"), (("x_m", "y_m", "z_m", "a", "b"), "relative")):
         torch.manual_seed(0)
         config = GridConfig(range_m=20, half_width_m=8, cell_m=0.5)
@@ -174,18 +193,10 @@ def pillars(device):
         with torch.no_grad():
             encoder.fold_norm()
             expected = encoder(points, batch, 3)
-            weight, bias = encoder.linear.weight.to(device), encoder.linear.bias.to(device)
-            got = triton_pillars.image(
-                points.to(device),
-                batch.to(device),
-                3,
-                weight,
-                bias,
-                constant(encoder.numbers, torch.device(device), torch.float32),
-                nx=encoder.nx,
-                ny=encoder.ny,
-                first=encoder.first,
-            )
+            got = image_of(encoder, points, batch, device)
+            order = torch.randperm(len(points), generator=torch.Generator().manual_seed(1))
+            again = image_of(encoder, points[order], batch[order], device)
+        assert torch.equal(again, got)
         assert (expected > 0).any()
         torch.testing.assert_close(got.permute(0, 3, 1, 2).cpu(), expected, rtol=1e-5, atol=1e-5)
 

@@ -6,7 +6,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from _gpu_common import exact_float32
-from _gpu_outputs import SMALL_COPY, _compared, _differences, _outputs, copies_of
+from _gpu_outputs import SMALL_COPY, _compared, _differences, _outputs, _rows, copies_of
 from _gpu_training import RESUMED, trained
 from small import SMALL, small_detector
 
@@ -57,6 +57,16 @@ def test_boxes_are_those_that_the_cpu_makes_of_the_same_maps(rng, name, precisio
     (got,), (expected,) = there.network.decode(maps), there.network.decode(host)
     assert len(expected) > 10
     assert _compared(name, got, expected).verdict == "ok"
+
+
+@pytest.mark.parametrize("name", ["pointpillars", "second", "sparsecentre"])
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_boxes_do_not_depend_on_the_order_of_points(rng, name, precision):
+    there, seen = detector(name, "cuda", precision, score_threshold=0.3), cloud(rng, 60_000)
+    order = rng.permutation(len(seen))
+    wanted, got = _rows(there(seen)), _rows(there(seen[order]))
+    assert len(wanted) > 20
+    np.testing.assert_array_equal(got, wanted)
 
 
 @pytest.mark.parametrize("name", ["pointpillars", "second", "sparsecentre"])

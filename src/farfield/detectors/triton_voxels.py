@@ -64,12 +64,13 @@ def _sums_kernel(  # type: ignore[no-untyped-def]
     x, y, z = _centre(tl.load(keys + cell, mask=there, other=0), grid, depth, nx, ny)
     at = points + tl.load(rows + number, mask=there, other=0) * columns
     out = sums + cell * (4 + extra)
-    tl.atomic_add(out, tl.load(at, mask=there, other=0.0) - x, mask=there)
-    tl.atomic_add(out + 1, tl.load(at + 1, mask=there, other=0.0) - y, mask=there)
-    tl.atomic_add(out + 2, tl.load(at + 2, mask=there, other=0.0) - z, mask=there)
-    tl.atomic_add(out + 3, tl.where(there, 1.0, 0.0), mask=there)
+    tl.atomic_add(out, (tl.load(at, mask=there, other=0.0) - x).to(tl.float64), mask=there)
+    tl.atomic_add(out + 1, (tl.load(at + 1, mask=there, other=0.0) - y).to(tl.float64), mask=there)
+    tl.atomic_add(out + 2, (tl.load(at + 2, mask=there, other=0.0) - z).to(tl.float64), mask=there)
+    tl.atomic_add(out + 3, tl.where(there, 1.0, 0.0).to(tl.float64), mask=there)
     for column in tl.static_range(extra):
-        tl.atomic_add(out + 4 + column, tl.load(at + 3 + column, mask=there, other=0.0), mask=there)
+        value = tl.load(at + 3 + column, mask=there, other=0.0)
+        tl.atomic_add(out + 4 + column, value.to(tl.float64), mask=there)
 
 
 @jit
@@ -81,9 +82,9 @@ def _means_kernel(  # type: ignore[no-untyped-def]
     x, y, z = _centre(tl.load(keys + cell, mask=there, other=0), grid, depth, nx, ny)
     at = sums + cell.to(tl.int64) * (4 + extra)
     points = tl.load(at + 3, mask=there, other=1.0)
-    dx = tl.load(at, mask=there, other=0.0) / points
-    dy = tl.load(at + 1, mask=there, other=0.0) / points
-    dz = tl.load(at + 2, mask=there, other=0.0) / points
+    dx = (tl.load(at, mask=there, other=0.0) / points).to(tl.float32)
+    dy = (tl.load(at + 1, mask=there, other=0.0) / points).to(tl.float32)
+    dz = (tl.load(at + 2, mask=there, other=0.0) / points).to(tl.float32)
     out = features + cell.to(tl.int64) * (7 - first + extra)
     tl.store(out, dx / tl.load(grid + 3), mask=there)
     tl.store(out + 1, dy / tl.load(grid + 4), mask=there)
@@ -93,9 +94,9 @@ def _means_kernel(  # type: ignore[no-untyped-def]
         tl.store(out + 4, (y + dy) / tl.load(grid + 7), mask=there)
     out = out - first
     tl.store(out + 5, (z + dz) / tl.load(grid + 8), mask=there)
-    tl.store(out + 6, tl.log(1.0 + points), mask=there)
+    tl.store(out + 6, tl.log(1.0 + points.to(tl.float32)), mask=there)
     for column in tl.static_range(extra):
-        mean = tl.load(at + 4 + column, mask=there, other=0.0) / points
+        mean = (tl.load(at + 4 + column, mask=there, other=0.0) / points).to(tl.float32)
         tl.store(out + 7 + column, mean, mask=there)
 
 
@@ -138,7 +139,7 @@ def mean_features(
         first: First of x, y, z whose mean is a feature.
     """
     extra = points.shape[1] - 3
-    sums = points.new_zeros(len(keys), 4 + extra)
+    sums = points.new_zeros(len(keys), 4 + extra, dtype=torch.float64)
     features = points.new_empty(len(keys), 7 - first + extra)
     if len(rows):
         _sums_kernel[(triton.cdiv(len(rows), _BLOCK),)](

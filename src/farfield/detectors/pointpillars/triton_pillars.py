@@ -1,7 +1,8 @@
 """Points to the image of pillars on a GPU in two kernels, written in Triton; for inference, where nothing is kept.
 
 The plain version of :class:`farfield.detectors.pointpillars.pillars.PillarEncoder` groups points by sorting. Here sums
-and maxima go straight to the cells of the image: no number of points or pillars is read by the host.
+and maxima go straight to the cells of the image: no number of points or pillars is read by the host. Sums are of
+float64, where those of float32 numbers near one another are exact: whatever their order, the image is the same.
 """
 
 from importlib import import_module
@@ -39,10 +40,10 @@ def _sums_kernel(points, batch, grid, sums, count, columns, nx, ny, block: tl.co
     row = tl.program_id(0) * block + tl.arange(0, block)
     x, y, z, _, _, key, inside = _cell_of(points, batch, grid, row, row < count, columns, nx, ny)
     out = sums + key * 4
-    tl.atomic_add(out, x, mask=inside)
-    tl.atomic_add(out + 1, y, mask=inside)
-    tl.atomic_add(out + 2, z, mask=inside)
-    tl.atomic_add(out + 3, tl.where(inside, 1.0, 0.0), mask=inside)
+    tl.atomic_add(out, x.to(tl.float64), mask=inside)
+    tl.atomic_add(out + 1, y.to(tl.float64), mask=inside)
+    tl.atomic_add(out + 2, z.to(tl.float64), mask=inside)
+    tl.atomic_add(out + 3, tl.where(inside, 1.0, 0.0).to(tl.float64), mask=inside)
 
 
 @jit
@@ -60,9 +61,9 @@ def _image_kernel(  # type: ignore[no-untyped-def]
     x, y, z, ix, iy, key, inside = _cell_of(points, batch, grid, row, row < count, columns, nx, ny)
     cell = tl.load(grid)
     points_there = tl.load(sums + key * 4 + 3, mask=inside, other=1.0)
-    dx = x - tl.load(sums + key * 4, mask=inside, other=0.0) / points_there
-    dy = y - tl.load(sums + key * 4 + 1, mask=inside, other=0.0) / points_there
-    dz = z - tl.load(sums + key * 4 + 2, mask=inside, other=0.0) / points_there
+    dx = x - (tl.load(sums + key * 4, mask=inside, other=0.0) / points_there).to(tl.float32)
+    dy = y - (tl.load(sums + key * 4 + 1, mask=inside, other=0.0) / points_there).to(tl.float32)
+    dz = z - (tl.load(sums + key * 4 + 2, mask=inside, other=0.0) / points_there).to(tl.float32)
     column = tl.arange(0, wide)
     features = tl.zeros((block, wide), dtype=tl.float32)
     if first == 0:
@@ -74,7 +75,7 @@ def _image_kernel(  # type: ignore[no-untyped-def]
     features = _put(features, column, 5 - first, dz / cell)
     features = _put(features, column, 6 - first, (x - (ix + 0.5) * cell) / cell)
     features = _put(features, column, 7 - first, (y - ((iy + 0.5) * cell + tl.load(grid + 1))) / cell)
-    features = _put(features, column, 8 - first, tl.log(1.0 + points_there))
+    features = _put(features, column, 8 - first, tl.log(1.0 + points_there.to(tl.float32)))
     at = points + row.to(tl.int64) * columns
     for number in tl.static_range(extra):
         features = _put(features, column, 9 - first + number, tl.load(at + 3 + number, mask=inside, other=0.0))
@@ -113,7 +114,7 @@ def image(
         first: First of x, y, z that describes a point.
     """
     channels, columns = len(weight), points.shape[1]
-    sums = points.new_zeros(frames * nx * ny, 4)
+    sums = points.new_zeros(frames * nx * ny, 4, dtype=torch.float64)
     made = points.new_zeros(frames, nx, ny, channels)
     if len(points):
         programs = (triton.cdiv(len(points), _BLOCK),)
