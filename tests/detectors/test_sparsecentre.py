@@ -10,7 +10,7 @@ from farfield.detectors import build_detector
 from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.sparsecentre.backbone import SparsePyramid, merge_heights
-from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
+from farfield.detectors.sparsecentre.diffusion import CentreDiffusion, means_at
 from farfield.detectors.sparsecentre.head import peaks
 from farfield.detectors.sparsecentre.network import SparseCentre, SparseCentreConfig
 from farfield.detectors.sparsecentre.targets import CentreTargets, Truth, assign, decode, encode, heat_loss, vote_loss
@@ -134,6 +134,18 @@ def test_diffusion_reaches_the_empty_centre_of_a_long_vehicle(rng):
     centre.sum().backward()
     assert features.grad[0].abs().sum() > 0  # of the cell that voted
     assert features.grad[2].abs().sum() == 0
+
+
+def test_means_at_places_are_those_by_hand_and_do_not_hang_on_the_order(rng):
+    values, place = torch.tensor([[1.0, 2.0], [3.0, 6.0], [5.0, 7.0]], requires_grad=True), torch.tensor([2, 2, 0])
+    means, known = means_at(values, place, 4)
+    assert means.tolist() == [[5, 7], [0, 0], [2, 4], [0, 0]]
+    assert known.tolist() == [True, False, True, False]
+    means.sum().backward()
+    assert values.grad.tolist() == [[0.5, 0.5], [0.5, 0.5], [1, 1]]
+    many, order = torch.from_numpy(rng.normal(size=5000).astype(np.float32)), torch.from_numpy(rng.permutation(5000))
+    place = torch.arange(5000) % 7
+    assert torch.equal(means_at(many, place, 7)[0], means_at(many[order], place[order], 7)[0])
 
 
 def test_sparse_peaks_equal_a_dense_maximum(rng):

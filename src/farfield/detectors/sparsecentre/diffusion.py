@@ -65,12 +65,10 @@ class CentreDiffusion(nn.Module):
         carried = self.carry(torch.cat([sparse.features[rows], rest.to(sparse.features.dtype)], 1))
         carried = carried * score[rows, None].to(carried.dtype)
         landed, stayed = torch.searchsorted(keys, voted), torch.searchsorted(keys, sparse.keys)
-        count = height_m.new_zeros(len(keys)).index_add(0, landed, torch.ones_like(height_m[rows]))
-        total = carried.new_zeros(len(keys), carried.shape[1]).index_add(0, landed, carried)
-        features = total / count.clamp(min=1)[:, None].to(total.dtype)
+        features, _ = means_at(carried, landed, len(keys))
         features = features.index_add(0, stayed, sparse.features.to(features.dtype))
-        height = height_m.new_zeros(len(keys)).index_add(0, landed, height_m[rows]) / count.clamp(min=1)
-        known = (count > 0).index_fill(0, stayed, True)
+        height, known = means_at(height_m[rows], landed, len(keys))
+        known = known.index_fill(0, stayed, True)
         height = _spread(height.index_copy(0, stayed, height_m), known, keys, sparse.shape, self.ring)
         grown = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
         return Diffused(grown, height, votes)
@@ -90,6 +88,23 @@ class CentreDiffusion(nn.Module):
         chosen &= (cell[:, 0] >= 0) & (cell[:, 0] < nx) & (cell[:, 1] >= 0) & (cell[:, 1] < ny)
         rows = chosen.nonzero().squeeze(1)
         return rows, ((frame * nx + cell[:, 0]) * ny + cell[:, 1])[rows], (place - cell - 0.5)[rows]
+
+
+def means_at(values: Tensor, place: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Mean of the rows that fall to each place, zero where none does, and whether one does.
+
+    Sums are of float64, where those of float32 numbers near one another are exact, so that the order of a GPU's
+    additions does not matter.
+
+    Args:
+        values: Rows, shape (n, ...).
+        place: Number of each row's place, shape (n,), int64.
+        count: Number of places.
+    """
+    total = values.new_zeros(count, *values.shape[1:], dtype=torch.float64).index_add(0, place, values.double())
+    rows = total.new_zeros(count).index_add(0, place, total.new_ones(len(place)))
+    divisor = rows.clamp(min=1).reshape(-1, *[1] * (values.dim() - 1))
+    return (total / divisor).to(values.dtype), rows > 0
 
 
 def _spread(

@@ -28,7 +28,7 @@ from farfield.detectors.sparsecentre.backbone import (
     merge_heights,
     normalised,
 )
-from farfield.detectors.sparsecentre.diffusion import CentreDiffusion
+from farfield.detectors.sparsecentre.diffusion import CentreDiffusion, means_at
 from farfield.detectors.sparsecentre.head import CentreHead, CentreHeadConfig
 from farfield.detectors.voxels import OLD_NAMES, VoxelGridConfig, mean_features, mean_voxels
 
@@ -144,5 +144,4 @@ class SparseCentre(MapDetector):
         height = voxels.features[:, mean_features(self.config.positions).index("z")]
         height_m = height * max(abs(grid.z_min_m), abs(grid.z_max_m))
         cell = torch.searchsorted(keys, flat_keys(voxels, self.config.map_stride))
-        count = torch.bincount(cell, minlength=len(keys)).clamp(min=1)
-        return height_m.new_zeros(len(keys)).index_add(0, cell, height_m) / count
+        return means_at(height_m, cell, len(keys))[0]
