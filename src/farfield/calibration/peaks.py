@@ -16,7 +16,8 @@ _PEAK_M, _CELL_RAD = 0.9, np.radians(1.2)  # peaks are no nearer to one another
 _DEPTH_M = 0.7  # half of what an echo spreads over along the beam
 _LOBE_RAD, _LOBE_M = np.radians(2.5), 1.5  # the same across it, for what is as wide as a car
 _THIN_RAD, _THIN_M = np.radians(1.0), 0.2  # and for a post
-_LEAST_SHARE = 0.05  # of an echo's power: side lobes lie below
+_LEAST_SHARE = 0.05  # of a post's power: what lies below is noise; side lobes lie outside its window
+_LOBE_SHARE = 0.2  # of a wide echo's: side lobes, 10 to 13 dB down, and two of them together lie below
 _MOVES, _STILL_RAD = 4, 1e-4
 
 
@@ -39,8 +40,10 @@ def find_peaks(moment: Moment) -> Peaks:
     """Local maxima of the radar's echoes with their places within the cell: means over the lobe, by power.
 
     The lobe is taken in range and azimuth, wide enough for its far side to count: a narrower window draws every echo
-    to the middle of its cell, by up to 0.3 of one degree. A post's echo is as wide as the beam: a window of that width
-    moves with its own mean until it rests, so that it is drawn nowhere and side lobes stay outside.
+    to the middle of its cell, by up to 0.3 of one degree. Side lobes fall into it too, more on one side than on the
+    other: counted, they draw a point by 0.15 degree (simulated array), so only what is stronger counts. A post's echo
+    is as wide as the beam: a window of that width moves with its own mean until it rests, so that it is drawn nowhere
+    and side lobes stay outside.
     """
     places, power = moment.echoes_m, moment.power_db
     top = _tops(places, power)
@@ -49,7 +52,7 @@ def find_peaks(moment: Moment) -> Peaks:
     for row, i in enumerate(top):
         bearing, reach = float(np.arctan2(places[i, 1], places[i, 0])), float(np.linalg.norm(places[i]))
         near = max(reach, 1.0)
-        wide[row] = lobes.mean(bearing, reach, max(_LOBE_RAD, _LOBE_M / near))
+        wide[row] = lobes.mean(bearing, reach, max(_LOBE_RAD, _LOBE_M / near), _LOBE_SHARE)
         thin[row] = lobes.rest(bearing, reach, _THIN_RAD + _THIN_M / near)
     return Peaks(place_m=_flat(wide), thin_m=_flat(thin), power_db=power[top])
 
@@ -80,22 +83,22 @@ class _Lobes:
         order = np.argsort(polar[:, 0], kind="stable")
         return cls(polar[order], 10 ** (power_db[order] / 10))
 
-    def mean(self, bearing: float, reach_m: float, half_rad: float) -> Float[np.ndarray, " 3"]:
-        """Mean bearing, range and height of the echoes in a window, by what their power is above side lobes."""
+    def mean(self, bearing: float, reach_m: float, half_rad: float, least: float) -> Float[np.ndarray, " 3"]:
+        """Mean bearing, range and height of the echoes in a window, by their power above a share of the strongest."""
         low, high = np.searchsorted(self.polar[:, 0], (bearing - half_rad, bearing + half_rad))
         inside = low + np.flatnonzero(np.abs(self.polar[low:high, 1] - reach_m) < _DEPTH_M)
         if not len(inside):
             return np.array([bearing, reach_m, 0.0])
         power = self.power[inside]
-        weight = np.maximum(power / power.max() - _LEAST_SHARE, 0.0)
+        weight = np.maximum(power / power.max() - least, 0.0)
         return np.asarray(weight @ self.polar[inside] / weight.sum())
 
     def rest(self, bearing: float, reach_m: float, half_rad: float) -> Float[np.ndarray, " 3"]:
         """The same where the window is centred on its own mean (mean shift, Fukunaga and Hostetler 1975)."""
-        found = self.mean(bearing, reach_m, half_rad)
+        found = self.mean(bearing, reach_m, half_rad, _LEAST_SHARE)
         for _ in range(_MOVES - 1):
             last = found
-            found = self.mean(float(last[0]), float(last[1]), half_rad)
+            found = self.mean(float(last[0]), float(last[1]), half_rad, _LEAST_SHARE)
             if abs(found[0] - last[0]) < _STILL_RAD:
                 break
         return found
