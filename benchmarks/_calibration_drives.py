@@ -19,6 +19,7 @@ SEED = 6
 SECONDS = 60.0
 DEVELOPED = 6  # the first drives, on which the solver was developed: they are not reported
 UNSEEN = 48  # the first of the drives on which nothing was chosen, not even the threshold of a claim
+FRESH = 68  # the first of those on which not even the share of a side lobe was seen
 RUNS = tuple(range(5, 560, 29))
 LENGTH = 10
 

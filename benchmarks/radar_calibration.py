@@ -4,9 +4,10 @@ Simulates K-Radar's car on three roads by day and by night: drives of a minute e
 are kept. Eight solvers start in each drive, from up to +-2 m, +-3 degrees and +-3 frames off. The starts of one drive
 share its data, so that a row's spread is that of its drives. The doctor checks every drive with the right calibration
 and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. How deep a side of the road may be was
-chosen on the highways up to number 25, among others; the threshold of a claim on drives up to number 46. On those of
---unseen, from number 48 on, nothing was. The drives stay in --data, as does all that is done: a second run goes on
-where the first ended.
+chosen on the highways up to number 25, among others; the threshold of a claim on drives up to number 46; how strong a
+side lobe may be from the array alone, and then seen to mend y on the highways up to number 67. On those of --unseen,
+from number 48 on, nothing else was, and on those of --fresh, from number 68 on, nothing at all. The drives stay in
+--data, as does all that is done: a second run goes on where the first ended.
 
     python benchmarks/radar_calibration.py --rounds 4 --highways 6 --output benchmarks/results/radar_calibration.txt
     python benchmarks/radar_calibration.py --rounds 0 --unseen 20 --picture docs/images/calibration_doctor_radar.png
@@ -21,7 +22,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _calibration_drives import DEVELOPED, KINDS, LENGTH, LIGHTS, ROADS, RUNS, SimulatedDrive, drives, highways, unseen
+from _calibration_drives import (
+    DEVELOPED,
+    FRESH,
+    KINDS,
+    LENGTH,
+    LIGHTS,
+    ROADS,
+    RUNS,
+    SimulatedDrive,
+    drives,
+    highways,
+    unseen,
+)
 from _report import header
 from calibration_doctor import ERRORS, draw
 from scipy.stats import binom
@@ -197,6 +210,7 @@ def main() -> None:
     parser.add_argument("--highways", type=int, default=0, help="so many more drives on highways after those")
     parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
     parser.add_argument("--unseen", type=int, default=0, help="so many drives more, on which nothing was chosen")
+    parser.add_argument("--fresh", type=int, default=0, help="so many highways more, simulated after all choices")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
         "--seconds", type=float, default=np.inf, help="after which no drive begins; 0 prints what is there"
@@ -205,7 +219,7 @@ def main() -> None:
     options.data.mkdir(parents=True, exist_ok=True)
     after = DEVELOPED + len(KINDS) * options.rounds
     wanted = drives(1, first=0) if options.developed else [*drives(options.rounds), *highways(options.highways, after)]
-    wanted += unseen(options.unseen)
+    wanted += [*unseen(options.unseen), *highways(options.fresh, FRESH)]
     rows = list(made(options.data, wanted, options.starts, options.seconds))
     count = len({row["drive"] for row in rows})
     lines = [

@@ -16,7 +16,7 @@ _PEAK_M, _CELL_RAD = 0.9, np.radians(1.2)  # peaks are no nearer to one another
 _DEPTH_M = 0.7  # half of what an echo spreads over along the beam
 _LOBE_RAD, _LOBE_M = np.radians(2.5), 1.5  # the same across it, for what is as wide as a car
 _THIN_RAD, _THIN_M = np.radians(1.0), 0.2  # and for a post
-_LEAST_SHARE = 0.05  # of a post's power: what lies below is noise; side lobes lie outside its window
+_LEAST_SHARE = 0.05  # of an echo's power: what lies below is noise
 _LOBE_SHARE = 0.2  # of a wide echo's: side lobes, 10 to 13 dB down, and two of them together lie below
 _MOVES, _STILL_RAD = 4, 1e-4
 
@@ -83,15 +83,18 @@ class _Lobes:
         order = np.argsort(polar[:, 0], kind="stable")
         return cls(polar[order], 10 ** (power_db[order] / 10))
 
-    def mean(self, bearing: float, reach_m: float, half_rad: float, least: float) -> Float[np.ndarray, " 3"]:
-        """Mean bearing, range and height of the echoes in a window, by their power above a share of the strongest."""
+    def mean(self, bearing: float, reach_m: float, half_rad: float, lobe: float) -> Float[np.ndarray, " 3"]:
+        """Mean bearing, range and height of the echoes in a window, by their power above noise.
+
+        The bearing is that of the echoes above a share ``lobe`` of the strongest.
+        """
         low, high = np.searchsorted(self.polar[:, 0], (bearing - half_rad, bearing + half_rad))
         inside = low + np.flatnonzero(np.abs(self.polar[low:high, 1] - reach_m) < _DEPTH_M)
         if not len(inside):
             return np.array([bearing, reach_m, 0.0])
-        power = self.power[inside]
-        weight = np.maximum(power / power.max() - least, 0.0)
-        return np.asarray(weight @ self.polar[inside] / weight.sum())
+        share = self.power[inside] / self.power[inside].max()
+        weight = np.maximum(share[:, None] - np.array([lobe, _LEAST_SHARE, _LEAST_SHARE]), 0.0)
+        return np.asarray((weight * self.polar[inside]).sum(axis=0) / weight.sum(axis=0))
 
     def rest(self, bearing: float, reach_m: float, half_rad: float) -> Float[np.ndarray, " 3"]:
         """The same where the window is centred on its own mean (mean shift, Fukunaga and Hostetler 1975)."""
