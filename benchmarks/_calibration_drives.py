@@ -18,8 +18,8 @@ LIGHTS = ("day", "night")
 SEED = 6
 SECONDS = 60.0
 DEVELOPED = 6  # the first drives, on which the solver was developed: they are not reported
-UNSEEN = 48  # the first of the drives on which nothing was chosen, not even the threshold of a claim
-FRESH = 68  # the first of those on which not even the share of a side lobe was seen
+UNSEEN = 48  # the first of the drives on which the threshold of a claim was not chosen
+FRESH = 68  # the first of those on which nothing was chosen or seen
 RUNS = tuple(range(5, 560, 29))
 LENGTH = 10
 
@@ -85,7 +85,7 @@ def highways(count: int, first: int) -> list[SimulatedDrive]:
 
 
 def unseen(count: int) -> list[SimulatedDrive]:
-    """So many drives on which nothing was chosen, roads and lights in turn."""
+    """So many drives on which the threshold of a claim was not chosen, roads and lights in turn."""
     return [_numbered(UNSEEN + number) for number in range(count)]
 
 

@@ -91,7 +91,7 @@ class CentreDiffusion(nn.Module):
 
 
 def means_at(values: Tensor, place: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Mean of the rows that fall to each place, zero where none does, and whether one does.
+    """Mean of the rows that fall to each place, zero where none does.
 
     Sums are of float64, where those of float32 numbers near one another are exact, so that the order of a GPU's
     additions does not matter.
@@ -100,6 +100,9 @@ def means_at(values: Tensor, place: Tensor, count: int) -> tuple[Tensor, Tensor]
         values: Rows, shape (n, ...).
         place: Number of each row's place, shape (n,), int64.
         count: Number of places.
+
+    Returns:
+        The means, shape (count, ...), of the values' dtype, and whether rows fall there, shape (count,).
     """
     total = values.new_zeros(count, *values.shape[1:], dtype=torch.float64).index_add(0, place, values.double())
     rows = total.new_zeros(count).index_add(0, place, total.new_ones(len(place)))
