@@ -209,7 +209,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2, help="drives of each road by day and by night")
     parser.add_argument("--highways", type=int, default=0, help="so many more drives on highways after those")
     parser.add_argument("--developed", action="store_true", help="the drives on which the solver was developed instead")
-    parser.add_argument("--unseen", type=int, default=0, help="so many drives more, simulated after the threshold was set")
+    parser.add_argument("--unseen", type=int, default=0, help="so many drives more, made after the threshold was set")
     parser.add_argument("--fresh", type=int, default=0, help="so many highways more, simulated after all choices")
     parser.add_argument("--starts", type=int, default=STARTS, help="in each drive")
     parser.add_argument(
