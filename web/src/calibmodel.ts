@@ -93,6 +93,7 @@ export function keep(values: Values): void {
   Object.assign(model, { values, moving: false, blink: false });
   if (sent) next = values;
   else put(values);
+  ask(); // the residuals on the screen are those of the values before
   changed();
 }
 
@@ -166,8 +167,10 @@ export function listenToServer(): void {
   });
   onReply("refused", (message) => {
     if (message.id === asked) asked = null;
-    if (message.id === sent) [sent, next] = ["", null];
+    const undone = message.id === sent;
+    if (undone) [sent, next] = ["", null];
     if (model.state && !model.moving) model.values = model.state.radar ?? model.state.camera;
+    if (undone) ask();
     report("warning", message.sentence, message.mend);
     changed();
   });
