@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, git, header, processor, progress
+from _report import ROOT, git, header, progress
 from detector_speed import busy_cloud, milliseconds
 
 from farfield.api import load_detector, open_dataset
 from farfield.detection import detect, median_ms
 from farfield.detectors.weights import bundled_weights, resolve_weights
 from farfield.files.atomic import write_text
+from farfield.frame.provenance import processor
 from farfield.recording import record
 
 SPLIT = "cirrus-sim-val-v2"

@@ -211,6 +211,11 @@ def test_every_class_has_a_row() -> None:
     assert rows["trailer"] == {"label": "trailer", "annotated": 0, "learnt": False}
 
 
+def trained(device: str) -> dict[str, object]:
+    known = {"versions": {"torch": "2.6"}, "commit": "abc"}
+    return {"device": device, "precision": "fp32", "environment": known}
+
+
 def test_the_summary_and_its_page(tmp_path) -> None:
     pytest.importorskip("matplotlib")
     from farfield.reports.reproduction import write_page
@@ -226,6 +231,7 @@ def test_the_summary_and_its_page(tmp_path) -> None:
         planned=57,
         done=6,
         sets={"train": ("f" * 64, SETTINGS.sets["train"])},
+        trained_on=[trained("NVIDIA H200"), trained("NVIDIA H200"), trained("EPYC"), {}],
     )
     summary = json.loads(json.dumps(summary_of(made, GRID, CLAIMS, scores, data, found)))
     clock = {"training_s": 60.0, "scoring_s": 6.0, "processor_s": 66.0, "peak_memory_mb": 512.0}
@@ -237,6 +243,7 @@ def test_the_summary_and_its_page(tmp_path) -> None:
     assert "simulated, scaled" in text.lower()
     assert "Of 16 claims" in text
     assert "C1: holds" in text
+    assert "2 runs: NVIDIA H200, fp32, torch 2.6, commit abc; 1 run: EPYC, fp32, torch 2.6, commit abc" in text
     assert "Table I: VoxelNet by scan pattern and range" in text
     assert CLAIMS.sha256 in text
     assert "http" not in text.replace("http://www.w3.org", "")

@@ -19,6 +19,7 @@ from small import SMALL
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.maps import Sweeps
+from farfield.detectors.devices import chosen_device, name_of
 from farfield.detectors.inputs import CloudInput
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FileFormatError
@@ -263,8 +264,11 @@ def test_both_precisions_take_a_step(experiment, tmp_path, precision):
     from farfield.experiments.plan import Plan
 
     settings = load_experiment(experiment, ["training.steps=1", f"training.precision={precision}"])
-    Plan(settings, tmp_path / "run").run()
+    weights = Plan(settings, tmp_path / "run").run()
     assert json.loads((tmp_path / "run" / "log.jsonl").read_text())["loss"] > 0
+    said = load_weights(weights)[1]
+    assert said["precision"] == precision
+    assert said["device"] == name_of(chosen_device())
 
 
 def test_frames_with_far_boxes_come_more_often(data):

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from farfield.errors import ConfigError, FarfieldError
+from farfield.frame.provenance import processor
 
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 """The number types that a network runs in, by name."""
@@ -88,6 +89,11 @@ def fitting(advice: str) -> Iterator[None]:
         if not any(words in str(error) for words in _CPU_WORDS):
             raise
         raise OutOfMemory(f"The memory of this machine is not enough. {advice}") from error
+
+
+def name_of(device: torch.device) -> str:
+    """What a device is called: the GPU, or the processor."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else processor()
 
 
 def _taken(error: Exception) -> str:

@@ -27,8 +27,19 @@ def environment() -> dict[str, Any]:
         "versions": packages,
         "python": platform.python_version(),
         "machine": platform.machine(),
+        "processor": processor(),
         "commit": git_commit(),
     }
+
+
+def processor() -> str:
+    """Name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(filter(None, names), "") or platform.processor() or platform.machine()
 
 
 def git_commit() -> str | None:

@@ -307,10 +307,17 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
         ("data", "; ".join(sets)),
         ("claims", f"declared before the runs, SHA-256 {summary['claims_sha256']}"),
         ("planned", f"{timing['planned']['core_minutes']:.0f} core minutes, {timing['planned']['workers']} workers"),
+        ("trained on", "; ".join(map(_trained, summary["trained_on"])) or NOTHING),
         ("commit", str(known["commit"])),
         ("versions", ", ".join(f"{name} {version}" for name, version in known["versions"].items())),
-        ("machine", f"{known['machine']}, Python {known['python']}"),
+        ("machine", f"{known['processor']}, Python {known['python']}"),
     ]
+
+
+def _trained(group: Mapping[str, Any]) -> str:
+    known = [group["device"] or "a device that its weights do not name", group["precision"], f"torch {group['torch']}"]
+    runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
+    return f"{runs}: {', '.join(word for word in known if word)}, commit {group['commit']}"
 
 
 def _features(pairs: Sequence[Mapping[str, Any]]) -> list[Picture]:

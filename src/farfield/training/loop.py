@@ -13,7 +13,7 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from farfield.detectors.devices import fitting
+from farfield.detectors.devices import fitting, name_of
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
@@ -172,6 +172,7 @@ class Training:
         precision = precision_of(self.config)
         self.provenance = {**self.provenance, "precision": precision, "threads": torch.get_num_threads()}
         fabric = self.fabric or launch(self.config)
+        self.provenance["device"] = name_of(fabric.device)
         self.modules.to(fabric.device, memory_format=torch.channels_last)
         for name in self.method.frozen():
             self.modules[name].requires_grad_(False)

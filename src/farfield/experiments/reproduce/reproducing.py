@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from farfield.bulk import Bulk
 from farfield.bulk.folders import locked
 from farfield.bulk.runs import Progress
+from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.experiments.claims import Claims
 from farfield.experiments.claims import load as load_claims
@@ -330,6 +331,7 @@ class Reproduction:
             done=len(done),
             failed=[(each["runs"][0], each["seed"], each["failed"]) for each in kept if each.get("failed")],
             sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
+            trained_on=[load_weights(path)[1] for path in self._all_weights(done)],
         )
         summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
         sheets = self._sheets(done, places)
@@ -342,6 +344,11 @@ class Reproduction:
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
+
+    def _all_weights(self, done: Sequence[Job]) -> list[Path]:
+        """Weights of all runs that have any: one that diverged has none."""
+        files = [self._runs / job.folder / WEIGHTS for job in done]
+        return [path for path in files if path.is_file()]
 
     def _weights(self, done: Sequence[Job]) -> dict[str, Path]:
         """Weights of the first seed by run."""

@@ -1,5 +1,6 @@
 """All that a grid found as one JSON tree, in which no clock has a part: equal runs give equal files."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,8 +25,9 @@ class Made:
         steps: Steps by network.
         planned: Number of trainings that were planned.
         done: Number of those that are done.
-        failed: Run, seed and reason of trainings that diverged.
         sets: Fingerprint of each set, and what was simulated for it.
+        failed: Run, seed and reason of trainings that diverged.
+        trained_on: Of each finished training's weights, their provenance.
     """
 
     paper: str
@@ -36,6 +38,7 @@ class Made:
     done: int
     sets: Mapping[str, tuple[str, Simulated | None]]
     failed: Sequence[tuple[str, int, str]] = ()
+    trained_on: Sequence[Tree] = ()
 
 
 def summary_of(
@@ -71,8 +74,29 @@ def summary_of(
         "tables": tables_of(claims, grid, settings, scores),
         "classes": classes_of(grid, settings, Counter(objects.label.tolist())),
         "claims": [_claim(claim, claims, decided) for claim in claims],
+        "trained_on": _trainings(made.trained_on),
         "environment": environment(),
     }
+
+
+def _trainings(provenances: Sequence[Tree]) -> list[Tree]:
+    """On what runs were trained, from which frames and by which code, and how many each."""
+    counts = Counter(json.dumps(_training(each), sort_keys=True) for each in provenances)
+    return [{**json.loads(said), "runs": count} for said, count in sorted(counts.items(), key=_most)]
+
+
+def _training(provenance: Tree) -> Tree:
+    known = provenance.get("environment", {})
+    return {
+        "device": provenance.get("device") or known.get("processor"),
+        "precision": provenance.get("precision"),
+        "torch": known.get("versions", {}).get("torch"),
+        "commit": known.get("commit"),
+    }
+
+
+def _most(item: tuple[str, int]) -> tuple[int, str]:
+    return -item[1], item[0]
 
 
 def _set(fingerprint: str, simulated: Simulated | None) -> Tree:
