@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from farfield.reports.reproduction_memory import MEMORY, memory_rows, unmeasured, with_memory
+from farfield.reports.reproduction_memory import MEMORY, brought, memory_rows, unmeasured, with_memory
 
 
 def row(run: str, published: float | None, n: int) -> dict[str, Any]:
@@ -16,6 +16,8 @@ TIMING = {
         "s0-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 900.0}, {"peak_memory_mb": 1000.0}]},
         "s1-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 1200.0}]},
         "s0-mute-a": {"runs": ["mute"], "clock": [{"peak_memory_mb": None}]},
+        "s0-far-a": {"runs": ["far"], "clock": [{"peak_memory_mb": 300.0, "training_s": 0.0}]},
+        "s2-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 400.0, "training_s": 0.0}]},
     }
 }
 TABLE = {"number": "9", "metrics": {"ap3d": "AP3D"}, "rows": [row("rtn", 257.0, 2), row("large", 520.0, 0)]}
@@ -32,12 +34,20 @@ def test_a_table_that_prints_memory_gets_ours_with_its_spread() -> None:
     assert with_memory(other, TIMING) is other
 
 
+def test_weights_that_were_brought_and_those_scored_anew() -> None:
+    trained, scored = {"training_s": 60.0}, {"training_s": 0.0}
+    assert brought({"clock": [scored, scored]})
+    assert not brought({"clock": [trained, scored]})
+    assert not brought({"clock": []})
+
+
 def test_what_is_missing_is_said_with_its_reason() -> None:
     assert memory_rows(TIMING) == [("rtn", "1,100 MB")]
     summary = {"left_out": {"large": "a large one"}, "tables": [TABLE, {"rows": [row("late_one", None, 0)]}]}
     assert unmeasured(summary, TIMING) == [
         "Not run at this budget: large.",
         "Not finished: late one.",
+        "Trained elsewhere: far.",
         "Done where the system does not say it: mute.",
     ]
     assert unmeasured({"tables": []}, {"runs": {}}) == []

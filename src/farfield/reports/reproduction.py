@@ -9,7 +9,7 @@ from farfield.files.atomic import write_text
 from farfield.reports.pictures import Picture
 from farfield.reports.plots import precision_recall
 from farfield.reports.radar_sheets import SheetGroup
-from farfield.reports.reproduction_memory import MEMORY, memory_rows, unmeasured, with_memory
+from farfield.reports.reproduction_memory import MEMORY, brought, memory_rows, unmeasured, with_memory
 from farfield.reports.reproduction_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.reports.reproduction_scenarios import scenarios
 from farfield.reports.style import figure_uri
@@ -140,6 +140,7 @@ def write_page(
         memory=memory_rows(timing),
         unmeasured=unmeasured(summary, timing),
         minutes=_minutes(timing),
+        brought=sum(map(brought, timing["runs"].values())),
         facts=_facts(summary, timing),
     )
     write_text(path, page)

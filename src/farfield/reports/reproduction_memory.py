@@ -12,15 +12,28 @@ MEMORY_WORDS = "peak memory of the process (paper: of the GPU)"
 def peaks_mb(timing: Mapping[str, Any]) -> dict[str, list[float]]:
     """Peak memory by run, 10^6 bytes, a figure a seed. A run that was gone on with counts with its highest.
 
+    A run whose weights were brought from elsewhere has none: to score takes less than to train.
+
     Args:
         timing: What ``timing.json`` holds.
     """
     peaks: dict[str, list[float]] = {}
     for run in timing["runs"].values():
+        if brought(run):
+            continue
         known = [clock["peak_memory_mb"] for clock in run["clock"] if clock.get("peak_memory_mb")]
         for name in run["runs"] if known else []:
             peaks.setdefault(name, []).append(max(known))
     return peaks
+
+
+def brought(run: Mapping[str, Any]) -> bool:
+    """Whether a finished run was only scored here: its weights were there.
+
+    Args:
+        run: One of the runs of ``timing.json``.
+    """
+    return bool(run["clock"]) and all(clock.get("training_s") == 0.0 for clock in run["clock"])
 
 
 def with_memory(table: Mapping[str, Any], timing: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -65,11 +78,14 @@ def unmeasured(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[st
         timing: What ``timing.json`` holds.
     """
     known, left_out = peaks_mb(timing), summary.get("left_out", {})
-    done = {name for run in timing["runs"].values() for name in run["runs"]}
+    runs = list(timing["runs"].values())
+    done = {name for run in runs for name in run["runs"]}
+    elsewhere = {name for run in runs if brought(run) for name in run["runs"]} - set(known)
     rows = {row["run"] for table in summary["tables"] for row in table["rows"]}
     kinds = {
         "Not run at this budget": [name for name in left_out if name not in done],
         "Not finished": sorted(rows - done - set(left_out)),
-        "Done where the system does not say it": sorted(done - set(known)),
+        "Trained elsewhere": sorted(elsewhere),
+        "Done where the system does not say it": sorted(done - set(known) - elsewhere),
     }
     return [f"{kind}: {', '.join(each.replace('_', ' ') for each in names)}." for kind, names in kinds.items() if names]
