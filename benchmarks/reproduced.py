@@ -24,10 +24,20 @@ def cost(folder: Path) -> str:
     }
     peak = max(line.get("peak_memory_mb", 0.0) for line in lines)
     minutes = {name: f"{value:.0f} min" for name, value in total.items()}
+    if not total["training_s"]:
+        return (
+            f"{minutes['processor_s']} of processor to score ({minutes['scoring_s']} by the clock); trained elsewhere"
+        )
     return (
-        f"{minutes['processor_s']} of processor in training, {minutes['scoring_s']} by the clock in scoring "
+        f"{minutes['processor_s']} of processor in all, {minutes['scoring_s']} by the clock in scoring "
         f"({minutes['training_s']} of training by it), peak {peak:,.0f} MB a process"
     )
+
+
+def trained(group: dict[str, Any]) -> str:
+    """On what some runs were trained, in a line."""
+    known = (group["device"], group["precision"], f"torch {group['torch']}", f"commit {group['commit']}")
+    return f"{group['runs']} runs: {', '.join(word or 'unknown' for word in known)}"
 
 
 def row(side: dict[str, Any]) -> str:
@@ -59,9 +69,10 @@ def main() -> None:
     folder = parser.parse_args().folder
     found = json.loads((folder / "reproduction.json").read_text())
     print(header())
-    print(
-        f"trained  commit {found['environment'].get('commit')}, {found['runs']}, claims {found['claims_sha256'][:16]}"
-    )
+    for group in found["trained_on"]:
+        print(f"trained  {trained(group)}")
+    runs = f"{found['runs']['done']} of {found['runs']['planned']} runs"
+    print(f"decided  commit {found['environment']['commit']}, {runs}, claims {found['claims_sha256'][:16]}")
     print(f"cost     {cost(folder)}\n")
     for claim in found["claims"]:
         print("\n".join(lines_of(claim)))
