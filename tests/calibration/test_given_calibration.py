@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from farfield.calibration.checking import check_camera
+from farfield.calibration.checking import as_sure, check_camera
 from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refine_edges
 from farfield.calibration.moments import Moment
 from farfield.calibration.radar_checking import check_radar
@@ -79,10 +79,18 @@ def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
     assert found.drift_degrees == pytest.approx(1.0, abs=0.2)
 
 
-def test_edges_anywhere_tell_nothing() -> None:
-    views = seen(np.random.default_rng(2), None)
+@pytest.mark.parametrize("seed", [1, 2, 5, 7])
+def test_edges_anywhere_tell_nothing(seed: int) -> None:
+    views = seen(np.random.default_rng(seed), None)
     assert check_camera(CAMERA, views).verdict == "not told"
     assert check_camera(moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
+
+
+def test_few_frames_must_show_more() -> None:
+    assert as_sure(3.0, 20) == as_sure(3.0, 100) == 3.0
+    # Student's t: 3 of 19 degrees of freedom are as rare (0.37 %) as 3.73 of 7
+    assert as_sure(3.0, 8) == pytest.approx(3.73, abs=0.01)
+    assert as_sure(6.0, 6) > as_sure(6.0, 8) > as_sure(6.0, 19) > 6.0
 
 
 def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:

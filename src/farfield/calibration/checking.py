@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved, refine_edges
 from farfield.geometry.cameras import Camera
@@ -21,7 +22,8 @@ Verdict = Literal["fits", "off", "moved", "not told"]
 LEAST_FRAMES = 6
 _CLEAR = 3.0  # standard errors over frames
 _OTHER = 2.0  # the same, over frames to which it was not fitted
-_OBSERVED = 3.0  # the same, against chance
+_OBSERVED = 3.0  # the same, against chance; twice as many of frames to which it was fitted
+_USUAL_FRAMES = 20  # so many standard errors are meant of as many frames; fewer must show more
 _FAR_RAD = np.radians(3.0)  # a camera turned so far meets edges by chance
 _FLOOR_RAD = np.radians(0.4)  # a median pixel may be off so far on correct data (0.32 on KITTI)
 _FLOORS = np.array([np.radians(0.5)] * 3 + [0.12] * 3)  # and a turn or a shift on which both halves agree
@@ -78,7 +80,8 @@ def check_camera(camera: Camera, views: Views) -> Check:
     chance = np.mean([edge_score(moved(camera, each), views, _LEVEL) for each in _far()], axis=0)
     crossed = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
     mine = np.where(halves[0], scores[1], scores[2])
-    if _errors(crossed - chance) < _OBSERVED and _errors(mine - chance) < 2 * _OBSERVED:
+    unfitted, fitted = (as_sure(errors, views.count) for errors in (_OBSERVED, 2 * _OBSERVED))
+    if _errors(crossed - chance) < unfitted and _errors(mine - chance) < fitted:
         return unsaid(views.count)
     found = (whole, *own)
     change = [difference(each, camera) for each in found]
@@ -117,6 +120,21 @@ def unsaid(frames: int) -> Check:
     return Check(
         verdict="not told", degrees=0.0, cm=0.0, px=0.0, drift_degrees=0.0, drift_cm=0.0, frames=frames, evidence=0.0
     )
+
+
+def as_sure(errors: float, frames: int) -> float:
+    """How many standard errors so many frames must show to mean as much as ``errors`` of twenty do.
+
+    The spread of few frames is itself known badly: their mean in standard errors follows Student's t with one degree of
+    freedom fewer than there are frames.
+
+    Args:
+        errors: Standard errors over twenty frames.
+        frames: Number of frames; more than twenty are asked for as many.
+    """
+    if frames >= _USUAL_FRAMES:
+        return errors
+    return float(stats.t.isf(stats.t.sf(errors, _USUAL_FRAMES - 1), frames - 1))
 
 
 def _far() -> list[Float[np.ndarray, " 6"]]:
