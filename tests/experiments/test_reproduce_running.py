@@ -64,6 +64,24 @@ def test_what_killed_processes_took_counts(tmp_path: Path, monkeypatch: pytest.M
     assert Spending(path).seconds == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize("killed_at_scoring", [False, True])
+def test_weights_that_were_brought_are_told_from_those_of_a_killed_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed_at_scoring: bool
+) -> None:
+    made = tiny(tmp_path)
+    (job, *_) = made.jobs(made.places)
+    scoring = Scoring(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    monkeypatch.setattr(Scoring, "of_job", lambda self, job, weights: {"clouds": {}})
+    home = tmp_path / job.folder
+    home.mkdir(parents=True)
+    (home / running.WEIGHTS).write_bytes(b"of another machine")
+    if killed_at_scoring:
+        (home / running.SPENT).write_text('{"processor_s": 60.0}', encoding="utf-8")
+    done = running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+    assert ("brought" in done.clock) is not killed_at_scoring
+    assert (done.clock["processor_s"] >= 60.0) is killed_at_scoring
+
+
 def diverge(self: object, report: object = None) -> None:
     raise RuntimeError("The total norm of order 2.0 for gradients is non-finite, so it cannot be clipped.")
 

@@ -16,8 +16,8 @@ TIMING = {
         "s0-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 900.0}, {"peak_memory_mb": 1000.0}]},
         "s1-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 1200.0}]},
         "s0-mute-a": {"runs": ["mute"], "clock": [{"peak_memory_mb": None}]},
-        "s0-far-a": {"runs": ["far"], "clock": [{"peak_memory_mb": 300.0, "training_s": 0.0}]},
-        "s2-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 400.0, "training_s": 0.0}]},
+        "s0-far-a": {"runs": ["far"], "clock": [{"peak_memory_mb": 300.0, "brought": True}]},
+        "s2-rtn-a": {"runs": ["rtn"], "clock": [{"peak_memory_mb": 400.0, "brought": True}]},
     }
 }
 TABLE = {"number": "9", "metrics": {"ap3d": "AP3D"}, "rows": [row("rtn", 257.0, 2), row("large", 520.0, 0)]}
@@ -35,9 +35,10 @@ def test_a_table_that_prints_memory_gets_ours_with_its_spread() -> None:
 
 
 def test_weights_that_were_brought_and_those_scored_anew() -> None:
-    trained, scored = {"training_s": 60.0}, {"training_s": 0.0}
+    trained, scored = {"training_s": 60.0}, {"training_s": 0.0, "brought": True}
     assert brought({"clock": [scored, scored]})
     assert not brought({"clock": [trained, scored]})
+    assert not brought({"clock": [{"training_s": 0.0}]}), "killed at scoring, after it had trained here"
     assert not brought({"clock": []})
 
 

@@ -33,7 +33,7 @@ def brought(run: Mapping[str, Any]) -> bool:
     Args:
         run: One of the runs of ``timing.json``.
     """
-    return bool(run["clock"]) and all(clock.get("training_s") == 0.0 for clock in run["clock"])
+    return bool(run["clock"]) and all(clock.get("brought") for clock in run["clock"])
 
 
 def with_memory(table: Mapping[str, Any], timing: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -46,13 +46,16 @@ class Doing:
         """Train unless the weights are there, score, and write the scores."""
         job: Job = unit.parameters
         home, began = self.folder / job.folder, time.monotonic()
+        weights = home / WEIGHTS
+        brought = weights.is_file() and not (home / SPENT).is_file()  # a process killed at scoring left what it spent
         spending = Spending(home / SPENT)
         quiet()
-        weights = home / WEIGHTS
         failed = "" if weights.is_file() else _trained(job, home, spending)
         spending.note()
         trained = time.monotonic()
         clock: dict[str, Any] = {"training_s": round(trained - began, 1), "peak_memory_mb": peak_memory_mb()}
+        if brought:
+            clock["brought"] = True
         scores = failure(job, failed) if failed else self.scoring.of_job(job, weights)
         write_text(home / SCORES, json.dumps(scores, separators=(",", ":")) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
