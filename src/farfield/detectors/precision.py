@@ -7,7 +7,6 @@ processor and on what the network mostly does: there both are timed, once, and t
 
 import json
 import os
-import platform
 import time
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -18,6 +17,7 @@ import torch
 from torch import Tensor
 
 from farfield.files.atomic import write_text
+from farfield.frame.provenance import processor
 
 Precision = Literal["fp32", "bf16"]
 Work = Literal["dense", "rows"]
@@ -135,10 +135,4 @@ def _cache_path() -> Path:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    limit = os.environ.get("ONEDNN_MAX_CPU_ISA", "")
-    return ", ".join(filter(None, [names[0] if names else platform.processor() or platform.machine(), limit]))
+    return ", ".join(filter(None, [processor(), os.environ.get("ONEDNN_MAX_CPU_ISA", "")]))
