@@ -79,11 +79,20 @@ def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
     assert found.drift_degrees == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 5, 7])
-def test_edges_anywhere_tell_nothing(seed: int) -> None:
-    views = seen(np.random.default_rng(seed), None)
+def test_edges_anywhere_tell_nothing() -> None:
+    views = seen(np.random.default_rng(2), None)
     assert check_camera(CAMERA, views).verdict == "not told"
     assert check_camera(moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
+
+
+@pytest.mark.slow
+def test_edges_anywhere_seldom_accuse_a_camera() -> None:
+    """Of 60 checks of eight frames 12 did when eight were read like twenty; one does now (seed 6)."""
+    claimed = 0
+    for seed in range(30):
+        views, turned = seen(np.random.default_rng(seed), None), moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0]))
+        claimed += sum(check_camera(each, views).claimed for each in (CAMERA, turned))
+    assert claimed <= 1
 
 
 def test_few_frames_must_show_more() -> None:
