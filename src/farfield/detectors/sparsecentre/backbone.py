@@ -71,7 +71,7 @@ class VoxelEncoder(SparseSequential):
 def merge_heights(sparse: SparseTensor) -> SparseTensor:
     """Sum the features of the cells above one another: a map of depth 1 (VoxelNeXt, section 3.1)."""
     keys, member = torch.unique(flat_keys(sparse), return_inverse=True)
-    # A GPU adds in an order of its own: in double precision the sums come out the same in any.
+    # A GPU adds in an order of its own; rounded from double precision the sums come out the same in practice.
     sums = sparse.features.new_zeros(len(keys), sparse.features.shape[1], dtype=torch.float64)
     features = sums.index_add(0, member, sparse.features.double()).to(sparse.features.dtype)
     return SparseTensor(features, keys, (1, *sparse.shape[1:]), sparse.batch_size, sparse.rulebooks)
