@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.files.cuboids import Cuboid, Placed
+from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.datumaro import format_datumaro, parse_datumaro
 from farfield.files.openlabel import format_openlabel, parse_openlabel
 from farfield.files.supervisely import parse_supervisely
@@ -59,5 +59,5 @@ def _read(parse: Callable[[bytes, Path], Any], path: Path) -> Any:
 
 def sound(found: Any) -> bool:
     """Every box has finite numbers and positive sizes."""
-    cuboids = [each.cuboid if isinstance(each, Placed) else each for each in found]
+    cuboids = [each.cuboid if isinstance(each, CuboidEntry) else each for each in found]
     return all(all(map(math.isfinite, one.box)) and min(one.box[3:6]) > 0 for one in cuboids)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.kradar import motion, texts
-from farfield.datasets.kradar.index import Entry
+from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import read_label_table
 from farfield.datasets.kradar.labels import format_labels, read_labels
 from farfield.datasets.kradar.layout import INDEX_NAMES
@@ -125,7 +125,7 @@ def read_in_blocks(path: Path) -> int:
 
 def read_both_ways(path: Path) -> object:
     """The tolerant reader and the fast one; they must agree."""
-    table = read_label_table([Entry(sequence="1", radar=33, lidar=1, label=path, version="v2.1")])
+    table = read_label_table([KRadarFiles(sequence="1", radar=33, lidar=1, label=path, version="v2.1")])
     try:
         slow = read_labels(path)
     except FileFormatError:

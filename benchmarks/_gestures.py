@@ -9,7 +9,7 @@ from farfield.frame import Boxes, Frame
 from farfield.geometry.iou import paired_iou
 from farfield.geometry.points import box_coordinates_m, points_in_boxes
 from farfield.studio.annotating.fits import sensor_place
-from farfield.studio.fitting import Fit, Prior, fit_click, fit_drag, prior_of, refit
+from farfield.studio.fitting import BoxFit, Prior, fit_click, fit_drag, prior_of, refit
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
 LEAST_POINTS, LEAST_FOR_MEDIAN = 3, 5
@@ -73,15 +73,15 @@ def pressed(subject: Subject, rng: np.random.Generator, error_m: float = 0.0) ->
     return chosen[rng.integers(len(chosen)), :2] + rng.normal(0, error_m, 2)
 
 
-def click(subject: Subject, rng: np.random.Generator) -> Fit:
+def click(subject: Subject, rng: np.random.Generator) -> BoxFit:
     return fit_click(subject.points_m, pressed(subject, rng), subject.prior)
 
 
-def click_lane(subject: Subject, rng: np.random.Generator) -> Fit:
+def click_lane(subject: Subject, rng: np.random.Generator) -> BoxFit:
     return fit_click(subject.points_m, pressed(subject, rng), replace(subject.prior, lane_rad=0.0))
 
 
-def drag(subject: Subject, rng: np.random.Generator, *, error_m: float = 0.0, error_deg: float = 4.0) -> Fit:
+def drag(subject: Subject, rng: np.random.Generator, *, error_m: float = 0.0, error_deg: float = 4.0) -> BoxFit:
     start = pressed(subject, rng, error_m)
     yaw = float(subject.box.yaw_rad[0]) + np.deg2rad(rng.normal(0, error_deg))
     return fit_drag(subject.points_m, start, start + 3 * np.array([np.cos(yaw), np.sin(yaw)]), subject.prior)
@@ -97,7 +97,7 @@ def drawn(subject: Subject, rng: np.random.Generator) -> Boxes:
     )
 
 
-def snapped(subject: Subject, rng: np.random.Generator) -> Fit:
+def snapped(subject: Subject, rng: np.random.Generator) -> BoxFit:
     box = drawn(subject, rng)
     return refit(subject.points_m, [*box.centre_m[0], *box.size_m[0], box.yaw_rad[0]], subject.prior)
 
@@ -130,13 +130,13 @@ class Errors:
 
 
 def measured(
-    chosen: Sequence[Subject], gesture: Callable[[Subject, np.random.Generator], Fit | Boxes], *, seed: int
+    chosen: Sequence[Subject], gesture: Callable[[Subject, np.random.Generator], BoxFit | Boxes], *, seed: int
 ) -> Errors:
     """What a gesture gives at each object. Each object has random numbers of its own."""
     made, ms = [], []
     for number, subject in enumerate(chosen):
         found = gesture(subject, np.random.default_rng([seed, number]))
-        if isinstance(found, Fit):
+        if isinstance(found, BoxFit):
             row = np.array([found.box])
             ms.append(found.ms)
             found = Boxes(centre_m=row[:, :3], size_m=row[:, 3:6], yaw_rad=row[:, 6])

@@ -19,7 +19,7 @@ from farfield.testing.detectors import made_frame
 from farfield.training.config import AugmentationConfig, TrainingConfig
 from farfield.training.loop import Training
 from farfield.training.method import Supervised
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 from farfield.training.samples import TrainingSamples
 
 RATE = 1.5e-3
@@ -69,7 +69,7 @@ class Stopped(FarfieldError):  # noqa: N818 - nothing went wrong
     """The training was stopped on purpose."""
 
 
-class StopAt(Report):
+class StopAt(TrainingReport):
     """Stops a training at a step.
 
     Args:

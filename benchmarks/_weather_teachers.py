@@ -9,8 +9,8 @@ import numpy as np
 from farfield.adaptation.thresholds import thresholds_of
 from farfield.detection import as_trained, detect
 from farfield.detectors.runtime import Detector
-from farfield.experiments.reproduce.jobs import Job
-from farfield.experiments.reproduce.places import Place
+from farfield.experiments.reproduce.jobs import TrainingJob
+from farfield.experiments.reproduce.places import DataLocation
 from farfield.experiments.reproduce.running import WEIGHTS
 from farfield.frame import Boxes, Cloud, Frame, Key
 from farfield.training.config import WeatherConfig
@@ -45,12 +45,12 @@ REMEDIES: Mapping[str, Remedy] = {
 }
 
 
-def remedy_of(job: Job) -> Remedy:
+def remedy_of(job: TrainingJob) -> Remedy:
     """That of a job's row, by its name without the sensor."""
     return REMEDIES.get(job.runs[0].partition("_")[2], Remedy())
 
 
-def thresholds(job: Job, runs: Path, val: Place) -> dict[str, dict[str, float]]:
+def thresholds(job: TrainingJob, runs: Path, val: DataLocation) -> dict[str, dict[str, float]]:
     """A teacher's thresholds, from what its start's detector finds in source frames."""
     weights, remedy = runs / job.start / WEIGHTS, remedy_of(job)
     detector, (cloud,) = Detector.load(weights), job.clouds
@@ -68,7 +68,7 @@ def thresholds(job: Job, runs: Path, val: Place) -> dict[str, dict[str, float]]:
 
 
 def _found_in_weather(
-    detector: Detector, val: Place, cloud: str, config: WeatherConfig
+    detector: Detector, val: DataLocation, cloud: str, config: WeatherConfig
 ) -> tuple[dict[Key, Boxes], dict[Key, Boxes]]:
     """What is found, and what is to be found, in frames that each have one kind of weather laid over them."""
     data, found, truth = as_trained(val.opened(), detector), {}, {}

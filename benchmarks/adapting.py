@@ -35,9 +35,9 @@ from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure
-from farfield.metrics.deciding.samples import Sample, sample
+from farfield.metrics.deciding.samples import ScoreSample, sample
 from farfield.recording import record
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 START = "pointpillars-cirrus-sim"
 FIGURES = {"AP 2 m": "ap/2.0", "mAP": "dds/0/map", "aIoU": "dds/0/aiou", "DDS": "dds/0/dds"}
@@ -45,7 +45,7 @@ DRIVE_0001 = ("002335", "002352", "002364", "003638")
 BINS_M = (0.0, 30.0, 70.0, 120.0)
 
 
-class Course(Report):
+class Course(TrainingReport):
     """Says how the work goes on, on the error stream."""
 
     def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
@@ -115,7 +115,7 @@ def trained_on_labels(work: Path, adapted: Path, target: Path, rounds: int) -> P
     return work / "labels"
 
 
-def samples(detector: str | Path, sets: Sequence[Any], cloud: str, kept: Path) -> dict[str, Sample]:
+def samples(detector: str | Path, sets: Sequence[Any], cloud: str, kept: Path) -> dict[str, ScoreSample]:
     """Each figure of a detector on some sets of frames together, with its draws."""
     found = None
     for number, data in enumerate(sets):
@@ -139,7 +139,7 @@ def interval(draws: np.ndarray) -> str:
     return f"[{low:+.3f}, {high:+.3f}]"
 
 
-def report(rows: dict[str, dict[str, Sample]], before: str, after: str, above: str | None) -> None:
+def report(rows: dict[str, dict[str, ScoreSample]], before: str, after: str, above: str | None) -> None:
     """Print all figures, the gain, and the share of the gap that it closes."""
     print(f"{'':<22}" + "".join(f"{name:>10}" for name in FIGURES))
     for name, row in rows.items():

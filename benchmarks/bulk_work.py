@@ -23,7 +23,7 @@ from pathlib import Path
 import psutil
 from _report import header
 
-from farfield.bulk import Bulk, Done, Journal, Unit, run, values
+from farfield.bulk import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.files.atomic import write_text
 
 UNIT_MS, RERUN_S, GROWTH = 2.0, 5.0, 1.10
@@ -134,10 +134,10 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
     return lines, equal
 
 
-def nothing(unit: Unit) -> Done:
+def nothing(unit: Unit) -> UnitResult:
     """No work."""
     del unit
-    return Done()
+    return UnitResult()
 
 
 def mechanism(folder: Path) -> tuple[list[str], bool]:
@@ -148,13 +148,13 @@ def mechanism(folder: Path) -> tuple[list[str], bool]:
     for workers in (1, 2):
         units = [Unit(str(number), parameters=number) for number in range(10_000)]
         began = cpu_seconds()
-        count = sum(1 for _ in values(work, units, Bulk(workers=workers)))
+        count = sum(1 for _ in values(work, units, JobOptions(workers=workers)))
         ms = 1e3 * (cpu_seconds() - began) / count
         good &= ms <= UNIT_MS
         lines.append(f"10,000 units of no work, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
-        journal = Journal(folder / f"nothing-{workers}" / "journal.jsonl")
+        journal = JobJournal(folder / f"nothing-{workers}" / "journal.jsonl")
         began = cpu_seconds()
-        run(work, units, Bulk(workers=workers), journal=journal)
+        run(work, units, JobOptions(workers=workers), journal=journal)
         ms = 1e3 * (cpu_seconds() - began) / count
         good &= ms <= UNIT_MS
         lines.append(f"the same with a journal, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
@@ -165,9 +165,9 @@ def mechanism(folder: Path) -> tuple[list[str], bool]:
     for number in range(35_000):
         (sources / f"{number}.in").write_bytes(b"in")
         units.append(Unit(f"{number:06d}", (sources / f"{number}.in",), out))
-    run(written, units, Bulk(), journal=Journal(out / "journal.jsonl", "s"))
+    run(written, units, JobOptions(), journal=JobJournal(out / "journal.jsonl", "s"))
     began = cpu_seconds()
-    again = run(written, units, Bulk(), journal=Journal(out / "journal.jsonl", "s"))
+    again = run(written, units, JobOptions(), journal=JobJournal(out / "journal.jsonl", "s"))
     seconds = cpu_seconds() - began
     good &= seconds <= RERUN_S and (again.written, again.skipped) == (0, 35_000)
     lines.append(
@@ -177,11 +177,11 @@ def mechanism(folder: Path) -> tuple[list[str], bool]:
     return lines, good
 
 
-def written(unit: Unit) -> Done:
+def written(unit: Unit) -> UnitResult:
     """Write a small file."""
     path = unit.parameters / f"{unit.name}.out"
     path.write_bytes(b"out")
-    return Done(files=(path,))
+    return UnitResult(files=(path,))
 
 
 def cpu_seconds() -> float:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
 from farfield.calibration.edges import (
-    Views,
+    EdgeViews,
     align_edges,
     difference,
     edge_spread,
@@ -102,7 +102,7 @@ def camera_rows(open_road: Callable[[], Dataset], starts: int, done: Path, secon
     return lines
 
 
-def camera_views(data: Dataset) -> tuple[Camera, Views]:
+def camera_views(data: Dataset) -> tuple[Camera, EdgeViews]:
     """The right camera, and edges of LiDAR and pictures."""
     pictured = [i for i in range(len(data)) if "cam-front" in data[i].images][:CAMERA_FRAMES]
     pictures = [data[i].images["cam-front"] for i in pictured]

@@ -18,7 +18,7 @@ import numpy as np
 from _report import header, progress
 
 from farfield.calibration.checking import check_camera
-from farfield.calibration.edges import SIGMAS_PX, Views, moved
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, moved
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter
@@ -74,7 +74,7 @@ def planted_camera(camera: Camera, kind: str, size: float, rng: np.random.Genera
     return moved(camera, delta * (np.radians(size) if kind.endswith("deg") else size / 100))
 
 
-def drifted(camera: Camera, views: Views, kind: str, size: float, rng: np.random.Generator) -> Views:
+def drifted(camera: Camera, views: EdgeViews, kind: str, size: float, rng: np.random.Generator) -> EdgeViews:
     """The LiDAR's edges of the second half of the drive as they are seen after the camera has moved."""
     late = views.frame >= views.count // 2
     away = planted_camera(camera, kind, size, rng)
@@ -84,7 +84,7 @@ def drifted(camera: Camera, views: Views, kind: str, size: float, rng: np.random
     return replace(views, points_m=points)
 
 
-def kept_views(root: Path, data: Dataset) -> tuple[Camera, Views]:
+def kept_views(root: Path, data: Dataset) -> tuple[Camera, EdgeViews]:
     """The camera and the edges of a drive, found once."""
     path = root / "views.npz"
     camera = data[0].cameras["cam-front"]
@@ -99,7 +99,7 @@ def kept_views(root: Path, data: Dataset) -> tuple[Camera, Views]:
         width, height = (int(each) for each in known["size"])
         levels = tuple(known[f"level{number}"] for number in range(len(SIGMAS_PX)))
         columns = {name: known[name] for name in ("points_m", "frame", "axis", "weight")}
-    return replace(camera, width_px=width, height_px=height), Views(levels=levels, **columns)
+    return replace(camera, width_px=width, height_px=height), EdgeViews(levels=levels, **columns)
 
 
 def check_set(root: Path, number: int, done: set[tuple[int, str, str, float]], kinds: int) -> Iterator[dict[str, Any]]:

@@ -23,7 +23,7 @@ from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.edges import align_edges, difference, edge_spread, moved, views_of
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_lidar import calibrate_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kradar.labels import annotation_of, read_labels
@@ -168,7 +168,7 @@ def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
     """View-of-Delft's radar against its LiDAR: x, y and yaw from +-0.5 m and +-1 degree."""
     sensor = frames[0].sensors["radar"].frame_T_sensor
     moments = [replace(each, number=100 * i) for i, each in enumerate(read_moments(frames, lidar="lidar"))]
-    evidence, truth = Evidence.of(moments), invert(sensor)
+    evidence, truth = RadarEvidence.of(moments), invert(sensor)
     yaw = float(np.arctan2(truth[1, 0], truth[0, 0]))
     tilt = np.degrees(np.arccos(np.clip(truth[2, 2], -1, 1)))
     yield f"  published: x {truth[0, 3]:.2f}, y {truth[1, 3]:.2f}, z {truth[2, 3]:.2f} m,"

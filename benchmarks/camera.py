@@ -20,7 +20,7 @@ from farfield.geometry.poses import pose
 from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import rig_cameras
 from farfield.simulation.weather.conditions import draw_weather
-from farfield.simulation.world.scene import Scene
+from farfield.simulation.world.scene import WorldScene
 
 LIMIT_S = {"kradar": 0.30, "cirrus": 0.40}
 NAMES = {"kradar": "front_left", "cirrus": "front"}
@@ -29,7 +29,7 @@ CASES = (("normal", "day"), ("fog", "day"), ("heavy_snow", "day"), ("rain", "day
 
 def time_case(rig: str, road: str, repeats: int) -> tuple[list[str], float]:
     """Lines of figures for one camera on one road, and the slowest of the best times."""
-    window = Scene(road, np.random.SeedSequence(3), duration_s=20.0).window(5.0)
+    window = WorldScene(road, np.random.SeedSequence(3), duration_s=20.0).window(5.0)
     ego_T_lidar = pose(np.eye(3), np.array([0.0, 0.0, 1.6]))
     camera = rig_cameras(rig, ego_T_lidar)[NAMES[rig]]
     lines, worst = [], 0.0

@@ -25,7 +25,7 @@ from farfield.simulation.labels import full_boxes
 from farfield.simulation.presets import find_preset
 from farfield.simulation.raw.measure import RawMoment, ego_poses
 from farfield.simulation.rigs.cirrus import CirrusMoment
-from farfield.simulation.rigs.drive import Drive, drive_of
+from farfield.simulation.rigs.drive import SimulatedDrive, drive_of
 from farfield.timing import PoseTrack, deskew, deskew_boxes
 
 ROADS = ("urban", "suburban", "alleyway", "highway")
@@ -38,7 +38,7 @@ FAST_M_S = 15.0
 class Corrected(CirrusMoment):
     """The same sweep as the simulator itself corrects it."""
 
-    def __init__(self, drive: Drive, number: int, time_s: float) -> None:
+    def __init__(self, drive: SimulatedDrive, number: int, time_s: float) -> None:
         super().__init__(drive, number)
         self.time_s = time_s
 
@@ -52,7 +52,7 @@ class Errors:
     both: list[float]
 
 
-def moments(drive: Drive) -> list[tuple[float, float, float, float]]:
+def moments(drive: SimulatedDrive) -> list[tuple[float, float, float, float]]:
     """Moments at which the car turns and accelerates most: time, speed, turn in degrees a second, acceleration."""
     time_s = np.arange(1.0, drive.segment.duration_s - 1.0, 0.25)
     step = 0.2
@@ -70,7 +70,7 @@ def moments(drive: Drive) -> list[tuple[float, float, float, float]]:
     return [(float(time_s[r]), float(speed[r]), float(turn[r]), float(push[r])) for r in chosen]
 
 
-def errors_of_sweep(drive: Drive, number: int, time_s: float, found: dict[str, Errors]) -> int:
+def errors_of_sweep(drive: SimulatedDrive, number: int, time_s: float, found: dict[str, Errors]) -> int:
     """Add the errors within each road user's points; returns how many points kept their place."""
     raw, right = RawMoment(drive, number, time_s), Corrected(drive, number, time_s)
     mount = drive.mounted.ego_T_lidar

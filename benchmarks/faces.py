@@ -22,7 +22,7 @@ from PIL import Image, ImageFilter
 from farfield.files.atomic import write_text
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
-from farfield.imaging.privacy.hits import Hits, covered_share
+from farfield.imaging.privacy.hits import ImageBoxes, covered_share
 from farfield.simulation import simulate_sequence
 
 STRONG, HIT, BOARDS = 0.3, 0.9, 6
@@ -49,7 +49,9 @@ def free_pictures(folder: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray, n
         yield name, picture, boxes[~ignored], boxes[ignored]
 
 
-def missed_and_false(picture: np.ndarray, hits: Hits, faces: np.ndarray, ignored: np.ndarray) -> tuple[list[bool], int]:
+def missed_and_false(
+    picture: np.ndarray, hits: ImageBoxes, faces: np.ndarray, ignored: np.ndarray
+) -> tuple[list[bool], int]:
     """Whether each face is covered, and how many pixels are covered for nothing."""
     height, width = picture.shape[:2]
     mask, allowed = mask_of(hits, width, height), np.zeros((height, width), dtype=bool)

@@ -13,10 +13,10 @@ from _report import header
 
 from farfield.files.atomic import write_text
 from farfield.simulation import find_preset, simulate_frame
-from farfield.simulation.frozen import FROZEN, FrameRecord, frame_record, frozen_records, records_json, split_digest
+from farfield.simulation.frozen import FROZEN, FrozenFrame, frame_record, frozen_records, records_json, split_digest
 
 
-def records_of(name: str, sequence: int) -> list[tuple[tuple[int, int], FrameRecord]]:
+def records_of(name: str, sequence: int) -> list[tuple[tuple[int, int], FrozenFrame]]:
     """Records of one sequence's frames."""
     frames = range(find_preset(name).segment(sequence).frames)
     return [((sequence, i), frame_record(simulate_frame(name, sequence=sequence, index=i))) for i in frames]

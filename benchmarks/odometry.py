@@ -20,7 +20,7 @@ from farfield.datasets import open_dataset
 from farfield.timing.odometry import OdometrySettings
 from farfield.timing.odometry_drift import differences, way_m
 from farfield.timing.odometry_drives import place
-from farfield.timing.odometry_runs import Track, odometry
+from farfield.timing.odometry_runs import OdometryTrack, odometry
 from farfield.timing.odometry_sweeps import DriveSweeps, SweepSettings, Turning
 
 CLOUDS = {"cirrus-sim": ("gaussian", "uniform"), "kradar-sim": ("os2-64",)}
@@ -65,7 +65,9 @@ def one(drive: Simulated, cloud: str, root: Path, every: int, *, backward: bool)
     return row_of(track, true, drive.road, cloud, fit_ms, read_ms)
 
 
-def row_of(track: Track, true: Float[np.ndarray, "n 4 4"], road: str, cloud: str, fit_ms: float, read_ms: float) -> str:
+def row_of(
+    track: OdometryTrack, true: Float[np.ndarray, "n 4 4"], road: str, cloud: str, fit_ms: float, read_ms: float
+) -> str:
     """The errors of a track, those that it states, and its times as a line."""
     end, turn = ends(track.table.world_T_frame, true)
     length, place_m, turn_deg = differences(true, track.table.world_T_frame)

@@ -31,7 +31,7 @@ from farfield.files.atomic import write_text
 from farfield.files.images import read_image
 from farfield.imaging.privacy.context import in_context, vehicles_px
 from farfield.imaging.privacy.covering import mask_of
-from farfield.imaging.privacy.hits import Hits, covered_share
+from farfield.imaging.privacy.hits import ImageBoxes, covered_share
 from farfield.imaging.privacy.plate_network import load_network, save_network
 from farfield.imaging.privacy.plates import THRESHOLD, PlateDetector
 
@@ -89,7 +89,7 @@ class Tally:
     false: int = 0
     pixels: int = 0
 
-    def add(self, image: np.ndarray, hits: Hits, plates: np.ndarray, ignored: np.ndarray) -> list[bool]:
+    def add(self, image: np.ndarray, hits: ImageBoxes, plates: np.ndarray, ignored: np.ndarray) -> list[bool]:
         """Count a picture; which of its plates are covered."""
         height, width = image.shape[:2]
         mask, allowed = mask_of(hits, width, height), np.zeros((height, width), dtype=bool)

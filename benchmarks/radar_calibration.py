@@ -43,7 +43,7 @@ from farfield.calibration.jobs import KRADAR_NODE_M
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_lidar import calibrate_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.geometry.boxes import wrap_angle_rad
 
 STARTS = 8
@@ -61,13 +61,13 @@ def planted_radar(pose: RadarPose, kind: str, size: float, rng: np.random.Genera
     return replace(pose, x_m=pose.x_m + float(x), y_m=pose.y_m + float(y))
 
 
-def evidence_of(drive: SimulatedDrive, folder: Path) -> Evidence:
+def evidence_of(drive: SimulatedDrive, folder: Path) -> RadarEvidence:
     """Objects of both sensors in a drive."""
     data = drive.opened(folder)
-    return Evidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
+    return RadarEvidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
 
 
-def start_row(drive: SimulatedDrive, evidence: Evidence, number: int) -> dict[str, Any]:
+def start_row(drive: SimulatedDrive, evidence: RadarEvidence, number: int) -> dict[str, Any]:
     """Error, sigma and CPU time of one random start."""
     rng = np.random.default_rng((0, drive.number, number))
     x, y = np.array([RIGHT.x_m, RIGHT.y_m]) + rng.uniform(-2, 2, 2)
@@ -84,7 +84,7 @@ def start_row(drive: SimulatedDrive, evidence: Evidence, number: int) -> dict[st
     }
 
 
-def check_row(drive: SimulatedDrive, evidence: Evidence, kind: str, size: float) -> dict[str, Any]:
+def check_row(drive: SimulatedDrive, evidence: RadarEvidence, kind: str, size: float) -> dict[str, Any]:
     """What the doctor says of a calibration with a planted error."""
     rng = np.random.default_rng((1, drive.number, int(10 * size), len(kind)))
     return vars(check_radar(planted_radar(RIGHT, kind, size, rng), evidence))

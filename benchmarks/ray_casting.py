@@ -19,11 +19,11 @@ from _report import header
 from farfield.files.atomic import write_text
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel
-from farfield.simulation.lidar.rays import Path as SensorPath
+from farfield.simulation.lidar.rays import SensorPath as SensorPath
 from farfield.simulation.lidar.rays import turned
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
-from farfield.simulation.world.scene import Scene, Window
+from farfield.simulation.world.scene import SceneWindow, WorldScene
 
 LEAST_RATIO = 0.8
 EGO_T_SENSOR = pose_from_yaw(0.0, (0.0, 0.0, 1.9))
@@ -35,7 +35,7 @@ def seconds(action: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def world_rays(scan: Scan, window: Window) -> tuple[np.ndarray, np.ndarray]:
+def world_rays(scan: Scan, window: SceneWindow) -> tuple[np.ndarray, np.ndarray]:
     """Every ray of a rolling frame in the frame of the fixed surroundings."""
     path = SensorPath.towards(window.bodies[0], window.world_T_ego @ EGO_T_SENSOR, window.knots_s)
     pose = path.at(scan.times_s)
@@ -44,7 +44,7 @@ def world_rays(scan: Scan, window: Window) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(origins).reshape(-1, 3), directions
 
 
-def compare(model: LidarModel, window: Window, repeat: int) -> tuple[float, float, float]:
+def compare(model: LidarModel, window: SceneWindow, repeat: int) -> tuple[float, float, float]:
     """Best rays a second of both, in alternating repetitions, and the median of their ratio."""
     scan = Scan.draw(model, np.random.default_rng(0))
     origins, directions = world_rays(scan, window)
@@ -57,7 +57,7 @@ def compare(model: LidarModel, window: Window, repeat: int) -> tuple[float, floa
     return len(directions) / min(ours), len(directions) / min(embrees), ratio
 
 
-def frame_seconds(model: LidarModel, window: Window, repeat: int) -> float:
+def frame_seconds(model: LidarModel, window: SceneWindow, repeat: int) -> float:
     def measure() -> object:
         rng = np.random.default_rng(1)
         return sweep(Scan.draw(model, rng), model, window, EGO_T_SENSOR, rng)
@@ -73,7 +73,7 @@ def main() -> int:
     options = parser.parse_args()
     lines, worst = [header(), ""], np.inf
     for road in ("highway", "urban"):
-        scene = Scene(road, np.random.SeedSequence(5), duration_s=10.0)
+        scene = WorldScene(road, np.random.SeedSequence(5), duration_s=10.0)
         window = scene.window(2.0, half_span_s=0.06, reach_m=360.0, behind_m=150.0)
         lines.append(
             f"{road}: {len(window.bodies[0].tracer.mesh.faces)} triangles stand, {len(window.bodies) - 1} bodies move"

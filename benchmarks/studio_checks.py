@@ -32,19 +32,19 @@ from farfield.simulation.sequence import simulate_frame
 from farfield.studio.editing.angles import wrapped
 from farfield.studio.editing.checking import (
     CHECKS,
+    CheckedFrame,
     CheckSettings,
-    Course,
-    Detected,
-    Finding,
-    Scene,
+    DetectorBox,
+    LabelIssue,
+    NearbyTrack,
     SizeRange,
-    Step,
     Surroundings,
+    TrackStep,
     check,
     size_ranges,
 )
 from farfield.studio.editing.checking.scene import in_box_axes
-from farfield.studio.editing.motion import Moment, to_world
+from farfield.studio.editing.motion import TrackFrame, to_world
 from farfield.studio.editing.schema import fastest
 from farfield.vocabulary.sizes import CIRRUS_SIZES_M, VEHICLE_KINDS
 
@@ -62,7 +62,7 @@ class Annotated:
             simulate_frame("kradar-sim", sequence=sequence, index=i, sensors=("os2-64",)) for i in range(frames)
         ]
         self.moments = [
-            Moment(("sim", f"{row:04d}"), row / 10, frame.world_T_frame) for row, frame in enumerate(simulated)
+            TrackFrame(("sim", f"{row:04d}"), row / 10, frame.world_T_frame) for row, frame in enumerate(simulated)
         ]
         clouds = [frame.cloud("os2-64").points_m for frame in simulated]
         boxes = [frame.boxes for frame in simulated]
@@ -72,20 +72,20 @@ class Annotated:
         self.drawn: Drawn = {row: _by_hand(each, kept, rng) for row, each in enumerate(boxes)}
 
     def findings(
-        self, drawn: Drawn, row: int, settings: CheckSettings, found: tuple[Detected, ...] = ()
-    ) -> list[Finding]:
+        self, drawn: Drawn, row: int, settings: CheckSettings, found: tuple[DetectorBox, ...] = ()
+    ) -> list[LabelIssue]:
         """What the checks say of a frame."""
-        scene = Scene(key=self.moments[row].key, row=row, around=self.around[row], detections=found)
+        scene = CheckedFrame(key=self.moments[row].key, row=row, around=self.around[row], detections=found)
         return check(list(drawn[row].values()), scene, self.courses(drawn), settings)
 
-    def courses(self, drawn: Drawn) -> dict[str, Course]:
+    def courses(self, drawn: Drawn) -> dict[str, NearbyTrack]:
         """The tracks, in the world."""
-        steps: dict[str, list[Step]] = {}
+        steps: dict[str, list[TrackStep]] = {}
         for row, labels in drawn.items():
             for track, label in labels.items():
                 moment = self.moments[row]
-                steps.setdefault(track, []).append(Step(row, moment.time_s, to_world(label.box, moment)))
-        return {track: Course(each, len(each), posed=True) for track, each in steps.items()}
+                steps.setdefault(track, []).append(TrackStep(row, moment.time_s, to_world(label.box, moment)))
+        return {track: NearbyTrack(each, len(each), posed=True) for track, each in steps.items()}
 
 
 def _seen(points: np.ndarray, boxes: Boxes) -> set[int]:
@@ -255,8 +255,8 @@ def disagreeing(drives: list[Annotated], settings: CheckSettings, rng: Rng, coun
         row = int(rng.integers(len(drive.drawn)))
         labels = drive.drawn[row]
         track = str(rng.choice(list(labels)))
-        seen = [Detected(label.label, label.box, 0.9) for other, label in labels.items() if other != track]
-        seen.append(Detected(labels[track].label, labels[track].box, 0.8))
+        seen = [DetectorBox(label.label, label.box, 0.9) for other, label in labels.items() if other != track]
+        seen.append(DetectorBox(labels[track].label, labels[track].box, 0.8))
         drawn = {other: dict(each) for other, each in drive.drawn.items()}
         if number % 2:
             drawn[row].pop(track)
@@ -273,8 +273,8 @@ def timed(drive: Annotated, settings: CheckSettings) -> tuple[float, float, floa
     labels = [label for row in drive.drawn for label in drive.drawn[row].values()][:25]
     labels = [replace(label, id=str(number)) for number, label in enumerate(labels)]
     courses = drive.courses(drive.drawn)
-    seen = tuple(Detected(label.label, label.box, 0.9) for label in labels)
-    scene = Scene(key=drive.moments[0].key, row=0, around=drive.around[0], detections=seen)
+    seen = tuple(DetectorBox(label.label, label.box, 0.9) for label in labels)
+    scene = CheckedFrame(key=drive.moments[0].key, row=0, around=drive.around[0], detections=seen)
     table = np.array([label.box for label in labels])
     boxes = Boxes(centre_m=table[:, :3], size_m=table[:, 3:6], yaw_rad=table[:, 6])
     points = drive.around[0].near(0.0, 0.0, 1000.0)

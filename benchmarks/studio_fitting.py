@@ -26,7 +26,7 @@ from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame
 from farfield.radar.axes import KRADAR_AXES
 from farfield.simulation import simulate_frame
-from farfield.studio.fitting import Fit, Prior, fit_radar_peak, peak_near
+from farfield.studio.fitting import BoxFit, Prior, fit_radar_peak, peak_near
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
 REAL = {
@@ -37,7 +37,7 @@ REAL = {
 }
 BINS_M = ((0, 30), (30, 60), (60, 100), (100, 300))
 TARGETS = "   targets for click and drag: .76 (< 30 m), .65 (30-60 m), .55 (60-100 m)"
-GESTURES: dict[str, Callable[[Subject, np.random.Generator], Fit | Boxes]] = {
+GESTURES: dict[str, Callable[[Subject, np.random.Generator], BoxFit | Boxes]] = {
     "click": click,
     "click, lane known": click_lane,
     "click and drag": drag,

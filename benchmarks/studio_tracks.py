@@ -29,7 +29,7 @@ from farfield.datasets.labels import Numbers
 from farfield.files.atomic import write_text
 from farfield.frame import Key
 from farfield.studio.editing.box_edits import add_box
-from farfield.studio.editing.motion import Moment, between
+from farfield.studio.editing.motion import TrackFrame, between
 from farfield.studio.editing.schema import schema_of
 from farfield.studio.editing.store import Author, Store
 from farfield.studio.editing.track_edits import boxes_of, interpolate_track, moments
@@ -38,7 +38,7 @@ from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 SEQUENCES, LENGTH, STEPS = ("1", "21", "54"), 61, (10, 20, 30)
 MOST_EDITS, FARTHEST_M = 12, 0.35
 ANN = Author("ann", "w1")
-Stretch = Sequence[tuple[Moment, Numbers]]
+Stretch = Sequence[tuple[TrackFrame, Numbers]]
 
 
 def unpack(root: Path) -> None:
@@ -82,7 +82,7 @@ def stretches(store: Store, drive: str) -> Iterator[tuple[str, Stretch]]:
 
 def errors(stretch: Stretch, step: int, *, world: bool) -> list[float]:
     """Distances of interpolated boxes from the published ones, metres."""
-    known = stretch if world else [(Moment(moment.key, moment.time_s, None), box) for moment, box in stretch]
+    known = stretch if world else [(TrackFrame(moment.key, moment.time_s, None), box) for moment, box in stretch]
     found = between(known[::step], [moment for moment, _ in known])
     truth = {moment.key: box for moment, box in known}
     return [math.dist(box[:2], truth[key][:2]) for key, box in found.items()]

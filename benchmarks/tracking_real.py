@@ -31,7 +31,7 @@ from _annotated_drives import (
 from _report import SHARED_REAL, header
 
 from farfield.metrics.detections import Detections
-from farfield.tracking import Joining, joined, track
+from farfield.tracking import JoinSettings, joined, track
 
 BINS_M = (0.0, 50.0, 100.0, 150.0, 250.0)
 LIDAR = Noise(range_sigma_m=0.1, azimuth_sigma_deg=0.1)
@@ -42,7 +42,7 @@ ACROSS_M_S = 3.0
 COUNTS = (1, 2, 3, 5, 10)
 NO_POSES: dict[str, Any] = {"gate_speed_m_s": 50.0, "gate_sigmas": None, "initial_speed_variance": 600.0}
 """For drives without poses, in whose coordinates others come at up to 60 m/s."""
-JOINING = Joining(size=0.03)
+JOINING = JoinSettings(size=0.03)
 """Annotators keep an object's size."""
 _RADAR_OPTIONS = {"range_sigma_m": 0.3, "azimuth_sigma_rad": float(np.deg2rad(0.5)), "min_hits": 2, "unsure_hits": 3}
 

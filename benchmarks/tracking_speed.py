@@ -12,12 +12,12 @@ from _report import header
 from jaxtyping import Float
 
 from farfield.tracking import PRESETS
-from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.engine import DetectionBatch, TrackEngine
 
 TRACKS, STEPS = 30, 200
 
 
-def frames(drives: int, rng: np.random.Generator) -> list[Seen]:
+def frames(drives: int, rng: np.random.Generator) -> list[DetectionBatch]:
     """Detections of cars that drive side by side, 5 % missed."""
     n = drives * TRACKS
     place: Float[np.ndarray, "n 2"] = rng.uniform([0, -50], [200, 50], (n, 2))
@@ -29,7 +29,7 @@ def frames(drives: int, rng: np.random.Generator) -> list[Seen]:
         here = place + number * speed + rng.normal(0, 0.1, (n, 2))
         rows = np.column_stack([here, np.zeros(n), np.tile([4.2, 1.8, 1.5, 0.0], (n, 1))])
         m = int(kept.sum())
-        seen = Seen(
+        seen = DetectionBatch(
             drive=drive[kept],
             rows=rows[kept],
             velocity_m_s=np.zeros((m, 2)),
@@ -49,7 +49,7 @@ def main() -> None:
     for name in ("ab3dmot-paper", "default", "centerpoint", "ab3dmot"):
         for drives in (1, 10, 50):
             steps = frames(drives, np.random.default_rng(0))
-            engine = Engine(PRESETS[name], drives=drives, labels=("car",))
+            engine = TrackEngine(PRESETS[name], drives=drives, labels=("car",))
             dt, running = np.full(drives, 0.1), np.ones(drives, dtype=bool)
             steps = steps if name != "ab3dmot" or drives < 50 else steps[:40]
             start = time.process_time()

@@ -13,7 +13,7 @@ from farfield.datasets.radiate import Radiate
 from farfield.files.atomic import write_text
 from farfield.radar.turning import CELL_M
 from farfield.simulation import simulate_frame
-from farfield.simulation.world.scene import ROADS, Scene
+from farfield.simulation.world.scene import ROADS, WorldScene
 
 BANDS_M = ((0, 2), (2, 5), (5, 10), (10, 20), (20, 45), (45, 80), (80, 100))
 QUANTILES = (5, 25, 50, 75, 95, 99)
@@ -54,7 +54,7 @@ def passing() -> list[str]:
 
 
 def offsets(road: str, side: str, seed: int) -> np.ndarray:
-    window = Scene(road, np.random.SeedSequence(seed), duration_s=6.0, traffic=side).window(3.0, reach_m=150.0)
+    window = WorldScene(road, np.random.SeedSequence(seed), duration_s=6.0, traffic=side).window(3.0, reach_m=150.0)
     here = window.world_T_ego_now
     vehicles = np.array([actor.label in ("vehicle", "large_vehicle") for actor in window.actors], dtype=bool)
     offset = (window.bottom_m - here[:3, 3]) @ here[:3, :2]

@@ -29,10 +29,10 @@ from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.camera.render import radiance
 from farfield.simulation.camera.rig import ZED_2I, Mount
 from farfield.simulation.camera.sky import make_sky
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, Beams, line_elevations_deg
+from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, BeamTable, line_elevations_deg
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
 from farfield.simulation.radar.echoes import Scatterers
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.radar.propagation import (
@@ -51,7 +51,7 @@ from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
 from farfield.simulation.weather.precipitation import rain_drops
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published import SHARES_NEAR_HORIZON
@@ -111,7 +111,7 @@ def between(what: str, reference: str, low: float, high: float, got: float, digi
     return Row(what, reference, f"{low:g} to {high:g}", f"{got:.{digits}f}", low <= got <= high)
 
 
-def sweep_in(model: LidarModel, window: Window, weather: Weather | None, **seeds: Any) -> Sweep:
+def sweep_in(model: LidarModel, window: SceneWindow, weather: Weather | None, **seeds: Any) -> SimulatedSweep:
     """One frame of a world, weather included."""
     rng = np.random.default_rng(3)
     drawn = Scan.draw(model, rng, pattern="uniform")
@@ -364,7 +364,7 @@ def scan() -> Rows:
     yield near("OS1 spacing of every second row, degrees", calibrated, (5.89 - 0.98) / 7, 2 * spacing[1], 0.035)
 
 
-def ouster_rows(name: str, beams: Beams, want: tuple[float, float, int, float]) -> Rows:
+def ouster_rows(name: str, beams: BeamTable, want: tuple[float, float, int, float]) -> Rows:
     got = (beams.elevation_deg[0], beams.elevation_deg[-1], len(beams.elevation_deg), beams.origin_m)
     yield Row(f"{name}: top, bottom, rows, origin", "published beam table", str(want), str(got), got == want)
 

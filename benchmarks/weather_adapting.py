@@ -34,14 +34,14 @@ from _weather_teachers import REMEDIES, remedy_of, thresholds
 from farfield.errors import ConfigError
 from farfield.experiments.reproduce import load_grid
 from farfield.experiments.reproduce.deciding import Scores
-from farfield.experiments.reproduce.grid import Grid
-from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.needs import Need
-from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide
+from farfield.experiments.reproduce.grid import ExperimentGrid
+from farfield.experiments.reproduce.jobs import DataLocations, TrainingJob, jobs_of
+from farfield.experiments.reproduce.needs import RequiredScore
+from farfield.experiments.reproduce.places import DataLocation, fingerprints_of, places_of, provide
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
-from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.scoring import ScoringTask
 from farfield.experiments.schema import Experiment
-from farfield.metrics.deciding import Difference, Sample, Scalar, decide, difference_of, pooled
+from farfield.metrics.deciding import Difference, Scalar, ScoreSample, decide, difference_of, pooled
 from farfield.training.config import WeatherConfig
 from farfield.training.weather import inside_presets
 
@@ -65,7 +65,7 @@ def scalars() -> dict[str, Scalar]:
     }
 
 
-def chosen_grid(options: argparse.Namespace) -> Grid:
+def chosen_grid(options: argparse.Namespace) -> ExperimentGrid:
     """The grid in the size that was asked for."""
     grid = load_grid(Path(__file__).with_suffix(".yaml"))
     settings = grid.budgets[BUDGET]
@@ -85,7 +85,7 @@ def chosen_grid(options: argparse.Namespace) -> Grid:
     return grid.model_copy(update={"runs": runs, "budgets": {BUDGET: changed}})
 
 
-def check_outside(grid: Grid) -> int:
+def check_outside(grid: ExperimentGrid) -> int:
     """See that what is laid over frames lies outside the targets' own; how many settings of weather there are.
 
     Raises:
@@ -100,7 +100,7 @@ def check_outside(grid: Grid) -> int:
     return len(configs)
 
 
-def adapted(job: Job, runs: Path, val: Place, steps: int) -> Job:
+def adapted(job: TrainingJob, runs: Path, val: DataLocation, steps: int) -> TrainingJob:
     """A job that starts from a finished one: fewer steps, half the rate, thresholds from that one's scores."""
     tree = job.experiment.model_dump(mode="json")
     rate, steps = tree["training"]["learning_rate"] / 2, steps * remedy_of(job).times
@@ -113,20 +113,20 @@ def adapted(job: Job, runs: Path, val: Place, steps: int) -> Job:
     return replace(job, experiment=Experiment.model_validate(tree), key=key)
 
 
-def trained(grid: Grid, options: argparse.Namespace) -> tuple[list[Job], Scoring]:
+def trained(grid: ExperimentGrid, options: argparse.Namespace) -> tuple[list[TrainingJob], ScoringTask]:
     """Simulate, train and score all that is not done: the jobs in their order, and how they were scored."""
     runs = options.out / "runs"
     places = places_of(grid, BUDGET, options.out / "data")
     provide(places, workers=options.workers, progress=partial(progress, what="simulating"))
     fingerprints = fingerprints_of(places)
-    jobs = jobs_of(grid, BUDGET, (), Plotted(places=places, fingerprints=fingerprints), runs)
+    jobs = jobs_of(grid, BUDGET, (), DataLocations(places=places, fingerprints=fingerprints), runs)
     settings = grid.budgets[BUDGET]
     needs = [
-        Need(run=run, cloud=CLOUDS[run.partition("_")[0]], table="", scalar=scalar)
+        RequiredScore(run=run, cloud=CLOUDS[run.partition("_")[0]], table="", scalar=scalar)
         for run in grid.runs
         for scalar in scalars().values()
     ]
-    scoring = Scoring(
+    scoring = ScoringTask(
         score=settings.score,
         places={name: places[name] for name in settings.scored_on},
         fingerprints={name: fingerprints[name] for name in settings.scored_on},
@@ -145,7 +145,7 @@ def trained(grid: Grid, options: argparse.Namespace) -> tuple[list[Job], Scoring
     return [*first, *later], scoring
 
 
-Row = dict[int, Sample]
+Row = dict[int, ScoreSample]
 
 
 def towards(source: Row, oracle: Row, share: float) -> Row:
@@ -196,11 +196,11 @@ def spoken(found: Difference) -> str:
     return f"{found.estimate or 0:+.3f}" + ("" if ends is None else f" [{ends[0]:+.3f}, {ends[1]:+.3f}]")
 
 
-def lines_of(sensor: str, grid: Grid, scores: Scores) -> list[str]:
+def lines_of(sensor: str, grid: ExperimentGrid, scores: Scores) -> list[str]:
     """The table of a sensor, its gaps, and the shares closed."""
     table: dict[str, dict[str, Row]] = {}
     for part, scalar in scalars().items():
-        name = Need(run="", cloud="", table="", scalar=scalar).name
+        name = RequiredScore(run="", cloud="", table="", scalar=scalar).name
         rows = {run: scores.samples(run, CLOUDS[sensor], name) for run in grid.runs if run.startswith(sensor)}
         table[part] = {run.partition("_")[2]: row for run, row in rows.items() if row}
     first = next(iter(PARTS))
@@ -222,7 +222,7 @@ def lines_of(sensor: str, grid: Grid, scores: Scores) -> list[str]:
     ]
 
 
-def _gap_lines(sensor: str, grid: Grid, table: Mapping[str, Mapping[str, Row]], part: str) -> list[str]:
+def _gap_lines(sensor: str, grid: ExperimentGrid, table: Mapping[str, Mapping[str, Row]], part: str) -> list[str]:
     rows = table[part]
     spread = spread_at(table, (*ADAPTED, "oracle"), 0.0)
     gap = minus(rows["oracle"], rows["source"]).with_pooled(spread)
@@ -255,7 +255,7 @@ def _gap_lines(sensor: str, grid: Grid, table: Mapping[str, Mapping[str, Row]], 
     return lines
 
 
-def teacher_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
+def teacher_lines(jobs: Sequence[TrainingJob], runs: Path) -> list[str]:
     """Thresholds and boxes of every teacher."""
     lines = ["", "teachers: thresholds, boxes a frame in the last tenth of the steps"]
     for job in jobs:
@@ -268,7 +268,7 @@ def teacher_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
     return lines
 
 
-def cost_lines(jobs: Sequence[Job], runs: Path) -> list[str]:
+def cost_lines(jobs: Sequence[TrainingJob], runs: Path) -> list[str]:
     """Core minutes by row."""
     spent: dict[str, float] = {}
     for job in jobs:

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
 from farfield.timing.deskewing import PoseTrack
-from farfield.timing.odometry import Sweep
+from farfield.timing.odometry import OdometrySweep
 
 STEP_S = 0.1
 
@@ -33,7 +33,9 @@ def path(times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
     )
 
 
-def drive(count: int, *, seed: int = 0, skewed: bool = False, points: int = 4000) -> tuple[list[Sweep], np.ndarray]:
+def drive(
+    count: int, *, seed: int = 0, skewed: bool = False, points: int = 4000
+) -> tuple[list[OdometrySweep], np.ndarray]:
     """Sweeps and the true poses from the first; skewed: measured over a tenth of a second, each point with its time."""
     rng = np.random.default_rng(seed)
     times = STEP_S * np.arange(count)
@@ -50,5 +52,5 @@ def drive(count: int, *, seed: int = 0, skewed: bool = False, points: int = 4000
             seen = np.einsum("nji,nj->ni", at[:, :3, :3], world - at[:, :3, 3])
         else:
             offset, seen = None, transform_points(invert(pose), world)
-        sweeps.append(Sweep(seen + rng.normal(0, 0.01, seen.shape), float(time), offset))
+        sweeps.append(OdometrySweep(seen + rng.normal(0, 0.01, seen.shape), float(time), offset))
     return sweeps, np.linalg.inv(poses[0]) @ poses

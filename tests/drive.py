@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.kradar.layout import os2_T_radar
-from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Sensor, camera_sensor
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, camera_sensor
 from farfield.geometry.poses import pose_from_yaw
 
 OS2_T_OS1 = pose_from_yaw(0.01, (0.35, 0.0, -0.25))
@@ -61,7 +61,7 @@ def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "l
             name: rng.integers(0, 256, (36, 64, 3), dtype=np.uint8) for name in ("cam-front", "cam-front-right")
         },
         "cameras": {"cam-front": camera(0.01), "cam-front-right": camera(0.02), "cam-rear": camera(3.1)},
-        "load_annotation": Given(annotation),
+        "load_annotation": Constant(annotation),
         "sensors": {
             "os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=time_ns),
             "os1-128": Sensor(kind="lidar", frame_T_sensor=OS2_T_OS1, in_frame=False, time_ns=time_ns + 1),

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets.cirrus import CirrusWriter
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor
 
 START_NS = 1_558_131_117_608_556_768
 GROUND_M = -1.9
@@ -48,7 +48,7 @@ def street_frame(rng: np.random.Generator, number: int = 0) -> Frame:
         time_ns=time_ns,
         clouds={"gaussian": cloud},
         sensors={"gaussian": Sensor(kind="lidar")},
-        load_annotation=Given(Annotation(boxes=boxes, extent="visible")),
+        load_annotation=Constant(Annotation(boxes=boxes, extent="visible")),
     )
 
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from farfield.experiments.reproduce import Grid, Reproduction, load_grid
+from farfield.experiments.reproduce import ExperimentGrid, Reproduction, load_grid
 from farfield.experiments.reproduce.grid import BudgetSettings
 
 RUNS = ("device_a", "gaussian", "uniform", "range", "device_pretrained")
@@ -87,7 +87,7 @@ KRADAR_MINI = {
 }
 
 
-def tiny_grid() -> Grid:
+def tiny_grid() -> ExperimentGrid:
     """The shipped grid whose laptop budget is tiny and leaves out all but some runs."""
     whole = load_grid("cirrus")
     mini = BudgetSettings.model_validate({**MINI, "without": [name for name in whole.runs if name not in RUNS]})

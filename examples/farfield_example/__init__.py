@@ -1,8 +1,8 @@
 """A data set, a detector, a protocol and a training method of one's own for Farfield; importing it loads no torch."""
 
-from farfield.detectors import Kind
+from farfield.detectors import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="mean-pillars",
     paper="example",
     config="farfield_example.detector:MeanPillarsConfig",

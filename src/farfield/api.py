@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
 
-    from farfield.bulk import Bulk
+    from farfield.bulk import JobOptions
     from farfield.datasets.base import Dataset
     from farfield.detectors.contract import Network
     from farfield.detectors.runtime import Detector
-    from farfield.experiments.adapting import Adapted
+    from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
-    from farfield.training.report import Report
+    from farfield.training.report import TrainingReport
     from farfield.training.starting import TransferReport
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -131,12 +131,10 @@ def transfer(
         FarfieldError: If there are no such weights.
         ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
     """
-    from farfield.training.config import TakingConfig
+    from farfield.training.config import InitConfig
     from farfield.training.starting import start_network
 
-    chosen = TakingConfig(
-        rename=dict(rename or {}), inputs=inputs, head=head, skip=tuple(skip), least_taken=least_taken
-    )
+    chosen = InitConfig(rename=dict(rename or {}), inputs=inputs, head=head, skip=tuple(skip), least_taken=least_taken)
     return start_network(network, weights if isinstance(weights, Mapping) else str(weights), chosen)
 
 
@@ -191,11 +189,11 @@ def adapt(
     out: Path | str,
     source: Path | str | None = None,
     labels: "Path | str | Dataset | None" = None,
-    bulk: "Bulk | None" = None,
-    report: "Report | None" = None,
+    bulk: "JobOptions | None" = None,
+    report: "TrainingReport | None" = None,
     overwrite: bool = False,
     **choices: Any,
-) -> "Adapted":
+) -> "AdaptationResult":
     """Adapt a detector to unlabelled sweeps by self-training, resumable: what ``farfield adapt`` does.
 
     Args:
@@ -211,7 +209,7 @@ def adapt(
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
         **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``overrides``,
-            ``whole_bodies``, ``seed``; see :class:`farfield.experiments.adapting.Choices`.
+            ``whole_bodies``, ``seed``; see :class:`farfield.experiments.adapting.AdaptationOptions`.
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
@@ -242,7 +240,7 @@ def train(
     changes: Mapping[str, Any] | None = None,
     *,
     out: Path | str = "runs",
-    report: "Report | None" = None,
+    report: "TrainingReport | None" = None,
 ) -> Path:
     """Train a detector from one experiment; called again with the same, it goes on: what ``farfield train`` does.
 

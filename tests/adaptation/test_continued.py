@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.adaptation.continued import Continued
+from farfield.adaptation.continued import ContinuedTraining
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
@@ -34,8 +34,8 @@ def test_it_goes_on_from_the_weights_of_another_run(planned: Callable[..., Any])
 def test_without_a_start_or_with_another_networks_it_is_refused(planned: Callable[..., Any]) -> None:
     network = build_detector(DETECTORS["pointpillars"].config_class(**TINY), seed=0)
     with pytest.raises(ConfigError, match=r"method continued: .*\n.*start"):
-        Continued(network)
+        ContinuedTraining(network)
     with pytest.raises(ConfigError, match="It has: start"):
-        Continued(network, start="pointpillars-cirrus-sim", pace=1)
+        ContinuedTraining(network, start="pointpillars-cirrus-sim", pace=1)
     with pytest.raises(ConfigError, match="method continued: expected the weights"):
-        Continued(network, start="pointpillars-cirrus-sim")
+        ContinuedTraining(network, start="pointpillars-cirrus-sim")

@@ -20,7 +20,7 @@ from farfield.frame import Frame
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig
 from farfield.training.method import Stream
-from farfield.training.samples import Sample, TrainingSamples
+from farfield.training.samples import TrainingSample, TrainingSamples
 from farfield.training.streams import batch_shares, batches
 
 CLOUDS = ("gaussian", "uniform")
@@ -69,7 +69,7 @@ def frames_of(data: Path) -> list[Frame]:
     return list(open_dataset(data))
 
 
-def which_frame(sample: Sample, data: Path, cloud: str) -> int:
+def which_frame(sample: TrainingSample, data: Path, cloud: str) -> int:
     """The frame whose cloud an unchanged sample is."""
     points = sample.inputs["points"].numpy()
     clouds = [frame.cloud(cloud).points_m for frame in frames_of(data)]

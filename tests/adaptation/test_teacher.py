@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, small_detector
 
-from farfield.adaptation.pseudo import Pseudo, Strong, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.pseudo import PseudoLabels, StrongAugmentation, sorted_by_score, strong_view, targets_of
 from farfield.adaptation.teacher import MeanTeacher, TeacherSettings
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FarfieldError
@@ -89,7 +89,7 @@ class OnMixture(Method):
     def __init__(self, network: Any, start: str) -> None:
         network.load_state_dict(load_weights(Path(start))[0].state_dict())
         self.modules = torch.nn.ModuleDict({"detector": network})
-        self.settings, self.seed = Strong(), 0
+        self.settings, self.seed = StrongAugmentation(), 0
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Any]:
         rng = MeanTeacher.generator(self, step)  # type: ignore[arg-type]
@@ -186,9 +186,9 @@ def test_no_loss_pulls_at_what_is_ignored(detector: str) -> None:
     clouds, none = {name: cloud}, boxes_at()
     with torch.no_grad():
         outputs = network(batch_of(cloud))
-    background = targets_of(network.assigner, Pseudo(none, none), clouds)
-    unsure = targets_of(network.assigner, Pseudo(none, boxes_at(30.0)), clouds)
-    sure = targets_of(network.assigner, Pseudo(boxes_at(30.0), none), clouds)
+    background = targets_of(network.assigner, PseudoLabels(none, none), clouds)
+    unsure = targets_of(network.assigner, PseudoLabels(none, boxes_at(30.0)), clouds)
+    sure = targets_of(network.assigner, PseudoLabels(boxes_at(30.0), none), clouds)
     plain, ignored, object_ = (
         {part: float(value) for part, value in network.losses(outputs, [targets]).items()}
         for targets in (background, unsure, sure)
@@ -201,11 +201,11 @@ def test_no_loss_pulls_at_what_is_ignored(detector: str) -> None:
 
 def test_the_strong_view_moves_points_and_boxes_alike() -> None:
     boxes, rng = boxes_at(10.0, 30.0), np.random.default_rng(4)
-    strong = Strong(flip_probability=1.0, rotation_rad=1.0, scale=0.1, height_m=0.3, thinning=0.0)
+    strong = StrongAugmentation(flip_probability=1.0, rotation_rad=1.0, scale=0.1, height_m=0.3, thinning=0.0)
     change = strong.draw(rng)
     cloud = torch.from_numpy(np.column_stack([boxes.centre_m, np.ones(2)])).float()
     view = strong_view(batch_of(cloud), [change], 0.0, rng)["points"][0]
-    moved = Pseudo(boxes, boxes[:1]).moved(change)
+    moved = PseudoLabels(boxes, boxes[:1]).moved(change)
     np.testing.assert_allclose(view[:, :3].numpy(), moved.sure.centre_m, atol=1e-5)
     assert view[:, 3].tolist() == [1.0, 1.0]
     with torch.autocast("cpu", torch.bfloat16):
@@ -220,4 +220,4 @@ def test_pointrcnn_has_nothing_that_is_ignored() -> None:
     network = small_detector("pointrcnn")
     cloud = torch.rand(100, len(network.inputs["points"].columns))
     with pytest.raises(ConfigError, match="targets that can ignore unsure boxes"):
-        targets_of(network.assigner, Pseudo(boxes_at(), boxes_at()), {"points": cloud})
+        targets_of(network.assigner, PseudoLabels(boxes_at(), boxes_at()), {"points": cloud})

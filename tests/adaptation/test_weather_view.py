@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from test_teacher import method_of, run, start  # noqa: F401
 
-from farfield.adaptation.pseudo import Pseudo, in_weather
+from farfield.adaptation.pseudo import PseudoLabels, in_weather
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
@@ -49,7 +49,7 @@ def test_sure_boxes_that_lose_all_their_points_become_unsure() -> None:
     boxes = Boxes(centre_m=centre, size_m=np.full((2, 3), 2.0), yaw_rad=np.zeros(2), label=["vehicle"] * 2)
     cloud = torch.from_numpy(np.repeat(centre, 30, axis=0).astype(np.float32))
     inputs = Inputs({"points": [cloud, cloud.clone()]})
-    found = [Pseudo(boxes, boxes[:0]), Pseudo(boxes[:1], boxes[1:])]
+    found = [PseudoLabels(boxes, boxes[:0]), PseudoLabels(boxes[:1], boxes[1:])]
     rng = np.random.default_rng(0)
     clouds, (one, two) = in_weather(inputs, found, {"points": ("x_m", "y_m", "z_m")}, config, rng)
     assert [len(each) for each in clouds["points"]] == [30, 30]
@@ -65,7 +65,7 @@ def test_half_of_the_frames_stay_as_they_are_where_half_are_asked_for() -> None:
     config = WeatherConfig(probability=0.5, kinds=("fog",), sensor="os2-64")
     cloud = torch.from_numpy(np.random.default_rng(1).uniform(-30, 30, (400, 3)).astype(np.float32))
     inputs = Inputs({"points": [cloud] * 200})
-    none = [Pseudo(Boxes.empty(), Boxes.empty())] * 200
+    none = [PseudoLabels(Boxes.empty(), Boxes.empty())] * 200
     clouds, _ = in_weather(inputs, none, {"points": ("x_m", "y_m", "z_m")}, config, np.random.default_rng(2))
     same = [torch.equal(each, cloud) for each in clouds["points"]]
     assert np.mean(same) == pytest.approx(0.5, abs=0.12)

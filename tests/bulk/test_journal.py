@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bulk.works import Copy
-from farfield.bulk import Bulk, Journal, Outcome, Unit, run
+from farfield.bulk import JobJournal, JobOptions, Outcome, Unit, run
 from farfield.bulk.folders import STAGING, locked, sweep_out
 from farfield.bulk.journal import mark_of, state_of
 from farfield.errors import FileFormatError
@@ -27,9 +27,11 @@ def sources(folder: Path, count: int = 12) -> list[Unit]:
     return units
 
 
-def copied(units: list[Unit], out: Path, bulk: Bulk | None = None, fatal: str = "", setting: str = "a") -> Outcome:
+def copied(
+    units: list[Unit], out: Path, bulk: JobOptions | None = None, fatal: str = "", setting: str = "a"
+) -> Outcome:
     out.mkdir(exist_ok=True)
-    return run(Copy(out, fatal), units, bulk or Bulk(), journal=Journal(out / ".journal", setting))
+    return run(Copy(out, fatal), units, bulk or JobOptions(), journal=JobJournal(out / ".journal", setting))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -45,10 +47,10 @@ def test_the_same_files_and_journal_whoever_worked_and_whatever_died(tmp_path: P
     assert counts(copied(units, tmp_path / "one")) == (12, 0)
     expected = contents(tmp_path / "one")
     assert len(expected) == 13
-    assert counts(copied(units, tmp_path / "two", Bulk(workers=2))) == (12, 0)
+    assert counts(copied(units, tmp_path / "two", JobOptions(workers=2))) == (12, 0)
     assert contents(tmp_path / "two") == expected
     (tmp_path / "killed").mkdir()
-    assert counts(copied(units, tmp_path / "killed" / "out", Bulk(workers=2), fatal="05")) == (12, 0)
+    assert counts(copied(units, tmp_path / "killed" / "out", JobOptions(workers=2), fatal="05")) == (12, 0)
     assert (tmp_path / "killed" / "died").exists()
     assert contents(tmp_path / "killed" / "out") == expected
     assert counts(copied(units[::-1], tmp_path / "back")) == (12, 0)
@@ -78,7 +80,7 @@ def test_files_that_were_copied_elsewhere_are_compared_by_their_bytes(tmp_path: 
     for path in out.glob("*.txt"):
         os.utime(path, (2e9, 2e9))
     assert counts(copied(units, out)) == (0, 12)
-    journal = Journal(out / ".journal", "a")
+    journal = JobJournal(out / ".journal", "a")
     (out / "03.txt").write_bytes(b"x" * (out / "03.txt").stat().st_size)
     os.utime(out / "03.txt", (1, 1))  # as old as the rest: only every byte tells
     assert journal.has(units[3])
@@ -116,7 +118,7 @@ run(Copy(out, pause_s=0.15), units, Bulk(workers=2), journal=Journal(out / ".jou
 
 
 def test_lines_are_written_a_moment_later_or_a_hundred_together(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / ".journal")
+    journal = JobJournal(tmp_path / ".journal")
     for number in range(250):
         journal.add(Unit(str(number)), "", {})
     assert (tmp_path / ".journal").read_bytes().count(b"\n") == 200
@@ -124,12 +126,12 @@ def test_lines_are_written_a_moment_later_or_a_hundred_together(tmp_path: Path) 
     while (tmp_path / ".journal").read_bytes().count(b"\n") < 250:
         assert time.monotonic() < until
         time.sleep(0.01)
-    assert len(Journal(tmp_path / ".journal")) == 250
+    assert len(JobJournal(tmp_path / ".journal")) == 250
 
 
 def test_values_are_read_one_at_a_time_and_a_cut_line_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / ".journal"
-    journal, units = Journal(path, "s"), [Unit(name) for name in "cab"]
+    journal, units = JobJournal(path, "s"), [Unit(name) for name in "cab"]
     for number, unit in enumerate(units):
         journal.add(unit, state_of((), "s"), {}, [number, "ä\t\n"])
     assert list(journal.values("abc")) == [[1, "ä\t\n"], [2, "ä\t\n"], [0, "ä\t\n"]]
@@ -138,7 +140,7 @@ def test_values_are_read_one_at_a_time_and_a_cut_line_is_dropped(tmp_path: Path)
     whole = path.read_bytes()
     assert [line.split(b'"')[3] for line in whole.splitlines()] == [b"a", b"b", b"c"]
     path.write_bytes(whole + b'{"unit": "d", "sour')
-    again = Journal(path, "s")
+    again = JobJournal(path, "s")
     assert path.read_bytes() == whole
     assert [again.has(unit) for unit in units] == [True] * 3
     assert list(again.values("ca")) == [[0, "ä\t\n"], [1, "ä\t\n"]]
@@ -159,8 +161,8 @@ def test_what_is_no_journal_is_refused(line: bytes, tmp_path: Path) -> None:
     path = tmp_path / ".journal"
     path.write_bytes(line)
     with pytest.raises(FileFormatError, match=r"line 1: expected a journal entry.*--overwrite"):
-        Journal(path)
-    assert len(Journal(path, overwrite=True)) == 0
+        JobJournal(path)
+    assert len(JobJournal(path, overwrite=True)) == 0
 
 
 def test_marks_are_size_and_checksum(tmp_path: Path) -> None:

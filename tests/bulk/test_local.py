@@ -11,20 +11,20 @@ import psutil
 import pytest
 
 from bulk import works
-from farfield.bulk import ENGINES, HERE, Bulk, BulkError, Journal, Unit, run, values
-from farfield.bulk.local import Local
+from farfield.bulk import ENGINES, HERE, BulkError, JobJournal, JobOptions, Unit, run, values
+from farfield.bulk.local import LocalEngine
 from farfield.bulk.memory import available_bytes, fitting
 from farfield.bulk.signals import ended_by_sigterm
 from farfield.bulk.threads import VARIABLES, one_thread
 from farfield.errors import ConfigError, FileFormatError
 
 UNITS = [Unit(str(number), parameters=number) for number in range(24)]
-TWO = Bulk(workers=2)
+TWO = JobOptions(workers=2)
 
 
 def test_values_come_in_order_from_any_number_of_workers() -> None:
     squares = [number**2 for number in range(24)]
-    for bulk in (HERE, TWO, Bulk(workers=3)):
+    for bulk in (HERE, TWO, JobOptions(workers=3)):
         assert [done.value for done in values(works.square, UNITS, bulk)] == squares
     found = [done.value for done in values(works.slowest_first, UNITS, TWO)]
     assert [number for number, _ in found] == list(range(24))
@@ -43,7 +43,7 @@ def test_a_work_that_wants_it_gets_a_process_for_each_unit(tmp_path: Path) -> No
         found = [done.value for done in values(works.Alone(), UNITS[:4], bulk)]
         assert [number for number, _ in found] == list(range(4))
         assert len({process for _, process in found} - {os.getpid()}) == 4
-        journal = Journal(tmp_path / f"{bulk.workers}.jsonl", "")
+        journal = JobJournal(tmp_path / f"{bulk.workers}.jsonl", "")
         assert run(works.Alone(), UNITS[:4], bulk, journal=journal).written == 4
         kept = journal.values([unit.name for unit in UNITS[:4]])
         assert len({process for _, process in kept} - {os.getpid()}) == 4
@@ -59,7 +59,7 @@ def test_a_bounded_number_is_under_way() -> None:
             return super().__getitem__(index)
 
     many = Counted(Unit(str(number), parameters=number) for number in range(500))
-    results = Local().run(works.square, many, workers=2, ordered=True)
+    results = LocalEngine().run(works.square, many, workers=2, ordered=True)
     next(results)
     time.sleep(0.3)
     assert len(set(taken)) < 100  # the type checks look at one more
@@ -100,7 +100,7 @@ def test_what_cannot_travel_is_refused() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert "stand in a module" in done.stderr
     with pytest.raises(ConfigError, match="1 or more"):
-        Bulk(workers=-1)
+        JobOptions(workers=-1)
 
 
 def workers_of(process: int) -> list[psutil.Process]:
@@ -168,9 +168,9 @@ def test_memory_limits_the_workers(tmp_path: Path) -> None:
 
 def test_as_many_workers_as_there_are_cores_and_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
-    automatic = Bulk(workers=0)
+    automatic = JobOptions(workers=0)
     assert [automatic.hands(works.square, count) for count in (1, 7, 8, 1000)] == [1, 1, 2, 6]
-    assert Bulk(workers=4).hands(works.square, 2) == 2
+    assert JobOptions(workers=4).hands(works.square, 2) == 2
 
 
 def test_an_engine_of_another_package_does_the_work_of_any_verb(tmp_path: Path) -> None:
@@ -185,13 +185,20 @@ def test_an_engine_of_another_package_does_the_work_of_any_verb(tmp_path: Path) 
                 yield place, work(units[place])
 
     ENGINES.register("backwards")(Backwards)
-    assert [done.value for done in values(works.square, UNITS, Bulk(workers=3, engine="backwards"))][:3] == [0, 1, 4]
+    assert [done.value for done in values(works.square, UNITS, JobOptions(workers=3, engine="backwards"))][:3] == [
+        0,
+        1,
+        4,
+    ]
     (tmp_path / "1.in").write_text("x")
     units = [Unit("1", (tmp_path / "1.in",), 1)]
-    assert run(works.Copy(tmp_path), units, Bulk(engine="backwards"), journal=Journal(tmp_path / ".j")).written == 1
+    assert (
+        run(works.Copy(tmp_path), units, JobOptions(engine="backwards"), journal=JobJournal(tmp_path / ".j")).written
+        == 1
+    )
     assert asked == [(24, 3), (1, 1)]
     with pytest.raises(ConfigError, match="Expected a bulk engine, one of local"):
-        list(values(works.square, UNITS, Bulk(engine="cluster")))
+        list(values(works.square, UNITS, JobOptions(engine="cluster")))
 
 
 class Swallows:

@@ -6,35 +6,35 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from farfield.bulk import Done, Unit
+from farfield.bulk import Unit, UnitResult
 from farfield.errors import FileFormatError
 from farfield.files.atomic import write_text
 
 
-def nothing(unit: Unit) -> Done:
-    return Done()
+def nothing(unit: Unit) -> UnitResult:
+    return UnitResult()
 
 
-def square(unit: Unit) -> Done:
-    return Done(value=unit.parameters**2, clock=time.time())
+def square(unit: Unit) -> UnitResult:
+    return UnitResult(value=unit.parameters**2, clock=time.time())
 
 
-def slowest_first(unit: Unit) -> Done:
+def slowest_first(unit: Unit) -> UnitResult:
     time.sleep(0.02 * (unit.parameters % 3))
-    return Done(value=[unit.parameters, os.getpid()])
+    return UnitResult(value=[unit.parameters, os.getpid()])
 
 
-def damaged(unit: Unit) -> Done:
+def damaged(unit: Unit) -> UnitResult:
     if unit.parameters == 3:
         raise FileFormatError("a.xyz", where="line 3", expected="numbers", found="words", mend="Mend it.")
-    return Done(value=unit.parameters)
+    return UnitResult(value=unit.parameters)
 
 
-def kill_at_three(unit: Unit) -> Done:
+def kill_at_three(unit: Unit) -> UnitResult:
     """Dies at unit 3, whoever does it."""
     if unit.parameters == 3:
         os.kill(os.getpid(), signal.SIGKILL)
-    return Done(value=unit.parameters)
+    return UnitResult(value=unit.parameters)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Copy:
     fatal: str = ""
     pause_s: float = 0.0
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         if unit.name == self.fatal and not (self.folder.parent / "died").exists():
             (self.folder.parent / "died").touch()
             os.kill(os.getpid(), signal.SIGKILL)
@@ -53,7 +53,7 @@ class Copy:
         text = "".join(path.read_text() for path in unit.sources)
         path = self.folder / f"{unit.name}.txt"
         write_text(path, f"{unit.parameters} {text}")
-        return Done(files=(path,), value={"length": len(text)}, clock=time.time())
+        return UnitResult(files=(path,), value={"length": len(text)}, clock=time.time())
 
 
 @dataclass
@@ -69,8 +69,8 @@ class DiesOnArrival:
             left.unlink(missing_ok=True)
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def __call__(self, unit: Unit) -> Done:
-        return Done(value=unit.parameters)
+    def __call__(self, unit: Unit) -> UnitResult:
+        return UnitResult(value=unit.parameters)
 
 
 @dataclass(frozen=True)
@@ -79,5 +79,5 @@ class Alone:
 
     own_process = True
 
-    def __call__(self, unit: Unit) -> Done:
-        return Done(value=[unit.parameters, os.getpid()])
+    def __call__(self, unit: Unit) -> UnitResult:
+        return UnitResult(value=[unit.parameters, os.getpid()])

@@ -7,11 +7,11 @@ import pytest
 from scipy import ndimage
 
 from farfield.calibration.checking import as_sure, check_camera
-from farfield.calibration.edges import SIGMAS_PX, Views, difference, moved, refine_edges
-from farfield.calibration.moments import Moment
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, difference, moved, refine_edges
+from farfield.calibration.moments import SensorPair
 from farfield.calibration.radar_checking import check_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
-from farfield.calibration.targets import Targets
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
+from farfield.calibration.targets import LidarTargets
 from farfield.geometry.cameras import Camera
 
 CAMERA = Camera(matrix=np.array([[300.0, 0, 320], [0, 300.0, 180], [0, 0, 1]]), width_px=640, height_px=360)
@@ -19,7 +19,7 @@ POSE = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7)
 FRAMES = 8
 
 
-def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> Views:
+def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> EdgeViews:
     """Points of each frame, and pictures with edges where a camera sees them; anywhere without cameras."""
     points = np.column_stack([rng.uniform(6, 30, 4800), rng.uniform(-20, 20, 4800), rng.uniform(-4, 5, 4800)])
     points = points[CAMERA.project(points)[2]][: 250 * FRAMES]
@@ -40,15 +40,15 @@ def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> Views:
         step = 2 if sigma >= 2 else 1
         levels.append((blurred / blurred.mean(axis=(2, 3), keepdims=True))[:, :, ::step, ::step].astype(np.float16))
     weight = 1.0 / np.bincount(frame)[frame]
-    return Views(points_m=points, frame=frame, axis=axis, weight=weight, levels=tuple(levels))
+    return EdgeViews(points_m=points, frame=frame, axis=axis, weight=weight, levels=tuple(levels))
 
 
 @pytest.fixture(scope="module")
-def steady() -> Views:
+def steady() -> EdgeViews:
     return seen(np.random.default_rng(0), [CAMERA] * FRAMES)
 
 
-def test_a_correct_camera_is_not_accused(steady: Views) -> None:
+def test_a_correct_camera_is_not_accused(steady: EdgeViews) -> None:
     found = check_camera(CAMERA, steady)
     assert found.verdict == "fits"
     assert not found.claimed
@@ -56,7 +56,7 @@ def test_a_correct_camera_is_not_accused(steady: Views) -> None:
 
 
 @pytest.mark.parametrize("delta", [[0, 0.0175, 0, 0, 0, 0], [0.012, 0, -0.012, 0, 0, 0], [0, 0, 0, 0.2, 0, 0]])
-def test_a_planted_error_is_found_and_measured(steady: Views, delta: list[float]) -> None:
+def test_a_planted_error_is_found_and_measured(steady: EdgeViews, delta: list[float]) -> None:
     found = check_camera(moved(CAMERA, np.array(delta)), steady)
     assert found.verdict == "off"
     assert found.evidence > 3
@@ -64,7 +64,7 @@ def test_a_planted_error_is_found_and_measured(steady: Views, delta: list[float]
     assert found.cm == pytest.approx(100 * np.abs(delta[3:]).max(), abs=8)
 
 
-def test_a_camera_is_brought_to_what_some_frames_show(steady: Views) -> None:
+def test_a_camera_is_brought_to_what_some_frames_show(steady: EdgeViews) -> None:
     away = moved(CAMERA, np.array([0.0, 0.005, 0.0, 0.05, 0.0, 0.1]))
     found = difference(refine_edges(away, steady, sigma=(0.03, 0.03, 0.03, 0.4, 0.4, 0.4)), CAMERA)
     assert np.abs(found[:3]).max() < np.radians(0.05)
@@ -102,7 +102,7 @@ def test_few_frames_must_show_more() -> None:
     assert as_sure(6.0, 6) > as_sure(6.0, 8) > as_sure(6.0, 19) > 6.0
 
 
-def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:
+def road(rng: np.random.Generator, turn_late: float = 0.0) -> RadarEvidence:
     """Posts, some of them coming towards, as LiDAR and radar see them; the radar turns half way if asked."""
     posts = np.column_stack([rng.uniform(0, 120, 70), rng.uniform(-25, 25, 70)])
     speed, moments = np.where(rng.random(70) < 0.4, -28.0, -14.0), []
@@ -115,7 +115,7 @@ def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:
         points = np.repeat(there, 12, axis=0) + rng.normal(0, 0.02, (12 * len(there), 2))
         heights = np.tile(np.linspace(-1.5, 0.5, 12), len(there))
         moments.append(
-            Moment(
+            SensorPair(
                 number=number,
                 points_m=np.column_stack([points, heights]),
                 lag_s=np.zeros(len(points)),
@@ -123,7 +123,7 @@ def road(rng: np.random.Generator, turn_late: float = 0.0) -> Evidence:
                 power_db=rng.uniform(15, 25, len(echoes)),
             )
         )
-    return Evidence.of(moments)
+    return RadarEvidence.of(moments)
 
 
 def test_a_radars_errors_are_found() -> None:
@@ -152,9 +152,9 @@ def test_a_dozen_objects_do_not_say_that_a_radar_fits() -> None:
     assert check_radar(POSE, replace(evidence, targets=few), least=8).verdict == "not told"
 
 
-def _only(targets: Targets, tracks: set[int]) -> Targets:
+def _only(targets: LidarTargets, tracks: set[int]) -> LidarTargets:
     kept = np.isin(targets.track, list(tracks))
-    return Targets(**{name: values[kept] for name, values in vars(targets).items()})
+    return LidarTargets(**{name: values[kept] for name, values in vars(targets).items()})
 
 
 def test_a_radar_that_turned_during_the_drive_is_found() -> None:
@@ -163,7 +163,7 @@ def test_a_radar_that_turned_during_the_drive_is_found() -> None:
     assert found.claimed
 
 
-def test_too_little_tells_nothing(steady: Views) -> None:
+def test_too_little_tells_nothing(steady: EdgeViews) -> None:
     few = replace(steady, levels=tuple(level[:4] for level in steady.levels))
     assert check_camera(CAMERA, few).verdict == "not told"
     evidence = road(np.random.default_rng(5))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.calibration.bird import Maps, Start, correlate
-from farfield.calibration.moments import Moment, above_ground_m
+from farfield.calibration.bird import OccupancyMaps, PoseHypothesis, correlate
+from farfield.calibration.moments import SensorPair, above_ground_m
 from farfield.calibration.peaks import find_peaks
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
 from farfield.calibration.radar_lidar import (
@@ -16,7 +16,7 @@ from farfield.calibration.radar_lidar import (
     _solved,
     calibrate_radar,
 )
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.calibration.radar_pairs import PARAMETERS
 from farfield.calibration.targets import find_targets
 from farfield.errors import ConfigError, DatasetError
@@ -25,7 +25,7 @@ TRUTH = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, yaw_rad=0.012, frames=1, time_offs
 EGO_M_S = 14.0
 
 
-def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list[Moment]:
+def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list[SensorPair]:
     """Thin posts beside the road, standing or coming towards; radar peaks at the true place of the true time."""
     posts = np.column_stack([rng.uniform(0, 160, 90), rng.uniform(-25, 25, 90)])
     speed = np.where((rng.random(90) < 0.4) & oncoming, -28.0, -EGO_M_S)
@@ -40,7 +40,7 @@ def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list
         points = np.repeat(lidar, 12, axis=0) + rng.normal(0, 0.02, (12 * len(lidar), 2))
         height = np.tile(np.linspace(-1.5, 0.5, 12), len(lidar))
         moments.append(
-            Moment(
+            SensorPair(
                 number=number + 7,
                 points_m=np.column_stack([points, height]),
                 lag_s=np.zeros(len(points)),
@@ -56,7 +56,7 @@ def _visible(places: np.ndarray) -> np.ndarray:
 
 
 def test_a_rough_start_is_brought_back() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 20))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 20))
     rng = np.random.default_rng(1)
     for _ in range(3):
         x, y = np.array([TRUTH.x_m, TRUTH.y_m]) + rng.uniform(-2, 2, 2)
@@ -71,7 +71,7 @@ def test_a_rough_start_is_brought_back() -> None:
 
 
 def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     guess = replace(TRUTH, time_offset_s=0.0, yaw_rad=0.0)
     turned = replace(TRUTH, yaw_rad=TRUTH.yaw_rad + np.radians(1.1), y_m=TRUTH.y_m - 0.6, time_offset_s=-0.03)
     known = _solved(evidence, TRUTH.vector, TRUTH.frames, guess, PARAMETERS, (0.8,))
@@ -85,7 +85,7 @@ def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
 
 def test_no_whole_frame_stays_in_the_time_offset() -> None:
     """Radar frame n + 2 at 0.12 s is radar frame n + 1 at 0.02 s: one calibration, named by the nearest frame."""
-    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     value = np.add(TRUTH.vector, [0.0, 0.0, 0.0, evidence.period_s])
     guess = replace(TRUTH, time_offset_s=0.0)
     found = _folded(evidence, value, TRUTH.frames + 1, guess)
@@ -106,7 +106,7 @@ def test_frame_offsets_are_compared_in_the_frames_that_they_share() -> None:
 
 
 def test_a_rough_start_does_not_draw_the_solution() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 3))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 3))
     ends = []
     for sign in (-1, 1):
         off = replace(TRUTH, y_m=TRUTH.y_m + 2 * sign, yaw_rad=TRUTH.yaw_rad + np.radians(3) * sign, time_offset_s=0.0)
@@ -117,7 +117,7 @@ def test_a_rough_start_does_not_draw_the_solution() -> None:
 
 
 def test_a_platoon_hides_the_time_and_it_is_said() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(2), 20, oncoming=False))
+    evidence = RadarEvidence.of(road(np.random.default_rng(2), 20, oncoming=False))
     found = calibrate_radar(evidence, RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, frames=1))
     assert any("cannot be told apart" in note for note in found.notes)
     assert found.solution.sigma[0] > 0.2
@@ -125,16 +125,16 @@ def test_a_platoon_hides_the_time_and_it_is_said() -> None:
 
 def test_maps_find_the_shift() -> None:
     moments = road(np.random.default_rng(3), 12)
-    best = correlate(Maps(moments), Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
+    best = correlate(OccupancyMaps(moments), PoseHypothesis(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
     assert abs(best.x_m - TRUTH.x_m) < 2.0
     assert abs(best.y_m - TRUTH.y_m) < 0.5
 
 
 def test_later_starts_find_what_earlier_ones_correlated() -> None:
-    maps = Maps(road(np.random.default_rng(3), 6))
-    first = correlate(maps, Start(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))
+    maps = OccupancyMaps(road(np.random.default_rng(3), 6))
+    first = correlate(maps, PoseHypothesis(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))
     known = dict(maps.summed)
-    again = correlate(maps, Start(frames=0, yaw_rad=0.0, x_m=-1.9, y_m=0.3, score=0.0))
+    again = correlate(maps, PoseHypothesis(frames=0, yaw_rad=0.0, x_m=-1.9, y_m=0.3, score=0.0))
     assert maps.summed == known
     assert again[0].x_m == pytest.approx(first[0].x_m)
     with pytest.raises(ConfigError, match="at most 9 m"):
@@ -152,7 +152,7 @@ def test_targets_have_velocities_and_keep_their_numbers() -> None:
 
 def test_peaks_are_placed_within_the_cell() -> None:
     echoes = np.array([[10.0, 0, 0], [10.4, 0, 0], [30.0, 2, 0]])
-    moment = Moment(
+    moment = SensorPair(
         number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=echoes, power_db=np.array([20.0, 20.0, 15.0])
     )
     np.testing.assert_allclose(np.sort(find_peaks(moment).place_m[:, 0]), [10.2, 30.0])
@@ -162,7 +162,7 @@ def test_an_echo_between_two_cells_is_not_drawn_to_one() -> None:
     azimuth = np.radians(np.arange(-4.0, 5.0))
     power = 30 - 12 * ((np.degrees(azimuth) - 0.4) / 1.07) ** 2  # a beam of 1.07 degrees, half way to the next cell
     echoes = 70.0 * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
-    moment = Moment(number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=echoes, power_db=power)
+    moment = SensorPair(number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=echoes, power_db=power)
     found = find_peaks(moment)
     strongest = found.place_m[np.argmax(found.power_db)]
     assert abs(np.degrees(np.arctan2(strongest[1], strongest[0])) - 0.4) < 0.1
@@ -173,9 +173,9 @@ def post(x: float, y: float, width: float = 0.6, top: float = 1.0) -> np.ndarray
     return np.column_stack([np.full(64, x), y + across.ravel(), up.ravel()])
 
 
-def still(number: int, *bodies: np.ndarray) -> Moment:
+def still(number: int, *bodies: np.ndarray) -> SensorPair:
     points = np.concatenate(bodies)
-    return Moment(
+    return SensorPair(
         number=number,
         points_m=points,
         lag_s=np.zeros(len(points)),
@@ -209,15 +209,15 @@ def test_height_is_above_the_slope() -> None:
 
 
 def test_nothing_in_common_is_an_error() -> None:
-    empty = Moment(
+    empty = SensorPair(
         number=0, points_m=np.zeros((0, 3)), lag_s=np.zeros(0), echoes_m=np.zeros((0, 3)), power_db=np.zeros(0)
     )
     with pytest.raises(DatasetError, match="both sensors see"):
-        calibrate_radar(Evidence.of([empty]), TRUTH)
+        calibrate_radar(RadarEvidence.of([empty]), TRUTH)
 
 
 def test_a_pose_is_appraised_as_it_stands() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 20))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 20))
     good, pairs = appraise_radar(evidence, TRUTH)
     assert good.pose == TRUTH
     assert good.residual["range_cm"] < 20
@@ -239,7 +239,7 @@ class StopError(Exception):
 
 
 def test_progress_grows_and_may_end_the_work() -> None:
-    evidence = Evidence.of(road(np.random.default_rng(0), 12))
+    evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     shares: list[float] = []
     calibrate_radar(evidence, TRUTH, frames=1, told=shares.append)
     assert shares == sorted(shares)

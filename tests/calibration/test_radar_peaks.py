@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from farfield.calibration.moments import Moment, _highest
+from farfield.calibration.moments import SensorPair, _highest
 from farfield.calibration.peaks import STRONG_DB, find_peaks
-from farfield.calibration.radar_matching import Evidence, match_frame
+from farfield.calibration.radar_matching import RadarEvidence, match_frame
 from farfield.simulation.radar.model import RadarModel, virtual_array
 
 BEAM_RAD = np.radians(1.07)
 
 
-def seen(echoes: np.ndarray, power_db: np.ndarray, points: np.ndarray | None = None) -> Moment:
+def seen(echoes: np.ndarray, power_db: np.ndarray, points: np.ndarray | None = None) -> SensorPair:
     points = np.zeros((0, 3)) if points is None else points
-    return Moment(number=0, points_m=points, lag_s=np.zeros(len(points)), echoes_m=echoes, power_db=power_db)
+    return SensorPair(number=0, points_m=points, lag_s=np.zeros(len(points)), echoes_m=echoes, power_db=power_db)
 
 
 def post(x: float, y: float, width: float) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_weak_echoes_serve_where_something_thin_stands() -> None:
     weak, strong = np.full(2, STRONG_DB - 3), np.full(2, STRONG_DB + 3)
     nowhere = np.zeros(4)
     for power_db, gate_m, count in ((weak, 0.8, 1), (weak, 1.6, 0), (strong, 1.6, 2)):
-        columns = match_frame(Evidence.of([seen(echoes, power_db, points)]), nowhere, 0, 0, gate_m)
+        columns = match_frame(RadarEvidence.of([seen(echoes, power_db, points)]), nowhere, 0, 0, gate_m)
         assert len(columns[0]) == count
         assert (columns[0][:, 1] > 0).sum() == min(count, 1)
 

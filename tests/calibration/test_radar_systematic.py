@@ -8,7 +8,7 @@ import pytest
 
 from farfield.calibration.problems import solve
 from farfield.calibration.radar_matching import across_rad, polar, shares, whitened
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
 from farfield.calibration.radar_systematic import SYSTEMATIC, systematic_of
 
 RIGHT = np.array([-2.5, 0.3, 0.0, 0.02])
@@ -16,12 +16,12 @@ POST_M, CAR_M = 0.2, 1.8
 FORTY_M = 40.0 - RIGHT[0]  # ahead of the radar, from the LiDAR about which the yaw turns
 
 
-def highway(rng: np.random.Generator, count: int = 400, *, width_m: float = POST_M) -> Pairs:
+def highway(rng: np.random.Generator, count: int = 400, *, width_m: float = POST_M) -> MatchedObjects:
     """Objects to 70 m on both sides, each seen once, where they are; speeds that tell the time."""
     lidar = np.column_stack([rng.uniform(8, 70, count), rng.uniform(-12, 12, count), np.zeros(count)])
     speed = np.column_stack([rng.uniform(-40, 10, count), np.zeros(count)])
     radar = lidar + np.column_stack([speed * RIGHT[3], np.zeros(count)]) + [RIGHT[0], RIGHT[1], 0.0]
-    return Pairs(
+    return MatchedObjects(
         lidar_m=lidar,
         width_m=np.full(count, width_m),
         velocity_m_s=speed,
@@ -32,12 +32,12 @@ def highway(rng: np.random.Generator, count: int = 400, *, width_m: float = POST
     )
 
 
-def solved(pairs: Pairs) -> np.ndarray:
+def solved(pairs: MatchedObjects) -> np.ndarray:
     rows = partial(whitened, pairs=pairs)
     return solve(rows, RIGHT, PARAMETERS, group=pairs.track, share=shares(pairs, RIGHT)).value - RIGHT
 
 
-def deeper(pairs: Pairs, left_m: float, right_m: float) -> Pairs:
+def deeper(pairs: MatchedObjects, left_m: float, right_m: float) -> MatchedObjects:
     """The same with echoes from deeper by so much times the sine of the bearing, on each side."""
     reach = np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1])
     sine = pairs.radar_m[:, 1] / reach
@@ -63,7 +63,7 @@ def test_what_is_taken_out_is_a_depth_that_grows_with_the_sine() -> None:
     """Two objects to the left at 30 degrees and none to the right: residuals r leave r less the part told of it."""
     bearing, reach = np.radians(30.0), 40.0
     place = reach * np.array([[np.cos(bearing), np.sin(bearing), 0.0]] * 2)
-    pairs = Pairs(
+    pairs = MatchedObjects(
         lidar_m=place * (1 - 0.1 / reach),
         width_m=np.full(2, POST_M),
         velocity_m_s=np.zeros((2, 2)),

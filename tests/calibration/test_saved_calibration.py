@@ -13,7 +13,7 @@ from farfield.calibration.radar_lidar import RadarCalibration
 from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import save_camera, save_radar
 from farfield.datasets.calibration import read_calibration
-from farfield.datasets.kradar.radar_pose import SIDE_FILE, Matching, read_matching, read_side_file
+from farfield.datasets.kradar.radar_pose import SIDE_FILE, InfoMatching, read_matching, read_side_file
 from farfield.datasets.kradar.texts import format_camera, read_camera, read_radar_calibration
 from farfield.errors import FileFormatError
 from farfield.geometry.cameras import Camera
@@ -74,7 +74,7 @@ def test_a_side_file_that_disagrees_is_refused(tmp_path: Path) -> None:
 
 def test_matching_info_is_read_as_it_is_written(tmp_path: Path) -> None:
     names = ("tesseract_00033.mat", "os2-64_00001.pcd", "cam-front_00002.png")
-    given = Matching(names=names, base=(-2.54, 0.3, 0.0), offset=(0.04, -0.05, 1.15))
+    given = InfoMatching(names=names, base=(-2.54, 0.3, 0.0), offset=(0.04, -0.05, 1.15))
     path = tmp_path / "00033_00001.txt"
     path.write_text(given.text())
     assert path.read_text().splitlines()[1] == "-2.500, +0.250, +1.150"

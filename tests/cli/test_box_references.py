@@ -17,7 +17,7 @@ from farfield.files.boxes_csv import parse_boxes_csv, read_boxes_csv, write_boxe
 from farfield.frame import Annotation, Boxes
 from farfield.metrics.reading import read, read_predictions
 from farfield.recording.convert import box_rows
-from farfield.recording.results import Results
+from farfield.recording.results import ResultWriter
 from farfield.studio.showing.predictions import read_set
 from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
@@ -144,7 +144,7 @@ def test_results_of_every_format_name_their_coordinates(kradar: Path, tmp_path: 
     data = open_dataset(kradar, reference="radar")
     boxes = [(key, CAR.replace(score=np.ones(1), track_id=np.ones(1, dtype=np.int64))) for key in data.keys]
     for format, out in (("boxes-csv", "a.csv"), ("nuscenes", "a.json"), ("kitti", "a")):
-        Results(format, data, data.keys).write(tmp_path / out, boxes)
+        ResultWriter(format, data, data.keys).write(tmp_path / out, boxes)
     assert read_predictions(tmp_path / "a.csv").reference == "radar"
     world = open_dataset(kradar)[0].world_T_frame is not None
     assert read_predictions(tmp_path / "a.json", format="nuscenes").reference == ("world" if world else "radar")

@@ -11,7 +11,7 @@ from street import write_street
 
 from farfield.cli import main
 from farfield.datasets.kradar import KRadarWriter
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import zyx_cube
@@ -34,7 +34,7 @@ def kradar(tmp_path_factory):
         label=["vehicle"],
     )
     writer = KRadarWriter(folder / "kradar")
-    writer.write(frame(1, radar={"cells": cells}, load_annotation=Given(Annotation(boxes=car, visibility=["R"]))))
+    writer.write(frame(1, radar={"cells": cells}, load_annotation=Constant(Annotation(boxes=car, visibility=["R"]))))
     writer.finish()
     return folder / "kradar"
 

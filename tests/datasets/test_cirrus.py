@@ -10,7 +10,7 @@ from farfield.datasets.cirrus.layout import pair, segment_numbers
 from farfield.datasets.cirrus.mapping import Pairing
 from farfield.datasets.cloud_files import cache_path, write_rows_cache
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Sensor, joined
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, joined
 from farfield.geometry.poses import pose_from_yaw, quaternion_from_yaw
 
 START_NS = 1_558_131_117_608_556_768
@@ -42,7 +42,7 @@ def make_frame(rng: np.random.Generator, number: int = 0, *, sequence: str = "hi
         frame_id=str(time_ns),
         time_ns=time_ns,
         clouds={"gaussian": make_cloud(rng), "uniform": make_cloud(rng)},
-        load_annotation=Given(
+        load_annotation=Constant(
             Annotation(boxes=boxes, extent="visible", full_boxes=full, details={"point_count_uniform": np.arange(6)})
         ),
         world_T_frame=pose_from_yaw(0.3, (10.0 * number, 2.0, 0.0)),

@@ -10,7 +10,7 @@ from street import GROUND_M, street
 
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
-from farfield.inspection.doctor import Report, examine
+from farfield.inspection.doctor import DoctorReport, examine
 from farfield.inspection.doctor.evidence import READINGS, ballots, count_points
 from farfield.inspection.doctor.ground import above_ground, ground_height_m
 
@@ -92,7 +92,7 @@ def spoil(root: Path, change: Callable[[Label], None]) -> None:
         path.write_text(json.dumps(content))
 
 
-def failures(report: Report) -> dict[str, str]:
+def failures(report: DoctorReport) -> dict[str, str]:
     return {finding.topic: finding.what for finding in report.findings if finding.severity == "fail"}
 
 
@@ -199,7 +199,7 @@ class TestRealLuminar:
         assert "pi/180" in failures(examine(open_dataset(root)))["yaw"]
 
 
-def verdict(report: Report) -> list[tuple[str, str]]:
+def verdict(report: DoctorReport) -> list[tuple[str, str]]:
     return [(finding.topic, finding.severity) for finding in report.findings]
 
 

@@ -15,7 +15,7 @@ from farfield.datasets import DATASETS, Format, open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.radar_cloud import RadarView
-from farfield.datasets.maps import MAPS, Coordinates, Move, Placed, Sweeps, described, make, none_before
+from farfield.datasets.maps import MAPS, Coordinates, Move, Sweeps, TransformedCloud, described, make, none_before
 from farfield.datasets.recipes import plain, recipe_of_experiment, replay
 from farfield.detection import as_trained
 from farfield.errors import ConfigError
@@ -252,9 +252,9 @@ def test_coordinates_do_not_move_there_and_back(kradar):
 def test_placed_clouds_move_once(rng):
     cloud = Drive()[0].cloud("gaussian")
     pose = pose_from_yaw(0.3, (2.0, -1.0, 0.5))
-    placed = Placed(Drive()[0].clouds.get, pose)  # type: ignore[arg-type]
+    placed = TransformedCloud(Drive()[0].clouds.get, pose)  # type: ignore[arg-type]
     assert np.allclose(placed.moved(invert(pose)).frame_T_sensor, np.eye(4))
-    here = Placed(lambda: cloud, pose).moved(invert(pose))
+    here = TransformedCloud(lambda: cloud, pose).moved(invert(pose))
     assert here() is cloud
 
 

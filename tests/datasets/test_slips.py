@@ -11,7 +11,7 @@ from farfield.datasets.folder import write_boxes
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import parse_boxes_csv
 from farfield.frame import Boxes
-from farfield.inspection.doctor import Report, examine
+from farfield.inspection.doctor import DoctorReport, examine
 from farfield.metrics.reading import read
 
 CAR = Boxes(
@@ -32,7 +32,7 @@ def own(folder: Path, change: Callable[[np.ndarray], np.ndarray] = np.asarray) -
     return folder
 
 
-def topics(report: Report, severity: str) -> str:
+def topics(report: DoctorReport, severity: str) -> str:
     return " ".join(f"{one.topic}: {one.what}" for one in report.findings if one.severity == severity)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor, moved
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, moved
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.inspection.statistics import Statistics, gather, map_statistics, power_map_db
 from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
@@ -28,7 +28,7 @@ def cars(x_m, label="vehicle"):
 
 
 def frame_of(clouds, boxes=None, **rest):
-    annotation = None if boxes is None else Given(Annotation(boxes=boxes))
+    annotation = None if boxes is None else Constant(Annotation(boxes=boxes))
     return Frame(**{"sequence": "s", "frame_id": "0", "clouds": clouds, "load_annotation": annotation, **rest})
 
 

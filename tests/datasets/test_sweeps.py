@@ -6,7 +6,7 @@ import pytest
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps import Sweeps, make
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor
 from farfield.geometry.poses import invert, pose_from_yaw
 
 WORLD_POINTS_M = np.array([[20.0, 1.0, 0.0], [60.0, -4.0, 2.0], [90.0, 7.0, 1.0], [35.0, 0.0, 0.5]])
@@ -44,7 +44,7 @@ class Drive(Dataset):
                 "uniform": Sensor(kind="lidar", time_ns=time_ns + (20_000_000 if index == 0 else 0)),
             },
             clouds=clouds,
-            load_annotation=Given(Annotation(boxes=boxes)),
+            load_annotation=Constant(Annotation(boxes=boxes)),
             world_T_frame=self.pose(index) if self.with_poses else None,
         )
 

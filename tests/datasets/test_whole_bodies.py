@@ -11,7 +11,7 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import WholeBodies, make, none_before
 from farfield.datasets.recipes import replay
 from farfield.errors import DatasetError
-from farfield.frame import Annotation, Boxes, Frame, Given
+from farfield.frame import Annotation, Boxes, Constant, Frame
 
 
 @pytest.fixture
@@ -56,12 +56,12 @@ def test_whole_bodies_stay_and_unknown_ones_are_an_error(visible: Dataset) -> No
     frame, mapped = visible[0], make("whole_bodies", {})
     annotation = frame.annotation
     assert annotation is not None
-    full = replace(frame, load_annotation=Given(Annotation(boxes=annotation.boxes)))
+    full = replace(frame, load_annotation=Constant(Annotation(boxes=annotation.boxes)))
     assert mapped(full, none_before).annotation is full.annotation
-    bare = replace(frame, load_annotation=Given(replace(annotation, full_boxes=None)))
+    bare = replace(frame, load_annotation=Constant(replace(annotation, full_boxes=None)))
     with pytest.raises(DatasetError, match="tell the whole bodies of its objects"):
         _ = mapped(bare, none_before).annotation
-    empty = replace(frame, load_annotation=Given(Annotation(boxes=Boxes.empty(), extent="visible")))
+    empty = replace(frame, load_annotation=Constant(Annotation(boxes=Boxes.empty(), extent="visible")))
     found = mapped(empty, none_before).annotation
     assert found is not None
     assert found.extent == "full"

@@ -13,7 +13,7 @@ from torch import nn
 
 from farfield import registry
 from farfield.cli import main
-from farfield.detectors import DETECTORS, Kind, build_detector, detector
+from farfield.detectors import DETECTORS, DetectorSpec, build_detector, detector
 from farfield.detectors.catalogue import catalogue
 from farfield.detectors.contract import DetectorConfig, Network
 from farfield.detectors.features import PointFeatures
@@ -103,7 +103,7 @@ class TheirConfig(MeanConfig):
     name: str = "theirs"
 
 
-THEIRS = Kind(name="theirs", paper="theirs, 2026", config=TheirConfig, network="test_kinds:Mean")
+THEIRS = DetectorSpec(name="theirs", paper="theirs, 2026", config=TheirConfig, network="test_kinds:Mean")
 
 
 @pytest.mark.parametrize(

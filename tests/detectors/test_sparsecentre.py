@@ -13,7 +13,15 @@ from farfield.detectors.sparsecentre.backbone import SparsePyramid, merge_height
 from farfield.detectors.sparsecentre.diffusion import CentreDiffusion, means_at
 from farfield.detectors.sparsecentre.head import peaks
 from farfield.detectors.sparsecentre.network import SparseCentre, SparseCentreConfig
-from farfield.detectors.sparsecentre.targets import CentreTargets, Truth, assign, decode, encode, heat_loss, vote_loss
+from farfield.detectors.sparsecentre.targets import (
+    BoxTensors,
+    CentreTargets,
+    assign,
+    decode,
+    encode,
+    heat_loss,
+    vote_loss,
+)
 from farfield.detectors.voxels import VoxelGridConfig
 from farfield.frame import Boxes, Cloud
 from farfield.geometry.points import points_in_boxes
@@ -52,7 +60,7 @@ def truth_of(rows, kind=None, weight=None):
     kind = np.zeros(len(rows), np.int64) if kind is None else np.asarray(kind)
     weight = np.ones(len(rows)) if weight is None else np.asarray(weight)
     target = CentreTargets(rows[:, :3], rows[:, 3:6], rows[:, 6], kind, weight)
-    return Truth.of(target, torch.device("cpu"))
+    return BoxTensors.of(target, torch.device("cpu"))
 
 
 def test_default_covers_the_range_asked_for_and_knows_all_eight_classes():
@@ -214,7 +222,7 @@ def test_every_box_with_a_point_has_a_cell_assigned_to_it(scene):
     with torch.no_grad():
         maps = network(batch_of(single))
     _, place = network.head.places_m(maps.keys)
-    duties = assign(place, Truth.of(targets, place.device), 2, gaussian_m=0.7, assign_m=8.0, box_m=1.2)
+    duties = assign(place, BoxTensors.of(targets, place.device), 2, gaussian_m=0.7, assign_m=8.0, box_m=1.2)
     assert set(duties.box.tolist()) == set(range(5))
     gap = np.linalg.norm(place[duties.cell].numpy() - scene.boxes.centre_m[duties.box.numpy(), :2], axis=1)
     assert gap.max() < 2.5 + 0.8

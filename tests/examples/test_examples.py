@@ -156,7 +156,7 @@ def test_what_is_registered_as_another_thing_is_named_too(
     wrong = {"wrong": "json:dumps"}
     install("wrong-package", {"detectors": wrong, "protocols": wrong, "datasets": wrong})
     assert main(["detectors"]) == 0
-    assert "wrong-package cannot be used: expected a farfield.detectors.Kind" in " ".join(
+    assert "wrong-package cannot be used: expected a farfield.detectors.DetectorSpec" in " ".join(
         capsys.readouterr().out.split()
     )
     assert "expected a class that inherits" in PROTOCOLS.broken("wrong")

@@ -26,14 +26,14 @@ from farfield.adaptation import thresholds
 from farfield.datasets import Dataset, open_dataset
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError, FarfieldError
-from farfield.experiments.adapting import Adapted, Choices
+from farfield.experiments.adapting import AdaptationOptions, AdaptationResult
 from farfield.experiments.adapting.page import changes, edges_to, extents, most_changed
 from farfield.experiments.adapting.rounds import measured_step_s, rare_classes, steps_in, steps_wanted
-from farfield.experiments.adapting.settings import Settled, spread
-from farfield.experiments.adapting.source import Learnt, learnt_by, simulation_of
+from farfield.experiments.adapting.settings import CalibratedThresholds, spread
+from farfield.experiments.adapting.source import TrainingHistory, learnt_by, simulation_of
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment, experiment_of
-from farfield.frame import Annotation, Boxes, Frame, Given
+from farfield.frame import Annotation, Boxes, Constant, Frame
 
 EAGER = {"score_threshold": 0.0, "max_boxes": 20, "candidates": 20}  # a network that has learnt nothing finds something
 QUICK = ("training.workers=0", "training.precision=fp32", "training.threads=1", "training.log_every_steps=1")
@@ -74,7 +74,7 @@ def test_weights_a_page_and_what_they_come_from(
     start: Path, simulated_cirrus: Path, tmp_path: Path, eager: None
 ) -> None:
     out = tmp_path / "adapted"
-    done: Adapted = ff.adapt(start, simulated_cirrus, out=out, clouds=("uniform",), **TINY)
+    done: AdaptationResult = ff.adapt(start, simulated_cirrus, out=out, clouds=("uniform",), **TINY)
     before, after = tensors_of(start / "weights.safetensors"), tensors_of(done.weights)
     assert before.keys() == after.keys()
     assert any(not torch.equal(before[name], after[name]) for name in before)
@@ -250,7 +250,7 @@ def test_choices_that_do_not_fit_are_refused(
 
 
 def test_the_source_is_simulated_on_other_roads_without_camera() -> None:
-    learnt = Learnt(path="x", simulate={"preset": "cirrus-sim", "seed": 3, "sequences": 9, "frames": 9})
+    learnt = TrainingHistory(path="x", simulate={"preset": "cirrus-sim", "seed": 3, "sequences": 9, "frames": 9})
     made = simulation_of(learnt, 15, 0, "mine")
     assert (made.sensors, made.seed, made.sequences, made.frames) == ("gaussian,uniform", 1003, 3, 6)
     few = simulation_of(learnt, 2, 1, "mine")
@@ -270,14 +270,14 @@ def test_a_provenance_of_several_streams_gives_its_source() -> None:
 
 
 def test_steps_follow_the_sources_and_the_time() -> None:
-    assert steps_wanted(Choices(), Learnt(path="x", training={"steps": 2600})) == 325
-    assert steps_wanted(Choices(), Learnt(path="x", training={"steps": 300_000})) == 500
-    assert steps_wanted(Choices(steps=7, rounds=3), Learnt(path="x")) == 2
-    assert steps_in(100.0, 1.0, Choices(minutes=9), 325) == 45
-    assert steps_in(1e6, 1.0, Choices(minutes=9), 325) == 325
-    assert steps_in(10.0, 1.0, Choices(minutes=9), 4) == 4
+    assert steps_wanted(AdaptationOptions(), TrainingHistory(path="x", training={"steps": 2600})) == 325
+    assert steps_wanted(AdaptationOptions(), TrainingHistory(path="x", training={"steps": 300_000})) == 500
+    assert steps_wanted(AdaptationOptions(steps=7, rounds=3), TrainingHistory(path="x")) == 2
+    assert steps_in(100.0, 1.0, AdaptationOptions(minutes=9), 325) == 45
+    assert steps_in(1e6, 1.0, AdaptationOptions(minutes=9), 325) == 325
+    assert steps_in(10.0, 1.0, AdaptationOptions(minutes=9), 4) == 4
     with pytest.raises(ConfigError, match=r"enough for 20 steps in each of 2 rounds; of 1 minutes 0 s are left"):
-        steps_in(-5.0, 2.0, Choices(minutes=1), 325)
+        steps_in(-5.0, 2.0, AdaptationOptions(minutes=1), 325)
 
 
 def as_if_slow(*given: Any) -> float:
@@ -303,7 +303,7 @@ def boxes_at(*x: float) -> Boxes:
 
 def test_a_class_without_enough_sure_boxes_is_ignored_and_not_unlearnt() -> None:
     scores = {"vehicle": 0.5, "pedestrian": 0.4}
-    settled = Settled(settings={}, positive=scores, negative=scores, measured=(), source_rate=1.0, steps=1)
+    settled = CalibratedThresholds(settings={}, positive=scores, negative=scores, measured=(), source_rate=1.0, steps=1)
     cars = boxes_at(*range(20)).replace(label=["vehicle"] * 20, score=np.full(20, 0.5))
     people = boxes_at(*range(30)).replace(label=["pedestrian"] * 30, score=np.linspace(0.0, 0.58, 30))
     assert rare_classes({("s", "0"): cars, ("s", "1"): people}, settled) == ("pedestrian",)
@@ -330,7 +330,7 @@ class Annotated(Dataset):
         self.extent = extent
 
     def frame(self, index: int) -> Frame:
-        given = None if self.extent is None else Given(Annotation(boxes=boxes_at(3), extent=self.extent))
+        given = None if self.extent is None else Constant(Annotation(boxes=boxes_at(3), extent=self.extent))
         return Frame(sequence="s", frame_id=str(index), load_annotation=given)
 
     def files(self, index: int) -> list[Path]:

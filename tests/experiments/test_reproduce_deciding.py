@@ -10,13 +10,13 @@ import pytest
 pytest.importorskip("torch")
 
 from farfield.experiments.claims import load as load_claims
-from farfield.experiments.claims.schema import Comparison, Row
-from farfield.experiments.reproduce.deciding import Decided, Judge, Scores, to_json, verdict_of
+from farfield.experiments.claims.schema import ClaimSide, Comparison
+from farfield.experiments.reproduce.deciding import DecidedComparison, DecisionRule, Scores, to_json, verdict_of
 from farfield.experiments.reproduce.grid import load_grid
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.scoring import matched_frames, sample_of, together
-from farfield.experiments.reproduce.statistics import Objects, compared
-from farfield.experiments.reproduce.summary import Made, summary_of
+from farfield.experiments.reproduce.statistics import AnnotatedObjects, compared
+from farfield.experiments.reproduce.summary import ReproductionSummary, summary_of
 from farfield.experiments.reproduce.tables import classes_of, spread_of, tables_of
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import Detections
@@ -43,8 +43,8 @@ def made_up(values: dict[str, float], noise: float = 0.003) -> Scores:
     return Scores.of(found)
 
 
-def decided(scores: Scores, claim: str) -> list[Decided]:
-    judge = Judge(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores)
+def decided(scores: Scores, claim: str) -> list[DecidedComparison]:
+    judge = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores)
     own = [each for each in judge.decided() if each.claim.id == claim]
     return [each for each in own if each.first and each.role == "comparison"]
 
@@ -90,7 +90,7 @@ def test_a_run_without_such_a_figure_is_no_run_that_is_missing() -> None:
 
 def test_spreads_are_pooled_by_metric_and_network() -> None:
     scores = made_up(dict.fromkeys(GRID.runs_of("laptop"), 0.5))
-    found = Judge(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decided()
+    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decided()
     trained = [each for each in found if each.decision is not None]
     assert {each.pool for each in trained} >= {"dds, grid", "wdds, grid", "dds, second and voxelnet"}
     grid = [each for each in trained if each.pool == "dds, grid"]
@@ -111,8 +111,10 @@ def test_a_seed_that_one_row_lacks_is_left_out() -> None:
     assert {each.seeds for each in found} == {(0, 2)}
 
 
-def objects(points: dict[str, list[int]], range_m: list[float], road: list[int], weather: list[str]) -> Objects:
-    return Objects(
+def objects(
+    points: dict[str, list[int]], range_m: list[float], road: list[int], weather: list[str]
+) -> AnnotatedObjects:
+    return AnnotatedObjects(
         points={name: np.array(values, dtype=np.int64) for name, values in points.items()},
         range_m=np.array(range_m, dtype=np.float64),
         road=np.array(road, dtype=np.int64),
@@ -134,10 +136,14 @@ def test_points_in_boxes_are_compared_as_logarithms_of_means() -> None:
 def test_returns_are_shares_of_objects_by_weather() -> None:
     weather = ["normal", "normal", "sleet", "sleet"]
     data = objects({"os2-64": [5, 4, 1, 9], "other": [-1] * 4}, [10.0] * 4, [0, 0, 0, 0], weather)
-    pair = Comparison(a=Row(cloud="os2-64", part="weather/normal"), b=Row(cloud="os2-64", part="weather/sleet"))
+    pair = Comparison(
+        a=ClaimSide(cloud="os2-64", part="weather/normal"), b=ClaimSide(cloud="os2-64", part="weather/sleet")
+    )
     found = compared(pair, "share_of_objects_with_returns", data, replicates=10)
     assert found.estimate == pytest.approx(0.0)
-    absent = Comparison(a=Row(cloud="other", part="weather/normal"), b=Row(cloud="none", part="weather/sleet"))
+    absent = Comparison(
+        a=ClaimSide(cloud="other", part="weather/normal"), b=ClaimSide(cloud="none", part="weather/sleet")
+    )
     assert compared(absent, "share_of_objects_with_returns", data, replicates=10).estimate is None
 
 
@@ -222,8 +228,8 @@ def test_the_summary_and_its_page(tmp_path) -> None:
 
     scores = made_up({"gaussian": 0.5, "uniform": 0.4})
     data = objects({"gaussian": [40, 20, 9], "uniform": [20, 10, 2]}, [10, 20, 210], [0, 1, 1], [""] * 3)
-    found = Judge(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores, objects=data).decided()
-    made = Made(
+    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores, objects=data).decided()
+    made = ReproductionSummary(
         paper="cirrus",
         budget="laptop",
         simulated=True,

@@ -12,8 +12,8 @@ from tinygrid import RUNS, tiny_grid
 from farfield.errors import ConfigError, FileFormatError
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.claims.schema import BUDGETS
-from farfield.experiments.reproduce.grid import LEAST_SEEDS, LEAST_STEPS, Grid, load_grid, merged
-from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of, waves
+from farfield.experiments.reproduce.grid import LEAST_SEEDS, LEAST_STEPS, ExperimentGrid, load_grid, merged
+from farfield.experiments.reproduce.jobs import DataLocations, TrainingJob, jobs_of, waves
 from farfield.experiments.reproduce.needs import needs_of
 from farfield.experiments.reproduce.places import places_of
 
@@ -21,10 +21,10 @@ PAPERS = ("cirrus", "kradar")
 FOLDER = Path("runs")
 
 
-def jobs(grid: Grid, budget: str = "laptop", **options: Any) -> list[Job]:
+def jobs(grid: ExperimentGrid, budget: str = "laptop", **options: Any) -> list[TrainingJob]:
     claims = load_claims(grid.paper)
     places = places_of(grid, budget, Path("data"))
-    data = Plotted(places=places, fingerprints=options.pop("fingerprints", dict.fromkeys(places, "")))
+    data = DataLocations(places=places, fingerprints=options.pop("fingerprints", dict.fromkeys(places, "")))
     return jobs_of(grid, budget, claims, data, options.pop("folder", FOLDER), **options)
 
 
@@ -187,9 +187,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     tree = tiny_grid().model_dump()
     tree["budgets"]["laptop"]["sets"].pop("device")
     with pytest.raises(ValueError, match="expected a set among"):
-        Grid.model_validate(tree)
+        ExperimentGrid.model_validate(tree)
     with pytest.raises(ConfigError, match="budget: expected one of laptop"):
-        jobs_of(tiny_grid(), "desk", load_claims("cirrus"), Plotted(places={}), FOLDER)
+        jobs_of(tiny_grid(), "desk", load_claims("cirrus"), DataLocations(places={}), FOLDER)
 
 
 def test_trees_are_laid_over_one_another() -> None:

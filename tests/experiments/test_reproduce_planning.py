@@ -12,17 +12,17 @@ from tinygrid import tiny_grid
 from farfield.errors import ConfigError
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.reproduce import measuring
-from farfield.experiments.reproduce.grid import Simulated, load_grid
-from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import Pace, StepClock, little, measure_simulating, patience_s, short
+from farfield.experiments.reproduce.grid import SimulatedSet, load_grid
+from farfield.experiments.reproduce.jobs import DataLocations, TrainingJob, jobs_of
+from farfield.experiments.reproduce.measuring import RunRate, StepClock, little, measure_simulating, patience_s, short
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.reproduce.planning import (
     PAGE_S,
     RESERVE,
     SCORING_S,
-    Cost,
-    Outline,
-    Outlook,
+    GridCost,
+    GridPlan,
+    PowerEstimate,
     cost_of,
     described,
     fitted,
@@ -34,13 +34,13 @@ CIRRUS = load_grid("cirrus")
 LAPTOP = CIRRUS.budgets["laptop"]
 
 
-def jobs() -> list[Job]:
-    data = Plotted(places=places_of(CIRRUS, "laptop", Path("data")))
+def jobs() -> list[TrainingJob]:
+    data = DataLocations(places=places_of(CIRRUS, "laptop", Path("data")))
     return jobs_of(CIRRUS, "laptop", load_claims("cirrus"), data, Path("runs"))
 
 
-def alike(listed: list[Job], step_s: float) -> dict[str, Pace]:
-    return {job.kind: Pace(step_s=step_s, begin_s=2.0, frame_s=0.1) for job in listed}
+def alike(listed: list[TrainingJob], step_s: float) -> dict[str, RunRate]:
+    return {job.kind: RunRate(step_s=step_s, begin_s=2.0, frame_s=0.1) for job in listed}
 
 
 def test_cost_is_the_sum_of_its_parts() -> None:
@@ -121,7 +121,7 @@ class SlowToBegin:
     def process_time(self) -> float:
         return self.now
 
-    def simulate(self, wanted: Simulated, path: Path, **how: Any) -> None:
+    def simulate(self, wanted: SimulatedSet, path: Path, **how: Any) -> None:
         self.now += 10.0 * (wanted.preset not in self.known) + wanted.sequences * wanted.frames
         self.known.add(wanted.preset)
         path.mkdir(parents=True)
@@ -151,13 +151,13 @@ def test_seconds_of_a_frame_leave_out_what_a_process_makes_once(
 def test_the_pace_leaves_out_what_comes_before_the_steps_are_settled(times, step_s: float, begin_s: float) -> None:
     clock = StepClock()
     clock.began, clock.times = (0.0, 100.0), [(time, 100 + 2 * time) for time in times]
-    assert clock.pace(0, 0.1) == Pace(step_s=step_s, begin_s=begin_s, frame_s=0.1)
-    assert clock.pace(1, 0.1) == Pace(step_s=2 * step_s, begin_s=2 * begin_s, frame_s=0.1)
+    assert clock.pace(0, 0.1) == RunRate(step_s=step_s, begin_s=begin_s, frame_s=0.1)
+    assert clock.pace(1, 0.1) == RunRate(step_s=2 * step_s, begin_s=2 * begin_s, frame_s=0.1)
 
 
 def test_outlooks_follow_seeds_and_published_differences() -> None:
     claims, runs = load_claims("cirrus"), tuple(CIRRUS.runs_of("laptop"))
-    by_claim: dict[str, list[Outlook]] = {}
+    by_claim: dict[str, list[PowerEstimate]] = {}
     for each in outlooks(claims, runs, LAPTOP):
         by_claim.setdefault(each.claim, []).append(each)
     assert [each.words for each in by_claim["C1"]][:3] == ["yes"] * 3
@@ -173,17 +173,17 @@ def test_outlooks_follow_seeds_and_published_differences() -> None:
 
 
 def test_an_outline_is_kept_and_read_again() -> None:
-    outline = Outline(
+    outline = GridPlan(
         budget="laptop",
         steps_share=0.9,
         steps={"grid": 270},
         jobs=57,
         rows=19,
         seeds=3,
-        cost=Cost(simulating=1.0, training=100.0, scoring=20.0),
+        cost=GridCost(simulating=1.0, training=100.0, scoring=20.0),
         workers=2,
-        outlooks=(Outlook(claim="C1", power=0.9), Outlook(claim="C4", power=None, runs=False)),
-        paces={"a": Pace(step_s=0.2, begin_s=1.0, frame_s=0.1)},
+        outlooks=(PowerEstimate(claim="C1", power=0.9), PowerEstimate(claim="C4", power=None, runs=False)),
+        paces={"a": RunRate(step_s=0.2, begin_s=1.0, frame_s=0.1)},
         simulating_s={"train": 0.3},
     )
     assert outline_of(outline.to_json()) == outline

@@ -17,8 +17,8 @@ from farfield.bulk.folders import locked
 from farfield.errors import ConfigError
 from farfield.experiments.reproduce import running
 from farfield.experiments.reproduce.deciding import Scores
-from farfield.experiments.reproduce.running import Spending, quiet
-from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.running import CpuTime, quiet
+from farfield.experiments.reproduce.scoring import ScoringTask
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux says")
@@ -49,19 +49,19 @@ def test_what_killed_processes_took_counts(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(running.time, "process_time", lambda: now[0])
     monkeypatch.setattr(running.time, "monotonic", lambda: now[0])
     path = tmp_path / "job" / "spent.json"
-    first = Spending(path)
+    first = CpuTime(path)
     for now[0] in (105.0, 115.0, 120.0):
         first.step(1, {})
     now[0] = 3.0  # it was killed: another process goes on
-    second = Spending(path)
+    second = CpuTime(path)
     now[0] = 10.0
     assert second.seconds == pytest.approx(15.0 + 7.0)  # up to ten seconds of the first are lost
     second.note()
-    assert Spending(path).seconds == pytest.approx(22.0)
+    assert CpuTime(path).seconds == pytest.approx(22.0)
     second.done()
-    assert Spending(path).seconds == pytest.approx(0.0)
+    assert CpuTime(path).seconds == pytest.approx(0.0)
     path.write_text("[1", encoding="utf-8")
-    assert Spending(path).seconds == pytest.approx(0.0)
+    assert CpuTime(path).seconds == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("killed_at_scoring", [False, True])
@@ -70,14 +70,14 @@ def test_weights_that_were_brought_are_told_from_those_of_a_killed_process(
 ) -> None:
     made = tiny(tmp_path)
     (job, *_) = made.jobs(made.places)
-    scoring = Scoring(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
-    monkeypatch.setattr(Scoring, "of_job", lambda self, job, weights: {"clouds": {}})
+    scoring = ScoringTask(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    monkeypatch.setattr(ScoringTask, "of_job", lambda self, job, weights: {"clouds": {}})
     home = tmp_path / job.folder
     home.mkdir(parents=True)
     (home / running.WEIGHTS).write_bytes(b"of another machine")
     if killed_at_scoring:
         (home / running.SPENT).write_text('{"processor_s": 60.0}', encoding="utf-8")
-    done = running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+    done = running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))
     assert ("brought" in done.clock) is not killed_at_scoring
     assert (done.clock["processor_s"] >= 60.0) is killed_at_scoring
 
@@ -93,16 +93,16 @@ def run_out(self: object, report: object = None) -> None:
 def test_a_training_that_diverges_is_said_and_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = tiny(tmp_path)
     (job, *_) = made.jobs(made.places)
-    scoring = Scoring(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    scoring = ScoringTask(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
     monkeypatch.setattr(running.Plan, "run", diverge)
     (tmp_path / job.folder).mkdir(parents=True)
-    done = running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+    done = running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))
     scores = json.loads(done.files[0].read_text())
     assert scores["failed"].startswith("diverged: ")
     assert Scores.of([scores]).by_run == {}
     monkeypatch.setattr(running.Plan, "run", run_out)
     with pytest.raises(RuntimeError, match="memory"):  # the next time it may suffice
-        running.Doing(tmp_path, scoring)(Unit(job.folder, parameters=job))
+        running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))
 
 
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from tinygrid import tiny_kradar
 
 from farfield.datasets import open_dataset
 from farfield.experiments.reproduce import Reproduction, load_grid
-from farfield.experiments.reproduce.places import Place
-from farfield.experiments.reproduce.sheets import Moment, measure_sheet, sheet_places, sheets_of, two_roads
+from farfield.experiments.reproduce.places import DataLocation
+from farfield.experiments.reproduce.sheets import SheetFrame, measure_sheet, sheet_places, sheets_of, two_roads
 from farfield.reports.figures import Window
 from farfield.reports.radar_sheets import WINDOW_M
 from farfield.vocabulary.conditions import WEATHERS
@@ -42,7 +42,7 @@ def test_the_page_alone_shows_them_where_all_is_simulated(tmp_path: Path) -> Non
     assert measure_sheet({}, tmp_path) == 0.0
 
 
-class Counted(Moment):
+class Counted(SheetFrame):
     """A moment with so many objects in view and in the corridor."""
 
     def __init__(self, in_view: int, inside: int) -> None:
@@ -103,10 +103,10 @@ def test_the_sheets_of_a_tiny_grid(tmp_path: Path) -> None:
     assert reproduction.outline() == measured
 
     (recorded,) = out.glob("data/sheets-sleet-*")
-    (own,) = sheets_of({}, Place(path=recorded), {}, reproduction.settings)[:1]
+    (own,) = sheets_of({}, DataLocation(path=recorded), {}, reproduction.settings)[:1]
     assert own.title == "Figure 8: roads by weather"
     assert [frame["weather"] for frame in own.facts()] == ["sleet"]
-    missing = sheets_of({}, Place(path=recorded), {}, reproduction.settings)[1]
+    missing = sheets_of({}, DataLocation(path=recorded), {}, reproduction.settings)[1]
     assert "RTNH and PointPillars of the first seed, which are not finished" in missing.words
     boxes = [len(frame.boxes) for frame in open_dataset(recorded, reference="radar") if frame.boxes is not None]
     assert 0 < own.sheets[0].facts(WINDOW_M)["annotated"] <= max(boxes)

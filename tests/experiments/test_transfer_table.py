@@ -13,12 +13,12 @@ pytest.importorskip("embreex")
 from farfield.cli import main
 from farfield.errors import FileFormatError
 from farfield.experiments.reproduce.scoring import json_of_sample
-from farfield.experiments.reproduce.transfer import Transfer, cells_of, lines_of, load_table, runs_of
+from farfield.experiments.reproduce.transfer import TransferExperiment, cells_of, lines_of, load_table, runs_of
 from farfield.experiments.reproduce.transfer.deciding import by_row, tree_of
 from farfield.experiments.reproduce.transfer.declared import experiment_tree
-from farfield.experiments.reproduce.transfer.planning import STEPS, Cost, core_seconds, small_table
+from farfield.experiments.reproduce.transfer.planning import STEPS, TransferCost, core_seconds, small_table
 from farfield.experiments.schema import experiment_of
-from farfield.metrics.deciding import Sample
+from farfield.metrics.deciding import ScoreSample
 from farfield.reports.transfer import render, write_transfer
 
 SHIPPED, ANY = load_table(), Path("any")
@@ -105,7 +105,7 @@ def test_a_row_that_is_not_there_is_refused():
 def scored(row, share, seed, value, groups=20):
     rng = np.random.default_rng(seed)
     draws = value + 0.002 * rng.standard_normal(50)
-    one = Sample(value=value, draws=draws, drawn="the same", grouped_by="sequences", groups=groups)
+    one = ScoreSample(value=value, draws=draws, drawn="the same", grouped_by="sequences", groups=groups)
     said = {"row": row, "share": share, "seed": seed, "clock": {"processor_s": 30.0}}
     return {**said, "value": value, "sample": json_of_sample(one)}
 
@@ -148,7 +148,7 @@ def tiny(out):
         "comparisons": [{"id": "T1", "words": "over none", "a": "radiate_from_kradar", "b": "radiate"}],
         "training": {**SHIPPED.training, "steps": 3, "batch_size": 1},
     }
-    return Transfer(table=load_table(changes=changes), out=out)
+    return TransferExperiment(table=load_table(changes=changes), out=out)
 
 
 @pytest.mark.slow
@@ -169,7 +169,7 @@ def test_a_tiny_table_runs_and_is_not_done_again(tmp_path):
 
 
 def test_the_whole_costs_what_its_parts_do():
-    costs = {name: Cost(frame_s=1.0, step_s=0.2, score_s=0.1) for name in ("kradar", "left", "right")}
+    costs = {name: TransferCost(frame_s=1.0, step_s=0.2, score_s=0.1) for name in ("kradar", "left", "right")}
     runs = [run for wave in runs_of(SHIPPED, (0,)) for run in wave]
     simulating, training = core_seconds(SHIPPED, costs, runs)
     frames = {"kradar": 116 + 58, "left": 500 + 58, "right": 116 + 58}

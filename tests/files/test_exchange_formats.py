@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Placed
+from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.datumaro import format_datumaro, parse_datumaro
 from farfield.files.openlabel import format_openlabel, parse_openlabel
 from farfield.files.supervisely import parse_supervisely
@@ -54,7 +54,7 @@ def near(found: Cuboid, wanted: Cuboid) -> None:
     assert replace(found, box=wanted.box) == wanted
 
 
-def plain(found: tuple[Placed, ...]) -> list[Cuboid]:
+def plain(found: tuple[CuboidEntry, ...]) -> list[Cuboid]:
     return [placed.cuboid for placed in found]
 
 

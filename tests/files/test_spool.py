@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.files.spool import Each, Spool, alike
+from farfield.files.spool import DiskDict, MappedView, alike
 
 
 def test_gives_back_what_was_put_in_whatever_came_between(tmp_path: Path) -> None:
-    spool = Spool[str, np.ndarray](tmp_path / "made")
+    spool = DiskDict[str, np.ndarray](tmp_path / "made")
     spool["a"], spool["b"] = np.arange(5), np.arange(3)
     assert spool["a"].tolist() == [0, 1, 2, 3, 4]
     spool["c"] = np.arange(2)  # written after something was read
@@ -27,13 +27,13 @@ def test_gives_back_what_was_put_in_whatever_came_between(tmp_path: Path) -> Non
 
 
 def test_leaves_no_file(tmp_path: Path) -> None:
-    spool = Spool[int, int](tmp_path)
+    spool = DiskDict[int, int](tmp_path)
     spool[0] = 1
     assert not list(tmp_path.iterdir())
 
 
 def test_values_do_not_stand_in_memory(tmp_path: Path) -> None:
-    spool = Spool[int, bytes](tmp_path)
+    spool = DiskDict[int, bytes](tmp_path)
     tracemalloc.start()
     try:
         for number in range(200):
@@ -44,8 +44,8 @@ def test_values_do_not_stand_in_memory(tmp_path: Path) -> None:
 
 
 def test_views_follow_and_pickle_as_a_dictionary(tmp_path: Path) -> None:
-    spool = Spool[str, tuple[int, str]](tmp_path)
-    view = Each(spool, itemgetter(1))
+    spool = DiskDict[str, tuple[int, str]](tmp_path)
+    view = MappedView(spool, itemgetter(1))
     spool["x"] = (1, "one")
     assert dict(view) == {"x": "one"}
     assert "x" in view
@@ -54,6 +54,6 @@ def test_views_follow_and_pickle_as_a_dictionary(tmp_path: Path) -> None:
 
 
 def test_alike_keeps_values_where_the_other_does(tmp_path: Path) -> None:
-    assert isinstance(alike(Spool(tmp_path)), Spool)
+    assert isinstance(alike(DiskDict(tmp_path)), DiskDict)
     assert alike({}) == {}
     assert isinstance(alike({}), dict)

@@ -16,7 +16,7 @@ from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, joined
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, joined
 from farfield.simulation import simulate_frame
 from farfield.testing import check_dataset
 from farfield.testing.datasets import check_frame
@@ -139,7 +139,7 @@ def test_where_nobody_annotated_is_told(tmp_path: Path) -> None:
 def test_velocities_that_do_not_turn_with_the_frame_are_found(monkeypatch: pytest.MonkeyPatch, axes: int) -> None:
     boxes = Boxes(centre_m=np.ones((2, 3)), size_m=np.ones((2, 3)), yaw_rad=np.ones(2), velocity_m_s=np.ones((2, axes)))
     boxes.velocity_m_s[1] = np.nan
-    frame = Frame(sequence="s", frame_id="1", load_annotation=Given(Annotation(boxes=boxes)))
+    frame = Frame(sequence="s", frame_id="1", load_annotation=Constant(Annotation(boxes=boxes)))
     check_frame(frame)
     turn = Boxes.transform
     monkeypatch.setattr(Boxes, "transform", lambda old, pose: turn(old, pose).replace(velocity_m_s=old.velocity_m_s))

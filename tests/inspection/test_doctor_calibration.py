@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from drive import frame
 
-from farfield.calibration.checking import Check
+from farfield.calibration.checking import CalibrationCheck
 from farfield.cli.doctor import run
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar.writer import KRadarWriter
@@ -38,7 +38,7 @@ def test_noise_accuses_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ],
 )
 def test_each_verdict_is_a_sentence(verdict: str, severity: str, words: str) -> None:
-    check = Check(
+    check = CalibrationCheck(
         verdict=verdict, degrees=1.0, cm=5.0, px=9.0, drift_degrees=2.0, drift_cm=7.0, frames=12, evidence=4.0
     )
     found = _finding("cam-front", check, "farfield calibrate")
@@ -48,7 +48,7 @@ def test_each_verdict_is_a_sentence(verdict: str, severity: str, words: str) -> 
 
 
 def test_it_is_said_how_many_frames_would_tell() -> None:
-    check = Check(
+    check = CalibrationCheck(
         verdict="not told",
         degrees=0.0,
         cm=0.0,

@@ -10,7 +10,7 @@ from farfield.cli.doctor import _print
 from farfield.inspection.doctor import examine
 from farfield.inspection.doctor.conditions import contradictions
 from farfield.inspection.doctor.evidence import misfit_is_clear
-from farfield.inspection.doctor.findings import Finding, Report
+from farfield.inspection.doctor.findings import DoctorReport, Finding
 
 
 def road_m() -> np.ndarray:
@@ -35,7 +35,7 @@ def test_a_cloud_s_unit_is_told_from_its_shape(tmp_path: Path, scale: int, unit:
 @pytest.mark.parametrize(("count", "words"), [(1, "1 finding would"), (2, "2 findings would")])
 def test_one_finding_is_one_finding(capsys: pytest.CaptureFixture[str], count: int, words: str) -> None:
     fault = Finding(severity="fail", topic="units", what="centimetres")
-    _print(Report(path="here", format="folder", findings=(fault,) * count))
+    _print(DoctorReport(path="here", format="folder", findings=(fault,) * count))
     assert words in capsys.readouterr().out
 
 

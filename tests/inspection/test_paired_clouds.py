@@ -7,7 +7,7 @@ from street import write_street
 from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.inspection.side import Side, paired
+from farfield.inspection.side import ComparedDataset, paired
 from farfield.reports.comparison import table_lines
 
 
@@ -22,7 +22,7 @@ def roots(tmp_path, rng):
 
 def side(*clouds):
     summary = {"clouds": {name: {"points_per_frame": len(name)} for name in clouds}}
-    return Side("x", summary, {f"points/{name}": {"range_m": np.ones(1)} for name in clouds})
+    return ComparedDataset("x", summary, {f"points/{name}": {"range_m": np.ones(1)} for name in clouds})
 
 
 def test_the_first_stands_beside_the_first_where_no_name_is_shared():
@@ -80,6 +80,8 @@ def test_the_published_figure_stays_beside_a_renamed_gaussian_cloud(roots, tmp_p
     from farfield.vocabulary.published import SHARES_NEAR_HORIZON
 
     cloud["far_share_of_horizon"] = dict.fromkeys(SHARES_NEAR_HORIZON, 0.5)
-    sides, _ = paired([Side("a", {"clouds": {"gaussian": cloud}}), Side("b", {"clouds": {"lidar": cloud}})])
+    sides, _ = paired(
+        [ComparedDataset("a", {"clouds": {"gaussian": cloud}}), ComparedDataset("b", {"clouds": {"lidar": cloud}})]
+    )
     lines = [line for line in table_lines(sides) if "elevation" in line.what and line.published]
     assert [line.published for line in lines] == list(SHARES_NEAR_HORIZON.values())

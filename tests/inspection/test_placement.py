@@ -9,7 +9,7 @@ from drive import OS2_T_OS1, frame
 from farfield.cli import stats
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar.writer import KRadarWriter
-from farfield.inspection.placement import Placed, Placement, placement
+from farfield.inspection.placement import RigPlacement, SensorPlacement, placement
 from farfield.reports.placement_plot import placement_figure
 
 
@@ -32,6 +32,6 @@ def test_the_page_draws_the_sensors(tmp_path: Path) -> None:
 
 
 def test_one_sensor_needs_no_figure() -> None:
-    one = Placed(kind="lidar", frame_T_sensor=np.eye(4), names=("lidar",))
+    one = SensorPlacement(kind="lidar", frame_T_sensor=np.eye(4), names=("lidar",))
     assert placement_figure(None) is None
-    assert placement_figure(Placement(reference="lidar", sensors=(one,), unknown=())) is None
+    assert placement_figure(RigPlacement(reference="lidar", sensors=(one,), unknown=())) is None

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from street import write_street
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.datasets import open_dataset
 from farfield.inspection.side import has_sensors, shots_of, side_of
 from farfield.inspection.statistics.notes import notes_of
@@ -15,7 +15,7 @@ from farfield.inspection.statistics.notes import notes_of
 def test_frames_are_spread_and_progress_sees_each(tmp_path: Path, rng: np.random.Generator) -> None:
     data = open_dataset(write_street(tmp_path / "street", rng, frames=4))
     seen: list[int] = []
-    watched = Bulk(progress=lambda places: (seen.append(place) or place for place in places))
+    watched = JobOptions(progress=lambda places: (seen.append(place) or place for place in places))
     side = side_of(data, "street", 2, watched)
     assert seen == [0, 1]
     assert side.summary["frames"] == 2

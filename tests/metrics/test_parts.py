@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.files.spool import Spool
+from farfield.files.spool import DiskDict
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.parts import by_class, by_part, parts, parts_json
@@ -77,7 +77,7 @@ def test_what_is_not_stated_gives_no_part_and_what_is_not_annotated_no_figure(fo
 
 
 def test_parts_of_boxes_in_a_file_are_the_same(found: Detections, tmp_path: Path) -> None:
-    boxes, annotations = Spool(tmp_path), Spool(tmp_path)
+    boxes, annotations = DiskDict(tmp_path), DiskDict(tmp_path)
     boxes.update(found.boxes)
     annotations.update(found.annotations)
     kept = Detections(boxes=boxes, annotations=annotations, conditions=found.conditions, classes=found.classes)

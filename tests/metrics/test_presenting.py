@@ -6,7 +6,7 @@ import pytest
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
-from farfield.metrics.presenting import Finding, edges_m, panels
+from farfield.metrics.presenting import HitRule, edges_m, panels
 
 
 def boxes(x_m: list[float], score: list[float] | None = None) -> Boxes:
@@ -24,17 +24,17 @@ def test_centres_are_found_as_the_scores_match_them(rng: np.random.Generator) ->
     for _ in range(20):
         predicted = boxes(rng.uniform(0, 30, 12).tolist(), rng.uniform(0, 1, 12).tolist())
         annotated = boxes(rng.uniform(0, 30, 8).tolist())
-        assert Finding().found_by(predicted, annotated).tolist() == found_by(predicted, annotated).tolist()
+        assert HitRule().found_by(predicted, annotated).tolist() == found_by(predicted, annotated).tolist()
 
 
 def test_overlaps_are_found_best_first_and_once() -> None:
     annotated = boxes([10.0, 20.0])
     predicted = boxes([10.5, 10.1, 21.9], [0.5, 0.9, 0.8])
-    assert Finding("3d", 0.3).found_by(predicted, annotated).tolist() == [1, 2]
-    assert Finding("3d", 0.7).found_by(predicted, annotated).tolist() == [1, -1]
-    assert Finding("bev", 0.7).found_by(boxes([]), annotated).tolist() == [-1, -1]
-    assert str(Finding()) == "within 2 m"
-    assert str(Finding("3d", 0.3)) == "by a box that overlaps by more than 0.3"
+    assert HitRule("3d", 0.3).found_by(predicted, annotated).tolist() == [1, 2]
+    assert HitRule("3d", 0.7).found_by(predicted, annotated).tolist() == [1, -1]
+    assert HitRule("bev", 0.7).found_by(boxes([]), annotated).tolist() == [-1, -1]
+    assert str(HitRule()) == "within 2 m"
+    assert str(HitRule("3d", 0.3)) == "by a box that overlaps by more than 0.3"
 
 
 def test_panels_and_edges() -> None:

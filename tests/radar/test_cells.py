@@ -8,7 +8,7 @@ import pytest
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.cells import RATES, REGIONS, Region, cells_of_cube
+from farfield.radar.cells import RATES, REGIONS, RadarRegion, cells_of_cube
 from farfield.radar.products import sparse_cloud, zyx_cube
 
 
@@ -123,9 +123,9 @@ def test_wrong_settings_are_told(cube: np.ndarray) -> None:
     with pytest.raises(ConfigError, match="narrow, wide, cube"):
         cells.select("corridor")
     with pytest.raises(ConfigError, match="rising"):
-        Region((1, 0), (0, 1), (0, 1))
+        RadarRegion((1, 0), (0, 1), (0, 1))
     with pytest.raises(ConfigError, match="found none"):
-        Region((500, 501), (0, 1), (0, 1)).slices()
+        RadarRegion((500, 501), (0, 1), (0, 1)).slices()
     assert tuple(sorted(RATES)) == RATES
 
 

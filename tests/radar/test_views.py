@@ -7,7 +7,7 @@ from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.grid import CUBE_X_M, CUBE_Y_M, CUBE_Z_M
 from farfield.radar.products import moments, polar3d, zyx_cube
-from farfield.radar.views import Echoes, echoes_of, radar_views
+from farfield.radar.views import PolarPeaks, echoes_of, radar_views
 
 RANGE, AZIMUTH, ELEVATION = 108, 60, 18  # 50 m, 7 degrees to the left, level
 PLACE_M = 50 * np.array([np.cos(np.radians(7)), np.sin(np.radians(7)), 0.0])
@@ -46,7 +46,7 @@ def test_a_planted_echo_is_where_it_was_put(polar: np.ndarray) -> None:
     far = np.where(KRADAR_AXES.range_m[:, None] > 5, views.polar_db, np.nan)
     assert brightest(far, KRADAR_AXES.range_m, KRADAR_AXES.azimuth_deg) == [KRADAR_AXES.range_m[RANGE], 7.0]
     echoes = views.echoes
-    assert isinstance(echoes, Echoes)
+    assert isinstance(echoes, PolarPeaks)
     nearest = np.linalg.norm(echoes.points_m - PLACE_M, axis=1).argmin()
     np.testing.assert_allclose(echoes.points_m[nearest], PLACE_M, atol=0.1)
     assert echoes.peak[nearest]
@@ -96,6 +96,8 @@ def test_velocities_of_a_standing_world_unwrap_to_nothing() -> None:
     ego = np.array([20.0, 0.0, 0.0])
     wrapped = KRADAR_AXES.fold(-points[:, 0] / np.linalg.norm(points, axis=1) * 20.0).astype(np.float32)
     both = np.ones(2, dtype=np.bool_)
-    echoes = Echoes(points_m=points, power_db=np.zeros(2, np.float32), wrapped_m_s=wrapped, side_lobe=~both, peak=both)
+    echoes = PolarPeaks(
+        points_m=points, power_db=np.zeros(2, np.float32), wrapped_m_s=wrapped, side_lobe=~both, peak=both
+    )
     np.testing.assert_allclose(echoes.unwrapped(ego).compensated_m_s, 0.0, atol=1e-5)
     assert POWER_UNIT == 1e13

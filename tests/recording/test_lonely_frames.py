@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from farfield.recording.planning import frames_of_sequences
-from farfield.recording.settings import Recording
+from farfield.recording.settings import RecordingOptions
 from farfield.recording.words import announced
 from farfield.simulation import find_preset
 
@@ -13,7 +13,7 @@ from farfield.simulation import find_preset
 def lines(tmp_path: Path, frames: int, sequences: int | None) -> str:
     preset = find_preset("kradar-sim")
     plan = frames_of_sequences(preset, frames, sequences, frozen=False)
-    recording = Recording(
+    recording = RecordingOptions(
         preset=preset, seed=1, sensors=("os2-64",), plan=plan, out=tmp_path, cache=False, frozen=False
     )
     return "\n".join(announced(recording, sum(plan), 1))

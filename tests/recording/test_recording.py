@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("embreex")
 
 from farfield.errors import ConfigError, DatasetError
-from farfield.recording import Recorded, SimulationConfig, ensure, record
+from farfield.recording import RecordingSummary, SimulationConfig, ensure, record
 from farfield.recording.rigs import RIGS, files_of, writer_for
 from farfield.simulation import find_preset
 
@@ -21,14 +21,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recorded, list[str]]:
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[RecordingSummary, list[str]]:
     lines: list[str] = []
     recorded = ensure(WANTED, tmp_path_factory.mktemp("ensure") / "deep" / "data", report=lines.append)
     assert recorded is not None
     return recorded, lines
 
 
-def test_data_that_are_absent_are_simulated_and_said(written: tuple[Recorded, list[str]]) -> None:
+def test_data_that_are_absent_are_simulated_and_said(written: tuple[RecordingSummary, list[str]]) -> None:
     recorded, lines = written
     assert recorded.verdicts == ("written", "written")
     assert recorded.recording.plan == (2,)
@@ -38,7 +38,9 @@ def test_data_that_are_absent_are_simulated_and_said(written: tuple[Recorded, li
     assert pickle.loads(pickle.dumps(recorded)) == recorded
 
 
-def test_data_that_were_begun_are_finished(written: tuple[Recorded, list[str]], capsys: pytest.CaptureFixture) -> None:
+def test_data_that_were_begun_are_finished(
+    written: tuple[RecordingSummary, list[str]], capsys: pytest.CaptureFixture
+) -> None:
     out = written[0].out
     before = contents(out)
     next(out.rglob("*.xyz")).unlink()
@@ -57,7 +59,7 @@ def test_other_data_are_left_as_they_are(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"mine.txt": b"mine"}
 
 
-def test_begun_with_other_settings_is_an_error(written: tuple[Recorded, list[str]]) -> None:
+def test_begun_with_other_settings_is_an_error(written: tuple[RecordingSummary, list[str]]) -> None:
     with pytest.raises(DatasetError, match="differs in: seed"):
         ensure(WANTED.model_copy(update={"seed": 5}), written[0].out)
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.frame import Annotation, Cloud, Frame, Given, Sensor
+from farfield.frame import Annotation, Cloud, Constant, Frame, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.metrics.bootstrap import Bootstrap
@@ -56,7 +56,7 @@ def evaluation(camera: Camera) -> Evaluation:
             images=images,
             cameras={"camera": camera},
             sensors={name: Sensor(kind="lidar") for name in clouds},
-            load_annotation=Given(Annotation(boxes=boxes)),
+            load_annotation=Constant(Annotation(boxes=boxes)),
             conditions={"weather": "normal"},
         )
         frames.append(FrameView(frame=frame, predictions=dict.fromkeys(clouds, found), title=f"Frame <{number}>"))

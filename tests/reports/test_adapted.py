@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given
-from farfield.reports.adapted import AdaptedPage, Change, rates, render
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
+from farfield.reports.adapted import AdaptedPage, PseudoLabelFrame, rates, render
 from farfield.reports.adapted_scores import HeldScores, ScoreRow
 from farfield.reports.courses import ADAPTATION, courses
 
@@ -27,7 +27,7 @@ def boxes_at(*x: float, score: tuple[float, ...], label: str = "vehicle") -> Box
 def frame(rng: np.random.Generator) -> Frame:
     points = rng.uniform([0, -20, -2], [100, 20, 1], size=(500, 3)).astype(np.float32)
     annotation = Annotation(boxes=boxes_at(20.0, score=(1.0,)).replace(score=None))
-    return Frame(sequence="s", frame_id="0", clouds={"lidar": Cloud(points)}, load_annotation=Given(annotation))
+    return Frame(sequence="s", frame_id="0", clouds={"lidar": Cloud(points)}, load_annotation=Constant(annotation))
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def page(frame: Frame) -> AdaptedPage:
         negative={"vehicle": 0.3, "large_vehicle": 0.2},
         source_rate=7.25,
         measured=("vehicle",),
-        changes=[Change(frame, "lidar", before["s", "0"][:1], after["s", "0"])],
+        changes=[PseudoLabelFrame(frame, "lidar", before["s", "0"][:1], after["s", "0"])],
         rows=[{"step": 1, "source_box": 1.0, "pseudo_boxes": 2.0}, {"step": 2, "source_box": 0.5, "rank_source": 9.0}],
         signs=["the rank falls"],
         labels="The target is annotated.",

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from farfield.inspection.side import Side
+from farfield.inspection.side import ComparedDataset
 from farfield.reports import comparison_plots as plots
 from farfield.reports.comparison import pictures, render, table_lines, write_comparison
 
@@ -90,7 +90,9 @@ def full_side(rng, name="<sim>", simulated=True):
         "range_m": np.arange(256) * 0.46289,
         "azimuth_deg": np.arange(-53.0, 54.0),
     }
-    return Side(name, summary, {"points/gaussian": points, "points/uniform": points, "radar": maps}, "data/sim")
+    return ComparedDataset(
+        name, summary, {"points/gaussian": points, "points/uniform": points, "radar": maps}, "data/sim"
+    )
 
 
 def bare_side():
@@ -119,7 +121,7 @@ def bare_side():
         "radar": None,
         "missing": ["no annotated frame: no points in boxes"],
     }
-    return Side("real & bare", summary, {}, "data/real")
+    return ComparedDataset("real & bare", summary, {}, "data/real")
 
 
 @pytest.fixture(scope="module")

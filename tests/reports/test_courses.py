@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from farfield.reports.course_page import CoursePage, write_course
-from farfield.reports.courses import RUN, Panel, columns_of, courses, smoothed
+from farfield.reports.courses import RUN, CoursePanel, columns_of, courses, smoothed
 
 ROWS = [
     {"step": step, "time": 1.0, "learning_rate": 1e-3, "loss": 2.0 / step, "box": 1.0, "lambda": 0.1 * step}
@@ -36,7 +36,7 @@ def test_each_column_stands_in_one_panel() -> None:
 
 
 def test_curves_are_what_was_logged() -> None:
-    figure: Any = courses(ROWS, (Panel("losses"), Panel("mean AP", ("validation",))))
+    figure: Any = courses(ROWS, (CoursePanel("losses"), CoursePanel("mean AP", ("validation",))))
     by_label = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
     np.testing.assert_allclose(by_label["loss"].get_ydata(), [2.0, 1.0, 2 / 3, 0.5])
     np.testing.assert_array_equal(by_label["validation"].get_xdata(), [2, 4])

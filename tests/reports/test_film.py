@@ -15,7 +15,7 @@ from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.reports import film
 from farfield.reports.film import FilmSettings, FilmWork, drive_named, make_film, rate_of
 from farfield.reports.film_frame import SIZE, panels_of, places
-from farfield.reports.film_panels import Drawn, View, cloud_panel, track_colour
+from farfield.reports.film_panels import DrawnBoxes, PanelView, cloud_panel, track_colour
 
 FRAMES = 5
 
@@ -87,10 +87,10 @@ def test_an_interrupted_film_goes_on_where_it_stopped(folder: Path, tmp_path: Pa
 
 
 def test_boxes_lie_where_they_are_and_keep_their_tracks_colour():
-    view = View(400, 400, 100.0)
+    view = PanelView(400, 400, 100.0)
     cloud = Cloud(np.array([[50.0, 20.0, 0.0]], dtype=np.float32), np.ones(1, dtype=np.float32))
     trail = np.array([[60.0, -20.0, 0.0], [30.0, -20.0, 0.0]])
-    panel = np.asarray(cloud_panel(cloud, [Drawn(boxes(10.0), False, {3: trail})], view))
+    panel = np.asarray(cloud_panel(cloud, [DrawnBoxes(boxes(10.0), False, {3: trail})], view))
     column, row = view.pixels(np.array([[50.0, 20.0]]))[0].astype(int)
     assert panel[row, column].tolist() != panel[5, 5].tolist()
     colour = [int(track_colour(3)[start : start + 2], 16) for start in (1, 3, 5)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Sensor, joined
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, joined
 from farfield.reports.frame_store import load_frame, save_frame
 
 
@@ -41,7 +41,7 @@ def test_a_stored_frame_keeps_velocities(tmp_path: Path, velocity: list[list[flo
         yaw_rad=np.zeros(2),
         velocity_m_s=None if velocity is None else np.array(velocity),
     )
-    frame = Frame(sequence="s", frame_id="1", load_annotation=Given(Annotation(boxes=boxes)))
+    frame = Frame(sequence="s", frame_id="1", load_annotation=Constant(Annotation(boxes=boxes)))
     save_frame(tmp_path, "0000", frame, boxes)
     back, predicted, _, _ = load_frame(tmp_path, "0000")
     for got in (back.boxes, predicted):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from farfield.frame import Cloud, Frame, Given, Sensor
+from farfield.frame import Cloud, Constant, Frame, Sensor
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.comparing import compare, read_results
 from farfield.metrics.subject import subject_of
@@ -80,7 +80,7 @@ def evaluation_of(name: str) -> Evaluation:
         reference="radar" if radar else "lidar",
         clouds={cloud: Cloud(points)},
         sensors={cloud: Sensor(kind="radar" if radar else "lidar")},
-        load_annotation=Given(found.annotations[key]),
+        load_annotation=Constant(found.annotations[key]),
     )
     shown = protocol.presentation(result)
     view = FrameView(

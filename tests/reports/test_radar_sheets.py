@@ -9,7 +9,7 @@ from farfield.frame import Boxes, Cloud
 from farfield.inspection.radar_frame import RadarLook
 from farfield.radar.grid import CUBE_SHAPE
 from farfield.radar.views import RadarViews
-from farfield.reports.radar_sheets import LOST, WINDOW_M, Sheet, SheetGroup, sheet_picture
+from farfield.reports.radar_sheets import LOST, WINDOW_M, RadarSheet, SheetGroup, sheet_picture
 from farfield.reports.style import ANNOTATED, PREDICTED
 
 CORRIDOR = (0.0, 72.0, -6.4, 6.4)
@@ -27,7 +27,7 @@ def boxes_at(*places: tuple[float, float], label: str = "vehicle", score: float 
 
 
 @pytest.fixture
-def sheet(rng: np.random.Generator) -> Sheet:
+def sheet(rng: np.random.Generator) -> RadarSheet:
     """Three vehicles and a lorry: the second and the lorry have no return, the third is outside the corridor."""
     heights, across, along = CUBE_SHAPE
     bird, front, side = (
@@ -43,17 +43,17 @@ def sheet(rng: np.random.Generator) -> Sheet:
         simulated=True,
     )
     cloud = Cloud(rng.uniform([0, -14, -2], [76, 14, 1], size=(200, 3)).astype(np.float32))
-    return Sheet(look=look, cloud=cloud, returns=np.array([9, 0, 3, 0]))
+    return RadarSheet(look=look, cloud=cloud, returns=np.array([9, 0, 3, 0]))
 
 
-def detected(sheet: Sheet) -> Sheet:
+def detected(sheet: RadarSheet) -> RadarSheet:
     """The radar finds both vehicles of the corridor, and one of nothing; the LiDAR finds the lorry."""
     on_radar = boxes_at((20.5, 0), (41, 2), (5, 5), (39, 1), score=0.9)
     unsure = on_radar.replace(score=np.array([0.9, 0.9, 0.9, 0.2]))
     return replace(sheet, on_radar=unsure, on_lidar=boxes_at((60, -2), score=0.5))
 
 
-def test_objects_count_by_class_window_and_returns(sheet: Sheet) -> None:
+def test_objects_count_by_class_window_and_returns(sheet: RadarSheet) -> None:
     assert sheet.facts(WINDOW_M) == {"annotated": 4, "without_return": 2}
     assert detected(sheet).facts(CORRIDOR, ("vehicle",)) == {
         "annotated": 2,
@@ -63,7 +63,7 @@ def test_objects_count_by_class_window_and_returns(sheet: Sheet) -> None:
     }
 
 
-def test_what_has_no_return_is_dashed_and_detectors_are_drawn_apart(sheet: Sheet) -> None:
+def test_what_has_no_return_is_dashed_and_detectors_are_drawn_apart(sheet: RadarSheet) -> None:
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_hex
 
@@ -85,7 +85,7 @@ def test_what_has_no_return_is_dashed_and_detectors_are_drawn_apart(sheet: Sheet
     assert len(plain.legends[0].get_texts()) == 3
 
 
-def test_captions_say_what_was_found_and_that_it_is_simulated(sheet: Sheet) -> None:
+def test_captions_say_what_was_found_and_that_it_is_simulated(sheet: RadarSheet) -> None:
     names = {"on_radar": "RTNH", "on_lidar": "PointPillars"}
     group = SheetGroup(
         title="t", words="w", sheets=[detected(sheet)], region_m=CORRIDOR, labels=("vehicle",), detectors=names

@@ -64,7 +64,7 @@ def test_a_report_s_camera_picture_has_the_points_and_the_colours_of_classes(mon
     near = np.array([[10.0, 0, 0], [60, 10, 1], [-10, 0, 0]])
     points = ff.Frame.of(ff.Cloud(near), FOUND.plain(), images={"front": image}, cameras={"front": CAMERA})
     view = FrameView(frame=points, predictions={"lidar": FOUND})
-    shown = pictures.frame_pictures(view, pictures.Drawing(score_min=0.0))
+    shown = pictures.frame_pictures(view, pictures.DrawingOptions(score_min=0.0))
     axes = drawn[-1].axes[0]
     (scattered,) = [each for each in axes.collections if isinstance(each, PathCollection)]
     pixels, _, visible = CAMERA.project(near)
@@ -96,9 +96,9 @@ def test_every_picture_has_the_same_threshold() -> None:
     from farfield.reports.film import FilmSettings
     from farfield.reports.objects import annotated_objects
     from farfield.reports.page import render, write_report
-    from farfield.reports.pictures import Drawing
+    from farfield.reports.pictures import DrawingOptions
 
-    assert FilmSettings().score == Drawing().score_min == SHOWN_SCORE
+    assert FilmSettings().score == DrawingOptions().score_min == SHOWN_SCORE
     for function in (report.run, render, write_report, ff.show):
         assert inspect.signature(function).parameters["shown_score"].default == SHOWN_SCORE
     assert inspect.signature(annotated_objects).parameters["score_min"].default == SHOWN_SCORE

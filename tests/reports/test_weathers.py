@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.metrics.detections import Detections
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.page import render
@@ -93,7 +93,7 @@ def view(weather: str, clouds: tuple[str, ...] = ("radar", "os2-64")) -> FrameVi
         reference="radar",
         clouds={name: Cloud(points) for name in clouds},
         conditions={"weather": weather},
-        load_annotation=Given(Annotation(boxes=boxes(30.0))),
+        load_annotation=Constant(Annotation(boxes=boxes(30.0))),
     )
     power = np.full((400, 250), np.nan, dtype=np.float32)
     power[160:240, :180] = rng.normal(size=(80, 180))
@@ -123,7 +123,7 @@ def test_a_caption_counts_what_the_score_counts() -> None:
     result = scored({"normal": found("normal", 0.0)})
     aside = boxes(30.0).replace(centre_m=np.array([[30.0, 9.0, 0.0]]))
     both = Boxes.concatenate([boxes(30.0), aside])
-    frame = dataclasses.replace(view("normal").frame, load_annotation=Given(Annotation(boxes=both)))
+    frame = dataclasses.replace(view("normal").frame, load_annotation=Constant(Annotation(boxes=both)))
     seen = FrameView(frame=frame, predictions={"radar": boxes(30.0, 0.8)}, title="normal")
     page = render(Evaluation(results={"radar": result}, frames=[seen]))
     assert "1 of 1 annotated objects in the region that counts found" in page

@@ -9,7 +9,7 @@ from farfield.frame import Boxes, Frame, moved
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.labels import MOVING_M_S, full_boxes
-from farfield.simulation.world.scene import Scene
+from farfield.simulation.world.scene import WorldScene
 from farfield.testing.datasets import check_moving
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -32,7 +32,7 @@ def _whole(frame: Frame) -> Boxes:
 
 def test_bodies_drive_the_differences_of_their_centres() -> None:
     """In coordinates that stand still, seen a hundredth of a second before and after."""
-    scene = Scene("urban", np.random.SeedSequence(3), duration_s=6.0)
+    scene = WorldScene("urban", np.random.SeedSequence(3), duration_s=6.0)
     still_T_world = invert(scene.ego_pose(3.0)) @ pose_from_yaw(0.4)
     before, now, after = (
         full_boxes(w.actors, w.bottom_m, w.yaw_rad, w.velocity_m_s, still_T_world)

@@ -9,7 +9,7 @@ import pytest
 from blocks_of_houses import drive
 
 from farfield.timing.deskewing import exponential, logarithm
-from farfield.timing.odometry import Sweep
+from farfield.timing.odometry import OdometrySweep
 from farfield.timing.odometry_drift import differences, drift_of
 from farfield.timing.odometry_drives import place
 from farfield.timing.odometry_map import SurfaceMap, smallest_axis, thinned
@@ -52,7 +52,7 @@ def test_a_corridor_is_named_as_not_observable_along_it() -> None:
         y = np.where(wall < 2, np.where(wall == 0, -4.0, 4.0), rng.uniform(-4, 4, 8000))
         z = np.where(wall < 2, rng.uniform(-1.7, 2.3, 8000), np.where(wall == 2, -1.7, 2.3))
         points = np.column_stack([60 * np.sign(u) * u**2, y, z]) + rng.normal(0, 0.02, (8000, 3))
-        sweeps.append(Sweep(points, 0.1 * number))
+        sweeps.append(OdometrySweep(points, 0.1 * number))
     placed = place(sweeps)
     assert placed.blind == ("", *["x"] * 4)
     assert np.abs(placed.world_T_sensor[:, 1:3, 3]).max() < 0.02  # across it is observed
@@ -65,7 +65,7 @@ def test_empty_sweeps_are_lost_and_others_go_on() -> None:
     placed = place(sweeps)
     assert placed.lost.tolist() == [number == 4 for number in range(9)]
     assert _errors(placed.world_T_sensor, true)[0] < 0.1
-    nothing = place([Sweep(np.zeros((0, 3)), 0.1 * number) for number in range(3)])
+    nothing = place([OdometrySweep(np.zeros((0, 3)), 0.1 * number) for number in range(3)])
     assert nothing.lost.tolist() == [False, True, True]
     assert len(place([])) == 0
     np.testing.assert_array_equal(place(sweeps[:1]).world_T_sensor, np.eye(4)[None])
@@ -80,13 +80,13 @@ def test_after_a_pause_a_new_map_begins() -> None:
 class _Interrupted:
     """Breaks off when a sweep is read."""
 
-    def __init__(self, sweeps: Sequence[Sweep], at: int) -> None:
+    def __init__(self, sweeps: Sequence[OdometrySweep], at: int) -> None:
         self.sweeps, self.at = sweeps, at
 
     def __len__(self) -> int:
         return len(self.sweeps)
 
-    def __getitem__(self, index: int, /) -> Sweep:
+    def __getitem__(self, index: int, /) -> OdometrySweep:
         if index == self.at:
             raise KeyboardInterrupt
         return self.sweeps[index]

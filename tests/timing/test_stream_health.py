@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.timing.stamps import Counting, apart, drives_in, health
+from farfield.timing.stamps import StreamCounter, apart, drives_in, health
 
 MS = 1_000_000
 
@@ -31,7 +31,7 @@ def test_jitter_and_losses_do_not_bias_the_rate(rng: np.random.Generator) -> Non
 @pytest.mark.parametrize("block", [1, 13, 100])
 def test_blocks_count_as_the_whole(block: int, rng: np.random.Generator) -> None:
     times = np.cumsum(rng.integers(-20, 400, 500)) * MS
-    whole, parts = health(times), Counting()
+    whole, parts = health(times), StreamCounter()
     parts.period = whole.period_ns  # the median is of the first block
     for begin in range(0, 500, block):
         parts.add(times[begin : begin + block])

@@ -10,7 +10,7 @@ from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import TrackerSettings, track
 from farfield.tracking.doppler import covariance, radial_gaps, update_doppler
-from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.engine import DetectionBatch, TrackEngine
 from farfield.tracking.kalman import Tracks
 
 SPAN = 3.865
@@ -19,12 +19,12 @@ RADAR = TrackerSettings(
 )
 
 
-def seen(place: np.ndarray, radial: np.ndarray | None, sensor: np.ndarray | None = None) -> Seen:
+def seen(place: np.ndarray, radial: np.ndarray | None, sensor: np.ndarray | None = None) -> DetectionBatch:
     """One detection a drive."""
     n = len(place)
     unit = np.column_stack([place / np.hypot(*place.T)[:, None], np.zeros(n)])
     moving = np.zeros((n, 3)) if sensor is None else sensor
-    return Seen(
+    return DetectionBatch(
         drive=np.arange(n),
         rows=np.column_stack([place, np.tile([0, 4, 2, 1.5, 0], (n, 1))]).astype(float),
         velocity_m_s=np.zeros((n, 2)),
@@ -37,7 +37,7 @@ def seen(place: np.ndarray, radial: np.ndarray | None, sensor: np.ndarray | None
 
 
 def born(places: np.ndarray, settings: TrackerSettings = RADAR, *, doppler: np.ndarray | None = None) -> Tracks:
-    engine = Engine(settings, drives=len(places), labels=("car",), doppler=doppler is not None)
+    engine = TrackEngine(settings, drives=len(places), labels=("car",), doppler=doppler is not None)
     engine.step(seen(places, doppler), np.full(len(places), 0.1), np.ones(len(places), dtype=bool))
     return engine.tracks
 
@@ -45,7 +45,7 @@ def born(places: np.ndarray, settings: TrackerSettings = RADAR, *, doppler: np.n
 def test_the_coupled_filter_is_that_of_plain_matrices() -> None:
     rng = np.random.default_rng(0)
     settings, dt = RADAR.changed(initial_variance=0.5), 0.1
-    engine = Engine(settings, drives=1, labels=("car",), doppler=True)
+    engine = TrackEngine(settings, drives=1, labels=("car",), doppler=True)
     move = np.kron(np.eye(2), np.array([[1, dt], [0, 1]]))
     noise = np.kron(np.eye(2), settings.acceleration * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]]))
     state, p = np.zeros(4), np.diag([0.5, 100.0, 0.5, 100.0])
@@ -112,7 +112,7 @@ def velocity_errors(*, doppler: bool, trials: int = 400, updates: int = 20) -> n
     place = np.column_stack([rng.uniform(60, 240, trials), rng.uniform(-10, 10, trials)])
     speed = np.column_stack([rng.normal(0, 15, trials), rng.normal(0, 1, trials)])
     settings = RADAR.changed(initial_variance=0.3, initial_speed_variance=225.0, across_speed_m_s=3.0)
-    engine = Engine(settings, drives=trials, labels=("car",), doppler=doppler)
+    engine = TrackEngine(settings, drives=trials, labels=("car",), doppler=doppler)
     errors = []
     for _ in range(updates):
         unit = place / np.hypot(*place.T)[:, None]
@@ -198,7 +198,7 @@ def test_pairs_of_other_radial_velocities_are_not_taken() -> None:
 
 
 def test_radial_gaps_are_wrapped_and_unknown_ones_pass() -> None:
-    engine = Engine(RADAR, drives=3, labels=("car",), doppler=True)
+    engine = TrackEngine(RADAR, drives=3, labels=("car",), doppler=True)
     place = np.array([[100.0, 0], [100, 0], [100, 0]])
     engine.step(seen(place, np.array([5.0, 5.0, 5.0])), np.zeros(3), np.ones(3, dtype=bool))
     tracks, rows = engine.tracks, np.arange(3)

@@ -10,7 +10,7 @@ from farfield.frame import Drive
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
 from farfield.tracking import track
-from farfield.tracking.joining import ANNOTATED, Joining, joined
+from farfield.tracking.joining import ANNOTATED, JoinSettings, joined
 
 FRAMES = 80
 
@@ -52,14 +52,14 @@ def test_a_car_that_was_hidden_for_three_seconds_is_one() -> None:
 @pytest.mark.parametrize(
     ("other", "settings"),
     [
-        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 6.0, "car"), Joining(), id="larger"),
-        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 4.5, "truck"), Joining(), id="of another class"),
-        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 4.5, "car"), Joining(longest_s=3.0), id="away for longer"),
-        pytest.param((range(60, 80), 30.0, 0.0, 10.0, 4.5, "car"), Joining(), id="somewhere else"),
-        pytest.param((range(25, 80), 1.0, 0.0, 10.0, 4.5, "car"), Joining(), id="seen at the same time"),
+        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 6.0, "car"), JoinSettings(), id="larger"),
+        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 4.5, "truck"), JoinSettings(), id="of another class"),
+        pytest.param((range(60, 80), 0.0, 0.0, 10.0, 4.5, "car"), JoinSettings(longest_s=3.0), id="away for longer"),
+        pytest.param((range(60, 80), 30.0, 0.0, 10.0, 4.5, "car"), JoinSettings(), id="somewhere else"),
+        pytest.param((range(25, 80), 1.0, 0.0, 10.0, 4.5, "car"), JoinSettings(), id="seen at the same time"),
     ],
 )
-def test_what_is_something_else_stays_so(other: tuple, settings: Joining) -> None:
+def test_what_is_something_else_stays_so(other: tuple, settings: JoinSettings) -> None:
     assert names(joined(drive(CAR, other), settings)) == [0, 1]
 
 
@@ -101,11 +101,11 @@ def test_with_poses_places_are_compared_in_the_world() -> None:
 
 def test_impossible_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="longest_s: expected a positive number"):
-        Joining(longest_s=0.0)
+        JoinSettings(longest_s=0.0)
     with pytest.raises(ConfigError, match="1 box or more"):
-        Joining(boxes=0)
+        JoinSettings(boxes=0)
     with pytest.raises(ConfigError, match="1 box or more"):
-        Joining(size_boxes=0)
+        JoinSettings(size_boxes=0)
 
 
 def changed(tracks: Detections, frames: range, **fields: object) -> Detections:
@@ -119,7 +119,7 @@ def changed(tracks: Detections, frames: range, **fields: object) -> Detections:
 def test_sizes_are_compared_at_the_ends() -> None:
     """A car drawn longer while it was near: before and behind its absence it is the same to the millimetre."""
     seen = drive(CAR, (range(60, 80), 0.0, 0.0, 10.0, 4.5, "car"))
-    exact = Joining(size=0.001, size_boxes=8)
+    exact = JoinSettings(size=0.001, size_boxes=8)
     grown = changed(seen, range(20), size_m=np.array([[5.2, 2.0, 1.5]]))
     assert names(joined(grown, exact)) == [0]
     assert names(joined(grown, replace(exact, size_boxes=None))) == [0, 1]

@@ -17,7 +17,7 @@ from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import PRESETS, TrackerSettings, track, with_options
 from farfield.tracking.association import associate
-from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.engine import DetectionBatch, TrackEngine
 from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
 from farfield.tracking.whole import best_whole
 
@@ -32,10 +32,10 @@ def random_boxes(rng: np.random.Generator, n: int, spread_m: float = 4.0) -> Box
     )
 
 
-def seen(rows: np.ndarray) -> Seen:
+def seen(rows: np.ndarray) -> DetectionBatch:
     n = len(rows)
     whole = np.zeros(n, dtype=np.int64)
-    return Seen(
+    return DetectionBatch(
         drive=whole,
         rows=rows,
         velocity_m_s=np.zeros((n, 2)),
@@ -114,7 +114,7 @@ def test_many_drives_are_assigned_in_pieces(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:
     rng = np.random.default_rng(2)
     rows = np.cumsum(rng.normal(0, 0.2, (12, 7)), axis=0) + np.array([20, 0, 0, 4, 2, 1.5, 0])
-    engine = Engine(PRESETS["ab3dmot-paper"].changed(gate=1e-9), drives=1, labels=("car",))
+    engine = TrackEngine(PRESETS["ab3dmot-paper"].changed(gate=1e-9), drives=1, labels=("car",))
     state, p = np.r_[rows[0], np.zeros(3)], np.diag([10.0] * 7 + [1e4] * 3)
     move, q, h = np.eye(10), np.diag([1.0] * 7 + [0.01] * 3), np.eye(7, 10)
     move[:3, 7:] = np.eye(3)

@@ -27,7 +27,7 @@ from farfield.experiments.schema import Experiment
 from farfield.training.augmentation import draw_change
 from farfield.training.checkpoints import load_checkpoint, save_checkpoint
 from farfield.training.config import AugmentationConfig
-from farfield.training.method import METHODS, Pace, Stream, Supervised
+from farfield.training.method import METHODS, ParamGroup, Stream, Supervised
 from farfield.training.samples import TrainingSamples, bindings
 from farfield.training.streams import batch_shares
 
@@ -338,8 +338,8 @@ class Slow(Players):
         found = super().losses(batch, step)
         return {**found, "player": 1e6 * self.modules["player"](torch.ones(1, 4)).square().sum()}
 
-    def paces(self) -> dict[str, Pace]:
-        return {"player": Pace(rate=self.rate, clip=1.0)}
+    def paces(self) -> dict[str, ParamGroup]:
+        return {"player": ParamGroup(rate=self.rate, clip=1.0)}
 
     def figures(self) -> dict[str, float]:
         return {"pace": self.rate}

@@ -12,7 +12,7 @@ from small import SMALL
 
 from farfield.detectors.weights import load_weights
 from farfield.testing.processes import (
-    Task,
+    StepTask,
     check_same_losses,
     check_same_statistics,
     check_same_step,
@@ -23,10 +23,10 @@ from farfield.testing.processes import (
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
-TASKS = {name: Task(name, small.settings) for name, small in SMALL.items()}
+TASKS = {name: StepTask(name, small.settings) for name, small in SMALL.items()}
 COARSE = {"grid": SMALL["voxelnet"].settings["grid"] | {"cell_m": [1.0, 1.0, 0.8]}}
-TASKS["voxelnet"] = Task("voxelnet", SMALL["voxelnet"].settings | COARSE | {"middle": "dense"})  # double throughout
-TASKS["voxelnet-sparse"] = Task("voxelnet", SMALL["voxelnet"].settings | {"middle": "sparse"}, double=False)
+TASKS["voxelnet"] = StepTask("voxelnet", SMALL["voxelnet"].settings | COARSE | {"middle": "dense"})  # double throughout
+TASKS["voxelnet-sparse"] = StepTask("voxelnet", SMALL["voxelnet"].settings | {"middle": "sparse"}, double=False)
 
 
 def take_steps(folder: Path) -> None:

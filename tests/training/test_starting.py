@@ -16,7 +16,7 @@ from small import SMALL, small_detector
 from test_training import words_of_train
 
 from farfield.cli import main
-from farfield.detectors.contract import OfAnchor
+from farfield.detectors.contract import AnchorRow
 from farfield.detectors.features import FeatureMap
 from farfield.detectors.weights import load_weights, resolve_weights, save_weights
 from farfield.errors import ConfigError
@@ -69,7 +69,7 @@ def test_other_classes_take_the_rows_of_those_that_are_shared(name, tmp_path):
         new, old, was = (tree[key].movedim(axis, 0) for tree in (ours.state_dict(), theirs.state_dict(), before))
         assert len(mine) == len(new)
         for row, word in enumerate(mine):
-            like = word._replace(label="vehicle") if isinstance(word, OfAnchor) and "tram" in word else word
+            like = word._replace(label="vehicle") if isinstance(word, AnchorRow) and "tram" in word else word
             assert torch.equal(new[row], old[other.index(like)] if like in other else was[row])
             assert ("tram" in str(word)) == (word not in other)
 

@@ -19,7 +19,7 @@ from farfield.detectors.weights import load_weights
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.training.method import LABELLED
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 FORMS = {
     "radiate": {
@@ -41,7 +41,7 @@ class StoppedError(Exception):
     """What ends a training in the middle."""
 
 
-class Stops(Report):
+class Stops(TrainingReport):
     """Ends the training after some steps, and hears what it says."""
 
     def __init__(self, after: int) -> None:

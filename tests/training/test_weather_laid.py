@@ -18,15 +18,15 @@ from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.experiments.plan import Plan
 from farfield.experiments.reproduce.grid import load_grid
-from farfield.experiments.reproduce.jobs import Plotted, jobs_of
+from farfield.experiments.reproduce.jobs import DataLocations, jobs_of
 from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.laid import Laid
+from farfield.simulation.weather.laid import OverlaidWeather
 from farfield.training.config import AugmentationConfig, WeatherConfig
 from farfield.training.samples import TrainingSamples
-from farfield.training.weather import Laying, check_weather, draw_laid, inside_presets, lay_over, read_with
+from farfield.training.weather import WeatherOverlay, check_weather, draw_laid, inside_presets, lay_over, read_with
 
 STILL = {"flip_probability": 0.0, "rotation_rad": 0.0, "scale": 0.0}
 LUMINAR = {"sensor": "luminar-h2", "probability": 1.0}
@@ -146,9 +146,9 @@ def test_what_the_network_does_not_read_is_not_given_to_it(data: Path):
     assert samples_of(data, **STILL, weather=LUMINAR)[0].inputs["points"].shape[1] == len(bare)
 
 
-def opaque(config: WeatherConfig) -> Laid:
+def opaque(config: WeatherConfig) -> OverlaidWeather:
     icy = Weather(icing=1.0, icing_age_s=float("inf"), temperature_c=-3.0)
-    return Laid(icy, np.random.SeedSequence(1), "ice", (15.0, 8.0), 1e-6)
+    return OverlaidWeather(icy, np.random.SeedSequence(1), "ice", (15.0, 8.0), 1e-6)
 
 
 def test_boxes_go_with_their_last_point_and_stay_if_they_never_had_one(rng):
@@ -159,7 +159,7 @@ def test_boxes_go_with_their_last_point_and_stay_if_they_never_had_one(rng):
     xyz = np.repeat(centre[:2], 50, axis=0) + rng.uniform(-0.5, 0.5, (100, 3))
     table = np.column_stack([xyz, np.zeros(100), np.full(100, 0.5), np.zeros(100)]).astype(np.float32)
     columns = ("x_m", "y_m", "z_m", "lag_s", "intensity")
-    laying = Laying(config, columns, (("x_m", "y_m", "z_m", "intensity"),), opaque(config), rng)
+    laying = WeatherOverlay(config, columns, (("x_m", "y_m", "z_m", "intensity"),), opaque(config), rng)
     points, left = laying(table, boxes)
     assert (points[:, 0] < 0).all()
     assert len(points) == 50
@@ -169,7 +169,7 @@ def test_boxes_go_with_their_last_point_and_stay_if_they_never_had_one(rng):
 def test_a_radars_cells_lose_power_and_keep_their_places(rng):
     points = np.column_stack([rng.uniform(5, 70, (500, 3)), np.full(500, 0.5)]).astype(np.float32)
     weather = Weather("heavy_snow", snow_mm_h=5.0, icing=0.3, icing_age_s=float("inf"), temperature_c=-3.0)
-    laid = Laid(weather, np.random.SeedSequence(1))
+    laid = OverlaidWeather(weather, np.random.SeedSequence(1))
     weaker, kept = lay_over(points, ("x_m", "y_m", "z_m", "power"), WeatherConfig(), laid, rng)
     np.testing.assert_array_equal(weaker[:, :3], points[:, :3])
     assert kept.all()
@@ -179,7 +179,7 @@ def test_a_radars_cells_lose_power_and_keep_their_places(rng):
 
 def test_without_intensity_all_points_count_as_of_one_reflectance(rng):
     points = np.column_stack([np.full(2000, 60.0), np.linspace(-20, 20, 2000), np.zeros(2000)]).astype(np.float32)
-    fog = Laid(Weather("fog", mor_m=200.0), np.random.SeedSequence(1))
+    fog = OverlaidWeather(Weather("fog", mor_m=200.0), np.random.SeedSequence(1))
     shares = []
     for reflectance in (0.05, 0.9):
         config = WeatherConfig(sensor="os2-64", reflectance=reflectance)
@@ -196,7 +196,7 @@ def test_a_grids_run_in_weather_is_known_by_the_simulators_code_too(tmp_path: Pa
     monkeypatch.setattr(jobs, "code_digest", lambda rooms: asked.append(rooms) or "")
     places = places_of(grid, "laptop", tmp_path)
     named = {name: name for name in places}
-    found = jobs_of(grid, "laptop", (), Plotted(places=places, fingerprints=named), tmp_path)
+    found = jobs_of(grid, "laptop", (), DataLocations(places=places, fingerprints=named), tmp_path)
     assert len(found) == 42  # alike until thresholds and steps are set: four rows of the LiDAR are one
     laid = sum("simulation" in rooms for rooms in asked)
     assert laid == 27

@@ -15,7 +15,7 @@ from farfield.errors import ConfigError
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import load_experiment
 from farfield.training.checkpoints import load_checkpoint
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 ONE_CLASS = "detector.anchors={vehicle: {size_m: [4.6, 1.9, 1.7], z_m: -1.1}}"
 VALIDATED = "training.validation={every_steps: 2, frames: 1}"
@@ -29,7 +29,7 @@ def ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
-class Said(Report):
+class Said(TrainingReport):
     """Keeps the lines, and sends a signal after a step."""
 
     def __init__(self, after: int = 0, number: int = signal.SIGINT) -> None:

@@ -3,18 +3,18 @@
 from pydantic import Field
 
 from farfield.adaptation.base import start_from
-from farfield.adaptation.settings import Settings, settings_of
+from farfield.adaptation.settings import MethodSettings, settings_of
 from farfield.detectors.contract import Network
 from farfield.training.method import Supervised
 
 
-class ContinuedSettings(Settings):
+class ContinuedSettings(MethodSettings):
     """Where the training starts."""
 
     start: str = Field(description="weights of a detector of the same settings: a name, a run's folder or a file")
 
 
-class Continued(Supervised):
+class ContinuedTraining(Supervised):
     """Train a detector on annotated frames, from the weights of another.
 
     Args:

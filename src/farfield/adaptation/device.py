@@ -16,17 +16,17 @@ from farfield.adaptation.base import Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
+from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.adaptation.twin import with_own_head, with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
-from farfield.training.method import DETECTOR, Batch, Pace, Stream
+from farfield.training.method import DETECTOR, Batch, ParamGroup, Stream
 
 _SOURCE, _TARGET, _REST = "source", "target", "rest"
 
 
-class DeviceSettings(Settings):
+class DeviceSettings(MethodSettings):
     """What the domains share, and how the devices are told apart; all are ours."""
 
     adversarial: Adversarial | None = Field(Adversarial(), description="null: both devices, no further loss")
@@ -71,7 +71,7 @@ class DeviceAdaptation(Adaptation):
         if self.settings.adversarial is not None:
             self.modules["discriminator"] = discriminator(network, self.settings.adversarial.form)
 
-    def paces(self) -> Mapping[str, Pace]:
+    def paces(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
         return {} if self.settings.adversarial is None else self.settings.adversarial.paces
 

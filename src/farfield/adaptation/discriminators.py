@@ -11,18 +11,18 @@ from torch.nn import functional
 
 from farfield.adaptation.cells import Cells, values_at
 from farfield.adaptation.reversal import reverse
-from farfield.adaptation.settings import Settings
+from farfield.adaptation.settings import MethodSettings
 from farfield.detectors.contract import Network
 from farfield.detectors.features import FeatureMap, Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser, sum_over_processes
 from farfield.detectors.sparse.tensor import SparseTensor
-from farfield.training.method import Pace
+from farfield.training.method import ParamGroup
 
 Form = Literal["auto", "patch", "rows"]
 
 
-class Adversarial(Settings):
+class Adversarial(MethodSettings):
     """Settings of a discriminator between two domains; all are ours."""
 
     lambda_max: float = Field(0.1, ge=0, description="strength of the reversed gradient in the end; 0 is the control")
@@ -34,9 +34,9 @@ class Adversarial(Settings):
     labels: Literal["domain", "coin"] = Field("domain", description="coin: the control, labels by a coin a frame")
 
     @property
-    def paces(self) -> dict[str, Pace]:
+    def paces(self) -> dict[str, ParamGroup]:
         """How the module ``discriminator`` is trained."""
-        return {"discriminator": Pace(rate=self.rate, clip=self.clip)}
+        return {"discriminator": ParamGroup(rate=self.rate, clip=self.clip)}
 
 
 class PatchDiscriminator(nn.Sequential):

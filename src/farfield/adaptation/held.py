@@ -18,7 +18,7 @@ _ROWS = 2048  # features of a frame and a domain that the probe reads
 
 
 @runtime_checkable
-class Held(Protocol):
+class ValidationProbe(Protocol):
     """A method whose domains can be told apart on any frames."""
 
     modules: nn.ModuleDict
@@ -38,7 +38,7 @@ class Held(Protocol):
 
 
 @dataclass
-class Gathered:
+class ProbeFeatures:
     """Features and the discriminator's answers, frame by frame."""
 
     rows: dict[int, list[Tensor]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class Gathered:
 
 
 @torch.no_grad()
-def held_figures(method: Held, batch: Mapping[str, Batch]) -> dict[str, float]:
+def held_figures(method: ValidationProbe, batch: Mapping[str, Batch]) -> dict[str, float]:
     """Look at held-out frames as at inference; nothing of the training changes.
 
     Args:
@@ -59,7 +59,7 @@ def held_figures(method: Held, batch: Mapping[str, Batch]) -> dict[str, float]:
         ``held_accuracy`` of the discriminator, balanced, over occupied cells; ``probe_accuracy`` of a fresh linear
         probe and ``proxy_distance``; ``held_loss_<stream>`` of labelled streams. What cannot be measured is NaN.
     """
-    gathered = Gathered()
+    gathered = ProbeFeatures()
     training = {name: module.training for name, module in method.modules.items()}
     method.modules.eval()
     try:
@@ -84,7 +84,7 @@ def _frames(batch: Mapping[str, Batch]) -> Iterator[tuple[str, int, Batch]]:
             yield name, number, Batch(inputs, frames.targets[number : number + 1], frames.boxes[number : number + 1])
 
 
-def _look(method: Held, gathered: Gathered, stream: str, number: int, frame: Batch) -> None:
+def _look(method: ValidationProbe, gathered: ProbeFeatures, stream: str, number: int, frame: Batch) -> None:
     network = method.reader(stream)
     features = network.encode(frame.inputs)
     if frame.targets:

@@ -15,7 +15,7 @@ _NEVER = -(10**9)
 _SENT = 64  # objects of a process that enter in a step, where there are several
 
 
-class Entries(NamedTuple):
+class MemoryEntries(NamedTuple):
     """What the memory holds of a class.
 
     Attributes:
@@ -72,10 +72,10 @@ class Memory(nn.Module):
             self.entered[number, place] = step
             self.following[number] = (self.following[number] + len(new)) % self.size
 
-    def entries(self, kind: int, step: int) -> Entries:
+    def entries(self, kind: int, step: int) -> MemoryEntries:
         """What counts of a class at a step; a copy, so that later steps leave it as it is."""
         kept = self.entered[kind] >= step - self.max_age
-        return Entries(self.feature[kind][kept], self.descriptor[kind][kept])
+        return MemoryEntries(self.feature[kind][kept], self.descriptor[kind][kept])
 
 
 def _of_all_processes(rows: Tensor) -> Tensor:

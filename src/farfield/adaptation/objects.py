@@ -16,7 +16,7 @@ from farfield.geometry.boxes import Boxes
 _STEPS = (-1 / 3, 0.0, 1 / 3)
 
 
-class Objects(NamedTuple):
+class ObjectFeatures(NamedTuple):
     """Labelled objects of a batch.
 
     Attributes:
@@ -33,14 +33,14 @@ class Objects(NamedTuple):
     range_m: Tensor
     points: Tensor
 
-    def chosen(self, rows: Tensor) -> "Objects":
+    def chosen(self, rows: Tensor) -> "ObjectFeatures":
         """Those of a mask, or at indices."""
-        return Objects(*(part[rows] for part in self))
+        return ObjectFeatures(*(part[rows] for part in self))
 
 
 def objects_of(
     features: Features, boxes: Sequence[Boxes], classes: Sequence[str], extent: Literal["full", "visible"]
-) -> Objects:
+) -> ObjectFeatures:
     """The objects of a batch that are of the classes and, on a map, stand on it.
 
     Args:
@@ -57,7 +57,7 @@ def objects_of(
     number = {name: index for index, name in enumerate(classes)}
     kind = np.array([number[str(name)] for name in every.label], dtype=np.int64)
     points = np.zeros(count, dtype=np.int64) if every.point_count is None else every.point_count
-    return Objects(
+    return ObjectFeatures(
         _features(features, every, torch.from_numpy(frame).to(device)),
         torch.from_numpy(descriptors(every, extent)).float().to(device),
         torch.from_numpy(kind).to(device),

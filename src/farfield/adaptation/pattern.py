@@ -19,17 +19,17 @@ from farfield.adaptation.base import Adaptation, common_variance, start_from
 from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
+from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
-from farfield.training.method import DETECTOR, LABELLED, Batch, Pace, Stream
+from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream
 
 
-class Paired(Settings):
+class PairLoss(MethodSettings):
     """The distance between the features of a pair; the paper's idea, our form and weight."""
 
     weight: float = Field(0.1, ge=0)
@@ -39,14 +39,14 @@ class Paired(Settings):
     max_speed_m_s: float = Field(5.0, gt=0, description="cells of boxes known to be faster are left out")
 
 
-class PatternSettings(Settings):
+class PatternSettings(MethodSettings):
     """Which loss, and how the batches are made."""
 
     loss: Literal["paired", "unpaired", "none"] = "unpaired"
     batches: Literal["paired", "shuffled"] | None = Field(
         None, description="both clouds of a frame side by side, or of different frames; by default as the loss needs"
     )
-    paired: Paired = Paired()
+    paired: PairLoss = PairLoss()
     unpaired: Adversarial = Adversarial()
     start: str | None = Field(None, description="weights to start from")
     held_out: int = HELD_OUT
@@ -86,7 +86,7 @@ class PatternAdaptation(Adaptation):
         if self.settings.loss == "unpaired":
             self.modules["discriminator"] = discriminator(network, self.settings.unpaired.form)
 
-    def paces(self) -> Mapping[str, Pace]:
+    def paces(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
         return self.settings.unpaired.paces if self.settings.loss == "unpaired" else {}
 

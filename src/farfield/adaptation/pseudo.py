@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from farfield.adaptation.settings import Settings
+from farfield.adaptation.settings import MethodSettings
 from farfield.detectors.contract import Assigner, Network
 from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
-from farfield.training.augmentation import Change, draw_change
+from farfield.training.augmentation import Augmentation, draw_change
 from farfield.training.config import AugmentationConfig, WeatherConfig
 from farfield.training.weather import draw_laid, holding, lay_over
 
@@ -51,7 +51,7 @@ def spoken(score: Score) -> str:
     return f"{score:g}"
 
 
-class Strong(Settings):
+class StrongAugmentation(MethodSettings):
     """Random changes of the view that the student sees; the teacher sees the frame as it is."""
 
     flip_probability: float = Field(0.5, ge=0, le=1)
@@ -61,12 +61,12 @@ class Strong(Settings):
     thinning: float = Field(0.3, ge=0, lt=1, description="drop up to this share of the points")
     weather: WeatherConfig | None = Field(None, description="weather laid over the frames before they are moved")
 
-    def draw(self, rng: np.random.Generator) -> Change:
+    def draw(self, rng: np.random.Generator) -> Augmentation:
         """Draw the motion of one frame."""
         return draw_change(AugmentationConfig(**self.model_dump()), rng)
 
 
-class Pseudo(NamedTuple):
+class PseudoLabels(NamedTuple):
     """What a teacher found in a frame.
 
     Attributes:
@@ -77,16 +77,16 @@ class Pseudo(NamedTuple):
     sure: Boxes
     unsure: Boxes
 
-    def moved(self, change: Change) -> "Pseudo":
+    def moved(self, change: Augmentation) -> "PseudoLabels":
         """The same boxes after a motion."""
-        return Pseudo(change.boxes(self.sure), change.boxes(self.unsure))
+        return PseudoLabels(change.boxes(self.sure), change.boxes(self.unsure))
 
-    def where(self, kept: Bool[np.ndarray, " n"]) -> "Pseudo":
+    def where(self, kept: Bool[np.ndarray, " n"]) -> "PseudoLabels":
         """Only the sure boxes that ``kept`` names stay sure; the others are unsure, and so ignored."""
-        return Pseudo(self.sure[kept], Boxes.concatenate([self.unsure, self.sure[~kept]]))
+        return PseudoLabels(self.sure[kept], Boxes.concatenate([self.unsure, self.sure[~kept]]))
 
 
-def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> Pseudo:
+def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> PseudoLabels:
     """Part a teacher's boxes by their scores; those below ``negative`` are dropped.
 
     Args:
@@ -97,16 +97,16 @@ def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> Pseudo:
     score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
     sure, known = (score >= levels(each, boxes.label) for each in (positive, negative))
     bare = boxes.replace(score=None)
-    return Pseudo(bare[sure], bare[known & ~sure])
+    return PseudoLabels(bare[sure], bare[known & ~sure])
 
 
 def in_weather(
     inputs: Mapping[str, list[Tensor]],
-    found: list[Pseudo],
+    found: list[PseudoLabels],
     columns: Mapping[str, Sequence[str]],
     config: WeatherConfig,
     rng: np.random.Generator,
-) -> tuple[Inputs, list[Pseudo]]:
+) -> tuple[Inputs, list[PseudoLabels]]:
     """The frames with weather laid over them, each its own, before anything moves them.
 
     Sure boxes whose last point the weather takes become unsure: the student cannot see what is there.
@@ -136,7 +136,7 @@ def in_weather(
 
 
 def strong_view(
-    inputs: Mapping[str, list[Tensor]], changes: list[Change], thinning: float, rng: np.random.Generator
+    inputs: Mapping[str, list[Tensor]], changes: list[Augmentation], thinning: float, rng: np.random.Generator
 ) -> Inputs:
     """The frames moved, each by its change, and thinned.
 
@@ -154,7 +154,7 @@ def strong_view(
     return Inputs(named)
 
 
-def _changed(cloud: Tensor, change: Change, share: float, rng: np.random.Generator) -> Tensor:
+def _changed(cloud: Tensor, change: Augmentation, share: float, rng: np.random.Generator) -> Tensor:
     kept = torch.from_numpy(rng.random(len(cloud)) >= share).to(cloud.device)
     linear = torch.from_numpy(change.linear).to(cloud.device, cloud.dtype)
     moved = cloud[kept]
@@ -163,7 +163,7 @@ def _changed(cloud: Tensor, change: Change, share: float, rng: np.random.Generat
     return moved
 
 
-def targets_of(assigner: Assigner, pseudo: Pseudo, inputs: Mapping[str, Tensor]) -> Any:
+def targets_of(assigner: Assigner, pseudo: PseudoLabels, inputs: Mapping[str, Tensor]) -> Any:
     """Targets of a frame: sure boxes are objects, and what is near unsure ones is ignored.
 
     Args:
@@ -191,4 +191,4 @@ def check_ignores(network: Network) -> None:
         ConfigError: If they cannot.
     """
     none = {name: torch.zeros(0, len(cloud.columns)) for name, cloud in network.inputs.items()}
-    targets_of(network.assigner, Pseudo(Boxes.empty(), Boxes.empty()), none)
+    targets_of(network.assigner, PseudoLabels(Boxes.empty(), Boxes.empty()), none)

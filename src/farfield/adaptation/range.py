@@ -26,27 +26,27 @@ from farfield.adaptation.cells import (
 )
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.memory import Memory, effective_number, similarity
-from farfield.adaptation.objects import Objects, objects_of
+from farfield.adaptation.objects import ObjectFeatures, objects_of
 from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
+from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.processes import normaliser, sum_over_processes
 from farfield.errors import ConfigError
-from farfield.training.method import DETECTOR, LABELLED, Batch, Pace, Stream
+from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream
 
 _LEAST_ENTRIES = 8  # fewer have no spread to speak of
 
 
-class Global(Adversarial):
+class GlobalAlignment(Adversarial):
     """The global loss."""
 
     match_density: bool = Field(False, description="draw near cells so that their point counts are the far ones'")
     balance_objects: bool = Field(True, description="weigh far background until objects have the near share of cells")
 
 
-class Local(Settings):
+class LocalAlignment(MethodSettings):
     """The local loss; the paper's form, our numbers."""
 
     weight: float = Field(0.1, ge=0)
@@ -60,15 +60,15 @@ class Local(Settings):
     mixture: Literal["similar", "shuffled"] = Field("similar", description="shuffled: the control, permuted weights")
 
 
-class RangeSettings(Settings):
+class RangeSettings(MethodSettings):
     """Which ranges are near and far, and which losses are on; ``null`` leaves one out."""
 
     near_m: tuple[float, float] = Field((0.0, 100.0), description="x of the near region")
     far_m: tuple[float, float] = Field((100.0, 250.0), description="x of the far region")
     half_width_m: float = Field(48.0, gt=0, description="both windows reach so far to each side")
     min_range_m: float = Field(10.0, ge=0, description="nearer cells are left out: the car's own shadow is there")
-    global_: Global | None = Field(Global(), alias="global")
-    local: Local | None = Local()
+    global_: GlobalAlignment | None = Field(GlobalAlignment(), alias="global")
+    local: LocalAlignment | None = LocalAlignment()
     start: str | None = Field(None, description="weights to start from")
     held_out: int = HELD_OUT
 
@@ -85,7 +85,7 @@ class RangeSettings(Settings):
         return self
 
 
-class Windows(NamedTuple):
+class RangeWindows(NamedTuple):
     """Which cells count as near and as far: x from and to, half width, all in metres."""
 
     near_m: tuple[float, float]
@@ -100,13 +100,13 @@ class Windows(NamedTuple):
         return near, far
 
 
-def draw_windows(settings: RangeSettings, rng: np.random.Generator) -> Windows:
+def draw_windows(settings: RangeSettings, rng: np.random.Generator) -> RangeWindows:
     """Two windows of equal size; where a region is longer than the other, its window lies anywhere in it."""
     near, far = (max(settings.near_m[0], settings.min_range_m), settings.near_m[1]), settings.far_m
     length = min(near[1] - near[0], far[1] - far[0])
     starts = [rng.uniform(a, b - length) if b - a > length else a for a, b in (near, far)]
     near_m, far_m = ((float(start), float(start + length)) for start in starts)
-    return Windows(near_m, far_m, settings.half_width_m)
+    return RangeWindows(near_m, far_m, settings.half_width_m)
 
 
 class RangeAdaptation(Adaptation):
@@ -143,7 +143,7 @@ class RangeAdaptation(Adaptation):
                 len(self.classes), network.channels, numbers, size=local.size, max_age=local.max_age
             )
 
-    def paces(self) -> Mapping[str, Pace]:
+    def paces(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
         return {} if self.settings.global_ is None else self.settings.global_.paces
 
@@ -171,7 +171,9 @@ class RangeAdaptation(Adaptation):
         near, far = windows.split(cells, self.settings.min_range_m)
         return [(0, cells[near]), (1, cells[far])]
 
-    def _global(self, chosen: Global, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
+    def _global(
+        self, chosen: GlobalAlignment, features: Features, frames: Batch, step: int, rng: np.random.Generator
+    ) -> Tensor:
         cells = occupied(features, frames.inputs, z_range_m(self.modules[DETECTOR].config))
         windows = draw_windows(self.settings, self.generator(step, shared=True))
         near, far = windows.split(cells, self.settings.min_range_m)
@@ -188,7 +190,7 @@ class RangeAdaptation(Adaptation):
         return loss
 
     @staticmethod
-    def _weights(chosen: Global, both: Cells, domain: Tensor, frames: Batch, cell_m: float) -> Tensor:
+    def _weights(chosen: GlobalAlignment, both: Cells, domain: Tensor, frames: Batch, cell_m: float) -> Tensor:
         """Weights under which far cells belong to objects as often as near ones do."""
         weight = torch.ones_like(domain)
         if chosen.balance_objects:
@@ -197,7 +199,9 @@ class RangeAdaptation(Adaptation):
             weight[far & ~objects] = background_weight(*sum_over_processes(counts).tolist())
         return weight
 
-    def _local(self, chosen: Local, features: Features, frames: Batch, step: int, rng: np.random.Generator) -> Tensor:
+    def _local(
+        self, chosen: LocalAlignment, features: Features, frames: Batch, step: int, rng: np.random.Generator
+    ) -> Tensor:
         every = objects_of(features, frames.boxes, self.classes, chosen.extent)
         near = every.chosen((every.range_m < self.settings.near_m[1]) & (every.points >= chosen.near_points))
         memory: Memory = self.modules["memory"]
@@ -207,7 +211,9 @@ class RangeAdaptation(Adaptation):
         loss = self._drawn_near(chosen, memory, every.chosen(far), step, rng)
         return weight * loss if weight else loss.detach() * 0.0
 
-    def _drawn_near(self, chosen: Local, memory: Memory, far: Objects, step: int, rng: np.random.Generator) -> Tensor:
+    def _drawn_near(
+        self, chosen: LocalAlignment, memory: Memory, far: ObjectFeatures, step: int, rng: np.random.Generator
+    ) -> Tensor:
         """The local loss without its weight: the mean over the far objects of all processes."""
         total, numbers, taking = far.feature.sum() * 0.0, [], 0
         for kind in range(len(self.classes)):

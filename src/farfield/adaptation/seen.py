@@ -14,7 +14,7 @@ from farfield.frame import Frame
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SeenFeatures:
+class OccupiedFeatures:
     """Features of occupied cells.
 
     Args:
@@ -31,7 +31,7 @@ class SeenFeatures:
 @torch.no_grad()
 def features_seen(
     detector: Detector, frames: Sequence[Frame], cloud: str, *, limit: int = 1000, seed: int = 0
-) -> SeenFeatures:
+) -> OccupiedFeatures:
     """The features that enter a detector's head, at cells that hold points.
 
     Args:
@@ -51,7 +51,7 @@ def features_seen(
         chosen = torch.from_numpy(np.sort(rng.permutation(len(cells))[:limit])).to(cells.row.device)
         values = values_at(features, cells[chosen]).float().cpu().numpy().astype(np.float64)
         found.append((values, cells[chosen].place_m.float().norm(dim=1).cpu().numpy().astype(np.float64)))
-    return SeenFeatures(
+    return OccupiedFeatures(
         values=np.concatenate([values for values, _ in found]),
         range_m=np.concatenate([range_m for _, range_m in found]),
         frame=np.repeat(np.arange(len(found)), [len(values) for values, _ in found]),

@@ -8,13 +8,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from farfield.errors import ConfigError, fault_of
 
 
-class Settings(BaseModel):
+class MethodSettings(BaseModel):
     """Settings of a method, or of a part of it; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-Chosen = TypeVar("Chosen", bound=Settings)
+Chosen = TypeVar("Chosen", bound=MethodSettings)
 
 HELD_OUT: Any = Field(
     0,

@@ -19,16 +19,16 @@ from farfield.adaptation.base import Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
 from farfield.adaptation.measuring import gradient_norms, total
 from farfield.adaptation.pseudo import (
-    Pseudo,
+    PseudoLabels,
     Score,
-    Strong,
+    StrongAugmentation,
     in_weather,
     sorted_by_score,
     spoken,
     strong_view,
     targets_of,
 )
-from farfield.adaptation.settings import HELD_OUT, Settings, settings_of
+from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
@@ -41,7 +41,7 @@ from farfield.training.weather import check_weather
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
 
 
-class TeacherSettings(Settings):
+class TeacherSettings(MethodSettings):
     """Thresholds and average; 0.999, 0.6 and 0.25 are the literature's, the rest is ours."""
 
     start: str = Field(description="weights of the source's detector; without them a teacher has nothing to teach")
@@ -53,7 +53,7 @@ class TeacherSettings(Settings):
     norm: Literal["shared", "per_domain"] = Field(
         "shared", description="one forward of all frames with its statistics, or statistics by domain"
     )
-    strong: Strong = Strong()
+    strong: StrongAugmentation = StrongAugmentation()
     held_out: int = HELD_OUT
     patience: int = Field(200, ge=1, description="steps without any pseudo box after which the training stops")
 
@@ -150,7 +150,9 @@ class MeanTeacher(Adaptation):
         self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
         return losses
 
-    def _in_weather(self, inputs: Inputs, found: list[Pseudo], rng: np.random.Generator) -> tuple[Inputs, list[Pseudo]]:
+    def _in_weather(
+        self, inputs: Inputs, found: list[PseudoLabels], rng: np.random.Generator
+    ) -> tuple[Inputs, list[PseudoLabels]]:
         """The target's frames in the weather that the student is to see them in; its draws are its own."""
         config = self.settings.strong.weather
         if config is None or not config.probability:
@@ -184,7 +186,7 @@ class MeanTeacher(Adaptation):
         return _SOURCE if self.settings.norm == "per_domain" else DETECTOR
 
     @torch.no_grad()
-    def found(self, inputs: Inputs) -> list[Pseudo]:
+    def found(self, inputs: Inputs) -> list[PseudoLabels]:
         """What the teacher finds in frames.
 
         Raises:

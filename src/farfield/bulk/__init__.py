@@ -1,23 +1,23 @@
 """Work over many units: journal, resuming, progress, workers and signals, once for every command. Knows no data set."""
 
-from farfield.bulk.engines import ENGINES, BulkError, Engine, Lost
-from farfield.bulk.journal import Journal
-from farfield.bulk.runs import HERE, Bulk, Outcome, Running, faults, run, values
-from farfield.bulk.units import Done, Unit, Work, blocks
+from farfield.bulk.engines import ENGINES, BulkError, FailedTask, JobEngine
+from farfield.bulk.journal import JobJournal
+from farfield.bulk.runs import HERE, JobOptions, JobRun, Outcome, faults, run, values
+from farfield.bulk.units import JobWork, Unit, UnitResult, blocks
 
 __all__ = [
     "ENGINES",
     "HERE",
-    "Bulk",
     "BulkError",
-    "Done",
-    "Engine",
-    "Journal",
-    "Lost",
+    "FailedTask",
+    "JobEngine",
+    "JobJournal",
+    "JobOptions",
+    "JobRun",
+    "JobWork",
     "Outcome",
-    "Running",
     "Unit",
-    "Work",
+    "UnitResult",
     "blocks",
     "faults",
     "run",

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from farfield.bulk.units import Done, Unit, Work
+from farfield.bulk.units import JobWork, Unit, UnitResult
 from farfield.errors import FarfieldError
 from farfield.registry import Registry
 
@@ -14,7 +14,7 @@ class BulkError(FarfieldError):
 
 
 @dataclass(frozen=True)
-class Lost:
+class FailedTask:
     """A unit whose worker died, twice.
 
     Args:
@@ -25,12 +25,12 @@ class Lost:
 
 
 @runtime_checkable
-class Engine(Protocol):
+class JobEngine(Protocol):
     """Does units somewhere: in processes of this machine, or on a cluster."""
 
     def run(
-        self, work: Work, units: Sequence[Unit], *, workers: int, ordered: bool
-    ) -> Iterator[tuple[int, Done | Lost]]:
+        self, work: JobWork, units: Sequence[Unit], *, workers: int, ordered: bool
+    ) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         """Do all units, a bounded number of them under way at a time.
 
         Args:
@@ -45,5 +45,7 @@ class Engine(Protocol):
         """
 
 
-ENGINES: Registry[type[Engine]] = Registry("farfield.engines", "bulk engine", {"local": "farfield.bulk.local:Local"})
+ENGINES: Registry[type[JobEngine]] = Registry(
+    "farfield.engines", "bulk engine", {"local": "farfield.bulk.local:LocalEngine"}
+)
 """Engines by name."""

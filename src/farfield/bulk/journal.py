@@ -26,7 +26,7 @@ class _Entry(NamedTuple):
     line: tuple[int, int]  # where the line stands in the file: offset and length
 
 
-class Journal:
+class JobJournal:
     """One line a finished unit: its name, the state of its sources, size and CRC-32 of each file, and its value.
 
     A file that changed after the journal is compared by its checksum, all others by their size. At the end the lines

@@ -11,10 +11,10 @@ from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
 from typing import IO, Any
 
-from farfield.bulk.engines import BulkError, Lost
+from farfield.bulk.engines import BulkError, FailedTask
 from farfield.bulk.messages import receive, send
 from farfield.bulk.threads import VARIABLES, one_thread
-from farfield.bulk.units import Done, Unit, Work, alone
+from farfield.bulk.units import JobWork, Unit, UnitResult, alone
 
 _GROUP = 10  # units of one group that a worker takes at a time
 _AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
@@ -23,20 +23,20 @@ _PATIENCE_S = 10.0  # for a worker to end by itself
 Place = tuple[int, Unit]
 
 
-class Local:
+class LocalEngine:
     """Processes of this machine, or this very process where one is enough.
 
     A worker is a new Python process: what it does must stand in a module, not in the script or notebook that asks.
     """
 
     def run(
-        self, work: Work, units: Sequence[Unit], *, workers: int, ordered: bool
-    ) -> Iterator[tuple[int, Done | Lost]]:
-        """See :class:`~farfield.bulk.engines.Engine`."""
+        self, work: JobWork, units: Sequence[Unit], *, workers: int, ordered: bool
+    ) -> Iterator[tuple[int, UnitResult | FailedTask]]:
+        """See :class:`~farfield.bulk.engines.JobEngine`."""
         if workers <= 1 and not alone(work):
             yield from _here(work, units)
             return
-        crew = _Crew(_packed(work), units, workers, alone=alone(work))
+        crew = _WorkerPool(_packed(work), units, workers, alone=alone(work))
         whole = False
         try:
             crew.start()
@@ -46,13 +46,13 @@ class Local:
             crew.stop(whole=whole)
 
 
-def _here(work: Work, units: Sequence[Unit]) -> Iterator[tuple[int, Done]]:
+def _here(work: JobWork, units: Sequence[Unit]) -> Iterator[tuple[int, UnitResult]]:
     with one_thread():
         for index, unit in enumerate(units):
             yield index, work(unit)
 
 
-def _packed(work: Work) -> bytes:
+def _packed(work: JobWork) -> bytes:
     try:
         packed = pickle.dumps(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -75,7 +75,7 @@ def _words(packed: bytes) -> set[str]:
     return {str(argument).split(" ")[0] for _, argument, _ in genops(packed) if isinstance(argument, str)}
 
 
-class _Crew:
+class _WorkerPool:
     """Workers, the units that they have yet to take, and what they gave."""
 
     def __init__(self, work: bytes, units: Sequence[Unit], workers: int, *, alone: bool = False) -> None:
@@ -83,7 +83,7 @@ class _Crew:
         self.next, self.lock, self.stopping = 0, Lock(), Event()
         self.room = Semaphore(_AHEAD * workers)
         self.results: SimpleQueue[tuple[int, Any]] = SimpleQueue()
-        self.hands = [_Hand(self) for _ in range(min(workers, len(units)))]
+        self.hands = [_WorkerThread(self) for _ in range(min(workers, len(units)))]
 
     def start(self) -> None:
         for hand in self.hands:
@@ -106,13 +106,13 @@ class _Crew:
                 break
         return taken
 
-    def as_done(self) -> Iterator[tuple[int, Done | Lost]]:
+    def as_done(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         for _ in range(len(self.units)):
             index, result = self._get()
             self.room.release()
             yield index, result
 
-    def in_order(self) -> Iterator[tuple[int, Done | Lost]]:
+    def in_order(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         early: dict[int, Any] = {}
         for index in range(len(self.units)):
             while index not in early:
@@ -140,10 +140,10 @@ class _Crew:
             hand.join()
 
 
-class _Hand(Thread):
+class _WorkerThread(Thread):
     """A thread that feeds one worker process, and starts another when it dies."""
 
-    def __init__(self, crew: _Crew) -> None:
+    def __init__(self, crew: _WorkerPool) -> None:
         super().__init__(daemon=True, name="farfield-bulk")
         self.crew = crew
         self.process: subprocess.Popen[bytes] | None = None
@@ -172,12 +172,12 @@ class _Hand(Thread):
             except (EOFError, OSError):
                 why = self._ended()
                 if self.crew.stopping.is_set():
-                    return Lost(why)
+                    return FailedTask(why)
                 continue
             if self.crew.alone:
                 self._ended()
             return result if kind == "done" else _rebuilt(result)
-        return Lost(why)
+        return FailedTask(why)
 
     def _begin(self) -> "subprocess.Popen[bytes]":
         """Start a worker and give it the work; one that dies on the way is started once more."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk.engines import ENGINES, BulkError, Lost
+from farfield.bulk.engines import ENGINES, BulkError, FailedTask
 from farfield.bulk.folders import locked, sweep_out
-from farfield.bulk.journal import Journal, Mark, mark_of, state_of
+from farfield.bulk.journal import JobJournal, Mark, mark_of, state_of
 from farfield.bulk.memory import fitting
 from farfield.bulk.signals import check
 from farfield.bulk.threads import one_thread
-from farfield.bulk.units import Done, Unit, Work, alone
+from farfield.bulk.units import JobWork, Unit, UnitResult, alone
 from farfield.errors import ConfigError
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -24,7 +24,7 @@ _SHOWN = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bulk:
+class JobOptions:
     """How a work is done.
 
     Args:
@@ -42,7 +42,7 @@ class Bulk:
         if self.workers < 0:
             raise ConfigError(f"workers: expected 1 or more, or 0 for as many as there are cores; got {self.workers}")
 
-    def hands(self, work: Work, units: int) -> int:
+    def hands(self, work: JobWork, units: int) -> int:
         """How many workers do so many units.
 
         Raises:
@@ -53,7 +53,7 @@ class Bulk:
         return fitting(max(1, wanted), getattr(work, "memory_bytes", 0), asked=self.workers > 0)
 
 
-HERE = Bulk()
+HERE = JobOptions()
 """In this process, without a word."""
 
 
@@ -72,7 +72,7 @@ class Outcome:
     clocks: dict[int, Any] = field(default_factory=dict)
 
 
-class Running:
+class JobRun:
     """A work under way over the units that the journal does not have.
 
     Who iterates over it gets the number of each unit that is left: after workers did it, or, where ``here`` is true,
@@ -93,7 +93,9 @@ class Running:
         BulkError: If the memory does not suffice; on leaving, if workers died twice over a unit.
     """
 
-    def __init__(self, work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journal | None = None) -> None:
+    def __init__(
+        self, work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journal: JobJournal | None = None
+    ) -> None:
         self.work, self.units, self.journal, self._engine = work, units, journal, bulk.engine
         if journal is not None and journal.files:
             sweep_out(journal.folder)
@@ -111,7 +113,7 @@ class Running:
         self._iterating = self._alone() if self.here else self._by_workers()
         return self._iterating
 
-    def __enter__(self) -> "Running":
+    def __enter__(self) -> "JobRun":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *unused: object) -> None:
@@ -130,14 +132,14 @@ class Running:
         """The unit of a number."""
         return self.units[self.left[number]]
 
-    def enter(self, number: int, done: Done) -> None:
+    def enter(self, number: int, done: UnitResult) -> None:
         """Hand in what the unit gave that the iteration came to last."""
         value = done.value
         if self.journal is not None:
             value = _entry(self.journal.folder, self._source, done)
         self._enter(number, replace(done, value=value))
 
-    def _enter(self, number: int, done: Done) -> None:
+    def _enter(self, number: int, done: UnitResult) -> None:
         if self.journal is not None:
             self.journal.add(self.unit(number), *done.value)
         self.outcome.written, self.outcome.clocks[self.left[number]] = self.outcome.written + 1, done.clock
@@ -155,11 +157,11 @@ class Running:
 
     def _by_workers(self) -> Generator[int, None, None]:
         journal = self.journal
-        marking = self.work if journal is None else _Marking(self.work, journal.folder, journal.setting)
+        marking = self.work if journal is None else _JournalledUnit(self.work, journal.folder, journal.setting)
         units = [self.unit(number) for number in range(len(self.left))]
         with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
             for number, done in results:
-                if isinstance(done, Lost):
+                if isinstance(done, FailedTask):
                     self._lost.append((units[number].name, done.why))
                 else:
                     self._enter(number, done)
@@ -167,7 +169,7 @@ class Running:
                 yield number
 
 
-def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journal | None = None) -> Outcome:
+def run(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journal: JobJournal | None = None) -> Outcome:
     """Do all units that the journal does not have, and enter them.
 
     Args:
@@ -182,14 +184,14 @@ def run(work: Work, units: Sequence[Unit], bulk: Bulk = HERE, *, journal: Journa
     Raises:
         BulkError: If workers died twice over a unit; all others are done, and the same call tries these again.
     """
-    with Running(work, units, bulk, journal=journal) as running:
+    with JobRun(work, units, bulk, journal=journal) as running:
         for number in bulk.progress(running):
             if running.here:
                 running.enter(number, work(running.unit(number)))
     return running.outcome
 
 
-def faults(units: Sequence[Unit], journal: Journal) -> list[str]:
+def faults(units: Sequence[Unit], journal: JobJournal) -> list[str]:
     """What is wrong with finished units, a line each: not written, of another source or setting, damaged or missing.
 
     Every byte of their files is read; nothing is written.
@@ -198,7 +200,7 @@ def faults(units: Sequence[Unit], journal: Journal) -> list[str]:
     return [f"{unit.name}: {fault}" for unit, fault in found if fault]
 
 
-def values(work: Work, units: Sequence[Unit], bulk: Bulk = HERE) -> Iterator[Done]:
+def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Iterator[UnitResult]:
     """Do all units and yield what they gave in their order; nothing is kept.
 
     Args:
@@ -213,7 +215,7 @@ def values(work: Work, units: Sequence[Unit], bulk: Bulk = HERE) -> Iterator[Don
     with closing(_results(bulk.engine, work, units, bulk.hands(work, len(units)), ordered=True)) as results:
         for _ in bulk.progress(range(len(units))):
             index, done = next(results)
-            if isinstance(done, Lost):
+            if isinstance(done, FailedTask):
                 lost.append((units[index].name, done.why))
             else:
                 yield done
@@ -222,8 +224,8 @@ def values(work: Work, units: Sequence[Unit], bulk: Bulk = HERE) -> Iterator[Don
 
 
 def _results(
-    engine: str, work: Work, units: Sequence[Unit], workers: int, *, ordered: bool
-) -> Generator[tuple[int, Done | Lost], None, None]:
+    engine: str, work: JobWork, units: Sequence[Unit], workers: int, *, ordered: bool
+) -> Generator[tuple[int, UnitResult | FailedTask], None, None]:
     """What an engine gives of units, none included."""
     if units:
         yield from ENGINES[engine]().run(work, units, workers=workers, ordered=ordered)
@@ -242,10 +244,10 @@ def _raise_for(lost: Sequence[tuple[str, str]], units: int) -> None:
 
 
 @dataclass(frozen=True)
-class _Marking:
+class _JournalledUnit:
     """Does a unit, and says in what state its sources were and what stands in its files."""
 
-    work: Work
+    work: JobWork
     folder: Path
     setting: str
 
@@ -257,13 +259,13 @@ class _Marking:
     def own_process(self) -> bool:
         return alone(self.work)
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         with locked(self.folder, shared=True):
             source = state_of(unit.sources, self.setting)
             done = self.work(unit)
             return replace(done, files=(), value=_entry(self.folder, source, done))
 
 
-def _entry(folder: Path, source: str, done: Done) -> tuple[str, dict[str, Mark], Any]:
+def _entry(folder: Path, source: str, done: UnitResult) -> tuple[str, dict[str, Mark], Any]:
     """What a journal keeps of a unit besides its name."""
     return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in done.files}, done.value

@@ -24,7 +24,7 @@ class Unit:
 
 
 @dataclass(frozen=True)
-class Done:
+class UnitResult:
     """What a unit gave.
 
     Args:
@@ -39,7 +39,7 @@ class Done:
 
 
 @runtime_checkable
-class Work(Protocol):
+class JobWork(Protocol):
     """What is done with each unit: a function or object that pickles, of a module that can be imported.
 
     The same unit gives the same files and the same value, whoever does it and whatever was done before. An attribute
@@ -47,11 +47,11 @@ class Work(Protocol):
     which costs seconds, so that its memory is measured and freed whatever the libraries below keep.
     """
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Do one unit."""
 
 
-def alone(work: Work) -> bool:
+def alone(work: JobWork) -> bool:
     """Whether each unit wants a process of its own."""
     return bool(getattr(work, "own_process", False))
 

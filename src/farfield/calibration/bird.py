@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex64, Float, Float32
 from scipy import fft
 
-from farfield.calibration.moments import Moment
+from farfield.calibration.moments import SensorPair
 from farfield.calibration.problems import Told, untold
 from farfield.errors import ConfigError
 
@@ -29,7 +29,7 @@ _STEP_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class PoseHypothesis:
     """One explanation of the maps.
 
     Args:
@@ -51,7 +51,7 @@ _Spectra = Mapping[int, Complex64[np.ndarray, "h w"]]
 
 
 @dataclass(frozen=True, eq=False)
-class Maps:
+class OccupancyMaps:
     """Maps of both sensors over a drive, and their correlations, kept for later starts.
 
     Args:
@@ -59,7 +59,7 @@ class Maps:
         summed: Correlations over all shifts by yaw, origin and frame offset; none where no frames meet.
     """
 
-    moments: Sequence[Moment]
+    moments: Sequence[SensorPair]
     summed: dict[tuple[int, float, float, int], Float[np.ndarray, "rows columns"] | None] = field(default_factory=dict)
 
     @cached_property
@@ -84,14 +84,14 @@ class Maps:
 
 
 def correlate(
-    maps: Maps,
-    guess: Start,
+    maps: OccupancyMaps,
+    guess: PoseHypothesis,
     *,
     reach_m: float = 3.0,
     frames: int = 4,
     yaw_rad: float = np.radians(4.0),
     told: Told = untold,
-) -> list[Start]:
+) -> list[PoseHypothesis]:
     """Best explanation of each frame offset, best first.
 
     Args:
@@ -107,7 +107,7 @@ def correlate(
     """
     if reach_m > _REACH_M:
         raise ConfigError(f"radar-lidar: expected reach_m of at most {_REACH_M:g} m, got {reach_m:g}")
-    best: dict[int, Start] = {}
+    best: dict[int, PoseHypothesis] = {}
     origin_m = round(guess.x_m / _ORIGIN_M) * _ORIGIN_M, round(guess.y_m / _ORIGIN_M) * _ORIGIN_M
     around = guess.x_m - origin_m[0], guess.y_m - origin_m[1]
     offsets = range(guess.frames - frames, guess.frames + frames + 1)
@@ -121,15 +121,15 @@ def correlate(
             if offset not in best or found[0] > best[offset].score:
                 x, y = origin_m[0] + found[1], origin_m[1] + found[2]
                 yaw = float((middle + step) * _STEP_RAD)
-                best[offset] = Start(frames=offset, yaw_rad=yaw, x_m=x, y_m=y, score=found[0])
+                best[offset] = PoseHypothesis(frames=offset, yaw_rad=yaw, x_m=x, y_m=y, score=found[0])
     return sorted(best.values(), key=_by_score, reverse=True)
 
 
-def _by_score(start: Start) -> float:
+def _by_score(start: PoseHypothesis) -> float:
     return start.score
 
 
-def _standing_out(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+def _standing_out(moment: SensorPair) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Echoes that stand out, and their power."""
     strong = moment.power_db > _LEAST_DB
     return moment.echoes_m[strong], np.minimum(moment.power_db[strong], _MOST_DB)

@@ -124,7 +124,7 @@ class BoardCalibration:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
+class _BoardSolution:
     matrix: Any
     distortion: Any
     sigma: Any
@@ -230,7 +230,7 @@ def calibrate_board(sightings: Iterable[Sighting], board: Board) -> BoardCalibra
     )
 
 
-def _solve(seen: list[Sighting], board: Board) -> _Solved:
+def _solve(seen: list[Sighting], board: Board) -> _BoardSolution:
     """Without k3, and with it where the corners ask for it (Bayesian information criterion)."""
     cv2 = opencv()
     places = board.places_m.astype(np.float32)
@@ -240,7 +240,9 @@ def _solve(seen: list[Sighting], board: Board) -> _Solved:
     for flags in (cv2.CALIB_FIX_K3, 0):
         done = cv2.calibrateCameraExtended(objects, pixels, seen[0].size_px, None, None, flags=flags)
         rms, matrix, distortion, _, _, sigma, _, error = done
-        tried.append((rms, _Solved(matrix, distortion, sigma, np.asarray(error, dtype=np.float64).ravel(), seen)))
+        tried.append(
+            (rms, _BoardSolution(matrix, distortion, sigma, np.asarray(error, dtype=np.float64).ravel(), seen))
+        )
     numbers = 2 * sum(len(each.corner) for each in seen)
     gain = 2 * numbers * np.log(tried[0][0] / max(tried[1][0], 1e-12))
     return tried[int(gain > _ASKED * np.log(numbers))][1]

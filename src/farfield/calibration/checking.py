@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from farfield.calibration.edges import Views, align_edges, difference, edge_score, moved, refine_edges
+from farfield.calibration.edges import EdgeViews, align_edges, difference, edge_score, moved, refine_edges
 from farfield.geometry.cameras import Camera
 
 Verdict = Literal["fits", "off", "moved", "not told"]
@@ -33,7 +33,7 @@ _FIRST = (np.radians(2.0),) * 3 + (0.4,) * 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Check:
+class CalibrationCheck:
     """What a check says.
 
     Args:
@@ -64,7 +64,7 @@ class Check:
         return self.verdict in ("off", "moved")
 
 
-def check_camera(camera: Camera, views: Views) -> Check:
+def check_camera(camera: Camera, views: EdgeViews) -> CalibrationCheck:
     """Check a camera's calibration.
 
     Args:
@@ -103,7 +103,7 @@ def check_camera(camera: Camera, views: Views) -> Check:
         verdict = "moved"
     turn, shift = _sizes(change[better])
     drift_turn, drift_shift = _sizes(difference(own[1], own[0]))
-    return Check(
+    return CalibrationCheck(
         verdict=verdict,
         degrees=turn,
         cm=shift,
@@ -115,9 +115,9 @@ def check_camera(camera: Camera, views: Views) -> Check:
     )
 
 
-def unsaid(frames: int) -> Check:
+def unsaid(frames: int) -> CalibrationCheck:
     """What is said where so many frames tell nothing."""
-    return Check(
+    return CalibrationCheck(
         verdict="not told", degrees=0.0, cm=0.0, px=0.0, drift_degrees=0.0, drift_cm=0.0, frames=frames, evidence=0.0
     )
 
@@ -143,7 +143,7 @@ def _far() -> list[Float[np.ndarray, " 6"]]:
     return [np.array([a * _FAR_RAD, b * _FAR_RAD, 0, 0, 0, 0]) for a, b in signs]
 
 
-def _only(views: Views, frames: Bool[np.ndarray, " frames"]) -> Views:
+def _only(views: EdgeViews, frames: Bool[np.ndarray, " frames"]) -> EdgeViews:
     """The edges of some frames."""
     kept = frames[views.frame]
     number = np.cumsum(frames) - 1
@@ -162,7 +162,7 @@ def _errors(gain: Float[np.ndarray, " n"]) -> float:
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-9)) if len(gain) > 1 else 0.0
 
 
-def _pixels(camera: Camera, views: Views) -> Float[np.ndarray, "n 2"]:
+def _pixels(camera: Camera, views: EdgeViews) -> Float[np.ndarray, "n 2"]:
     return replace(camera, width_px=0, height_px=0).project(views.points_m)[0]
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.edges import SIGMAS_PX, Views, sampled
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, sampled
 from farfield.geometry.cameras import Camera
 
 _CLEAR = 3.0  # times the usual gradient
@@ -36,7 +36,7 @@ class EdgeResiduals:
         return float(np.quantile(away, 0.5, weights=self.weight, method="inverted_cdf"))
 
 
-def edge_residuals(camera: Camera, views: Views, *, reach_px: int = 6) -> EdgeResiduals:
+def edge_residuals(camera: Camera, views: EdgeViews, *, reach_px: int = 6) -> EdgeResiduals:
     """How far across each LiDAR edge the nearest clear edge of the picture lies.
 
     Clear are the gradient's local maxima that are three times the usual one; within ``reach_px`` to each side. Their

@@ -80,7 +80,7 @@ def _step_px(sigma_px: float) -> int:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Views:
+class EdgeViews:
     """Edges of all frames in one table, and the pictures' at each scale.
 
     Args:
@@ -110,7 +110,7 @@ def views_of(
     *,
     margin_px: float = 60.0,
     most: int = 1500,
-) -> Views:
+) -> EdgeViews:
     """Put frames together.
 
     Args:
@@ -122,13 +122,13 @@ def views_of(
     """
     levels = tuple(np.stack([image_edges(each, sigma) for each in pictures]) for sigma in SIGMAS_PX)
     nothing = np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0)
-    empty = Views(points_m=nothing[0], frame=nothing[1], axis=nothing[2], weight=nothing[3], levels=levels)
+    empty = EdgeViews(points_m=nothing[0], frame=nothing[1], axis=nothing[2], weight=nothing[3], levels=levels)
     return seen_by(empty, edges, camera, margin_px=margin_px, most=most)
 
 
 def seen_by(
-    views: Views, edges: Sequence[LidarEdges], camera: Camera, *, margin_px: float = 60.0, most: int = 1500
-) -> Views:
+    views: EdgeViews, edges: Sequence[LidarEdges], camera: Camera, *, margin_px: float = 60.0, most: int = 1500
+) -> EdgeViews:
     """The same pictures with the edges that another guess of the camera sees; arguments as of :func:`views_of`."""
     shape = views.levels[-1].shape[2:]
     rows = [_rows(each, replace(camera, width_px=0, height_px=0), shape, margin_px, most) for each in edges]
@@ -153,20 +153,20 @@ def _rows(
     return points[near], kind, kept * (share / np.maximum(total, 1e-9))[kind]
 
 
-def edge_score(camera: Camera, views: Views, level: int = -1) -> Float[np.ndarray, " frames"]:
+def edge_score(camera: Camera, views: EdgeViews, level: int = -1) -> Float[np.ndarray, " frames"]:
     """Weighted mean strength of the picture's edges under the LiDAR's, 1 for edges that fall anywhere, each frame."""
     pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
     found = sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
     return np.bincount(views.frame, weights=found * views.weight, minlength=views.count).astype(np.float64)
 
 
-def sampled(views: Views, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
+def sampled(views: EdgeViews, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
     """Values of the gradient across each edge between pixels, at one scale; 0 outside."""
     return _sloped(views, pixels, level)[0]
 
 
 def _sloped(
-    views: Views, pixels: Float[np.ndarray, "n 2"], level: int
+    views: EdgeViews, pixels: Float[np.ndarray, "n 2"], level: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Values between pixels and their slopes a pixel across and down; 0 outside."""
     grid, step = views.levels[level], _step_px(SIGMAS_PX[level])
@@ -187,7 +187,7 @@ def _sloped(
 
 def align_edges(
     camera: Camera,
-    views: Views,
+    views: EdgeViews,
     *,
     sigma: Sequence[float] | None = None,
     most: int | None = _ROUGH,
@@ -222,7 +222,7 @@ def align_edges(
     return moved(camera, best[0] * scale)
 
 
-def _thinned(views: Views, every: int) -> Views:
+def _thinned(views: EdgeViews, every: int) -> EdgeViews:
     """The same pictures with every so many-th edge, weights as large in all."""
     return replace(
         views,
@@ -233,7 +233,7 @@ def _thinned(views: Views, every: int) -> Views:
     )
 
 
-def refine_edges(camera: Camera, views: Views, *, sigma: Sequence[float]) -> Camera:
+def refine_edges(camera: Camera, views: EdgeViews, *, sigma: Sequence[float]) -> Camera:
     """Move a camera that fits most frames to those given, at all scales or at the fine ones alone: the better one.
 
     Arguments as for :func:`align_edges`.
@@ -256,7 +256,7 @@ class _Problem:
     """What is moved in steps of ``scale``, and how far it may be off."""
 
     camera: Camera
-    views: Views
+    views: EdgeViews
     scale: Float[np.ndarray, " 6"]
     prior: Float[np.ndarray, " 6"]
     ends: float = 1e-9  # where the score gains less, a scale is done
@@ -265,7 +265,7 @@ class _Problem:
         """Where scale after scale leads to, and what is lacking there."""
         lacking = np.inf
         for level in levels:
-            problem = _Level(whole=self, level=level, at=x, base_px=self.pixels(x), turns=self.jacobian(x))
+            problem = _ScaleObjective(whole=self, level=level, at=x, base_px=self.pixels(x), turns=self.jacobian(x))
             done = minimize(
                 problem.lacking,
                 x,
@@ -290,7 +290,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Level:
+class _ScaleObjective:
     """What is to be minimised at one scale: minus the mean score, and the prior's little pull.
 
     Pixels move along ``turns``, shape (n, 2, 6), taken at ``at``, where each scale begins: within a degree they bend by
@@ -314,7 +314,7 @@ class _Level:
         return float(-(weight @ found) + pull @ x), 2 * pull - uphill
 
 
-def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
+def edge_spread(camera: Camera, views: EdgeViews, *, level: int = 2) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
     """Sigma of an aligned camera from how far single frames disagree, and what the edges cannot tell.
 
     The score's curvature H and the frames' gradients g give H^-1 cov(g) H^-1 / frames (an M-estimator's sandwich:
@@ -355,6 +355,6 @@ def edge_spread(camera: Camera, views: Views, *, level: int = 2) -> tuple[Float[
 
 
 def _moved_score(
-    x: Float[np.ndarray, " 6"], camera: Camera, views: Views, level: int, scale: Float[np.ndarray, " 6"]
+    x: Float[np.ndarray, " 6"], camera: Camera, views: EdgeViews, level: int, scale: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, " frames"]:
     return edge_score(moved(camera, x * scale), views, level)

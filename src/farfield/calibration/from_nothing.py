@@ -42,7 +42,7 @@ def board_job(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beginning:
+class InitialGuess:
     """What a camera without a calibration begins from; each may be left out.
 
     Args:
@@ -62,7 +62,7 @@ class Beginning:
     @property
     def given(self) -> bool:
         """Whether there is anything."""
-        return self != Beginning()
+        return self != InitialGuess()
 
     def camera(self, name: str, picture: tuple[int, ...], known: Camera | None) -> Camera:
         """The camera to begin with; what is not given stays as the data set has it.

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from farfield.calibration.edge_residuals import edge_residuals
 from farfield.calibration.edges import (
     PARAMETERS,
-    Views,
+    EdgeViews,
     align_edges,
     difference,
     edge_score,
@@ -19,9 +19,9 @@ from farfield.calibration.edges import (
     views_of,
 )
 from farfield.calibration.information import LEAST_FRAMES, information_distance
-from farfield.calibration.moments import Moment, read_moments
+from farfield.calibration.moments import SensorPair, read_moments
 from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.calibration.registration import Registration, register
 from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
 from farfield.datasets.base import Dataset
@@ -64,7 +64,7 @@ class RadarJob:
         found: What was found.
     """
 
-    moments: Sequence[Moment]
+    moments: Sequence[SensorPair]
     before: RadarPose
     found: RadarCalibration
 
@@ -107,7 +107,7 @@ def radar_start(
 def radar_job(data: Dataset, indices: Sequence[int], guess: RadarPose) -> RadarJob:
     """Calibrate a K-Radar sequence's radar."""
     moments = read_moments((data[index] for index in indices), node_m=KRADAR_NODE_M)
-    return RadarJob(moments=moments, before=guess, found=calibrate_radar(Evidence.of(moments), guess))
+    return RadarJob(moments=moments, before=guess, found=calibrate_radar(RadarEvidence.of(moments), guess))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,7 +126,7 @@ class CameraJob:
 
     before: Camera
     after: Camera
-    views: Views
+    views: EdgeViews
     picture: UInt8[np.ndarray, "height width 3"]
     keys: Sequence[tuple[str, str]]
     skewed: int = 0
@@ -171,7 +171,7 @@ def distance_note(distances: tuple[float, ...] | None) -> list[str]:
     return [f"the normalised information distance of grey and intensity grew from {grown}: look at the picture"]
 
 
-def _residual(camera: Camera, views: Views) -> dict[str, Any]:
+def _residual(camera: Camera, views: EdgeViews) -> dict[str, Any]:
     found = edge_residuals(camera, views)
     counts, limits = np.histogram(found.across_px, bins=np.arange(-6.25, 6.5, 0.5))
     return {

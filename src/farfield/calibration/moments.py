@@ -17,7 +17,7 @@ _COLUMN_M = 0.4  # of the radar's cloud
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Moment:
+class SensorPair:
     """One LiDAR sweep and the radar frame that the data set pairs with it.
 
     Args:
@@ -37,7 +37,7 @@ class Moment:
 
 def read_moments(
     frames: Iterable[Frame], *, lidar: str = "os2-64", radar: str = "radar", node_m: float = 0.0
-) -> list[Moment]:
+) -> list[SensorPair]:
     """Reduce consecutive frames of one sequence.
 
     Args:
@@ -53,7 +53,7 @@ def read_moments(
     return [_moment(frame, frame.indices.get(lidar, place), lidar, radar, node_m) for place, frame in enumerate(frames)]
 
 
-def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) -> Moment:
+def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) -> SensorPair:
     missing = [name for name in (lidar, radar) if name not in frame.clouds]
     pose = frame.sensors[radar].frame_T_sensor if radar in frame.sensors else None
     if missing or pose is None:
@@ -74,7 +74,7 @@ def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) ->
     decibel = 10 * np.log10(np.maximum(values, 1e-30)) if strength == "power" else values
     excess = over_usual_db(own, decibel)
     kept = _highest(own, excess)
-    return Moment(
+    return SensorPair(
         number=int(number),
         points_m=points[standing],
         lag_s=lag[standing],

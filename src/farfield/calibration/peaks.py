@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from farfield.calibration.moments import Moment
+from farfield.calibration.moments import SensorPair
 
 LEAST_DB = 2.0
 """Over what is usual at that range: weaker echoes are no peaks."""
@@ -36,7 +36,7 @@ class Peaks:
     power_db: Float[np.ndarray, " n"]
 
 
-def find_peaks(moment: Moment) -> Peaks:
+def find_peaks(moment: SensorPair) -> Peaks:
     """Local maxima of the radar's echoes with their places within the cell: means over the lobe, by power.
 
     The lobe is taken in range and azimuth, wide enough for its far side to count: a narrower window draws every echo

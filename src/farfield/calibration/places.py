@@ -21,7 +21,7 @@ from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.boxes import camera_of
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.layout import camera_number
-from farfield.datasets.kradar.radar_pose import LIDARS_FILE, RADAR_FILE, Matching, matching_path
+from farfield.datasets.kradar.radar_pose import LIDARS_FILE, RADAR_FILE, InfoMatching, matching_path
 from farfield.datasets.kradar.sequence_files import camera_path
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.kitti import read_calib
@@ -133,7 +133,7 @@ def _save_matching(
     offset = (pose.x_m - base[0], pose.y_m - base[1], float(np.degrees(pose.yaw_rad)) - base[2])
     pictures = (path.name for path in reader.files(index) if path.parent.name in ("cam-front", "cam_front"))
     names = (f"tesseract_{entry.radar + pose.frames:05d}.mat", f"os2-64_{entry.lidar:05d}.pcd", next(pictures, "none"))
-    text = Matching(names=names, base=base, offset=offset).text()
+    text = InfoMatching(names=names, base=base, offset=offset).text()
     path = reader.root / matching_path(entry.sequence, entry.stem)
     copy = replace_text(path, text)
     return [path, *([copy] if copy is not None else [])]

@@ -115,7 +115,7 @@ def solve(
     if not first.size or not np.isfinite(first).all():
         raise ConfigError("calibration: expected finite residuals at the start, got none; give a nearer start")
     own = np.ones(len(first)) if share is None else share
-    total = _Whole(residuals, start, scale, prior)
+    total = _ScaledProblem(residuals, start, scale, prior)
     x = np.zeros(len(start)) if begin is None else (np.asarray(begin, dtype=np.float64) - start) / scale
     weight, converged = own * _weights(residuals(start + x * scale), huber), False
     for _ in range(_ROUNDS):
@@ -212,7 +212,7 @@ def considered(
 
 
 @dataclass(frozen=True, eq=False)
-class _Whole:
+class _ScaledProblem:
     """Residuals and prior in scaled steps from the start."""
 
     residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]]

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from farfield.calibration.problems import appraise
 from farfield.calibration.radar_lidar import GATES_M, LEAST_MATCHES, RadarCalibration
 from farfield.calibration.radar_matching import (
-    Evidence,
+    RadarEvidence,
     RadarPose,
     match_frame,
     match_objects,
@@ -18,14 +18,14 @@ from farfield.calibration.radar_matching import (
     shares,
     whitened,
 )
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, notes_of
 from farfield.calibration.radar_systematic import systematic_of
 from farfield.errors import DatasetError
 
 
 def appraise_radar(
-    evidence: Evidence, pose: RadarPose, *, gate_m: float = GATES_M[0]
-) -> tuple[RadarCalibration, Pairs]:
+    evidence: RadarEvidence, pose: RadarPose, *, gate_m: float = GATES_M[0]
+) -> tuple[RadarCalibration, MatchedObjects]:
     """What matched objects say of a pose as it stands: residuals, sigma, what is not observed; no step is taken.
 
     Args:
@@ -63,7 +63,7 @@ def appraise_radar(
 
 
 def matches_of(
-    evidence: Evidence, pose: RadarPose, number: int, *, gate_m: float = GATES_M[0]
+    evidence: RadarEvidence, pose: RadarPose, number: int, *, gate_m: float = GATES_M[0]
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
     """Matched objects of one LiDAR frame.
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.checking import Check, Verdict, unsaid
-from farfield.calibration.radar_lidar import GATES_M, Refined, refine_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose, match_objects
+from farfield.calibration.checking import CalibrationCheck, Verdict, unsaid
+from farfield.calibration.radar_lidar import GATES_M, RefinedPose, refine_radar
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose, match_objects
 from farfield.errors import DatasetError
 
 ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))
@@ -31,7 +31,7 @@ _FLOOR_M, _FLOOR_RAD = 0.08, float(np.radians(0.3))  # less is no error
 _MOST_FRAMES = 100_000
 
 
-def check_radar(given: RadarPose, evidence: Evidence, *, least: int = LEAST_FRAMES) -> Check:
+def check_radar(given: RadarPose, evidence: RadarEvidence, *, least: int = LEAST_FRAMES) -> CalibrationCheck:
     """Check a radar's x, y and yaw by the objects that both sensors see.
 
     Args:
@@ -60,7 +60,7 @@ def check_radar(given: RadarPose, evidence: Evidence, *, least: int = LEAST_FRAM
         verdict = "off"
     elif between > CLAIMED and _beyond(apart, 1.5):
         verdict = "moved"
-    return Check(
+    return CalibrationCheck(
         verdict=verdict,
         degrees=float(np.degrees(abs(change[2]))),
         cm=100 * float(np.hypot(*change[:2])),
@@ -79,7 +79,7 @@ def _beyond(change: Float[np.ndarray, " 3"], floors: float) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class DetectableErrors:
     """Errors that nineteen of twenty checks would find.
 
     Args:
@@ -101,16 +101,16 @@ def distance(change: Float[np.ndarray, " 3"], covariance: Float[np.ndarray, "3 3
     return float(np.sqrt(change @ np.linalg.solve(covariance, change)))
 
 
-def finds(covariance: Float[np.ndarray, "3 3"]) -> Found:
+def finds(covariance: Float[np.ndarray, "3 3"]) -> DetectableErrors:
     """What errors a check with this covariance of x, y and yaw would find."""
     known = np.linalg.inv(covariance)
     weakest = float(np.linalg.eigvalsh(known[:2, :2])[0])
-    return Found(
+    return DetectableErrors(
         shift_m=(CLAIMED + _SURE) / float(np.sqrt(weakest)), turn_rad=(CLAIMED + _SURE) / float(np.sqrt(known[2, 2]))
     )
 
 
-def _needed(found: Refined, frames: int) -> int:
+def _needed(found: RefinedPose, frames: int) -> int:
     return frames_needed(found.covariance[:3, :3], frames, found.systematic[:3, :3])
 
 
@@ -132,19 +132,19 @@ def frames_needed(covariance: Float[np.ndarray, "3 3"], frames: int, systematic:
     return high
 
 
-def _refined(given: RadarPose, evidence: Evidence) -> Refined | None:
+def _refined(given: RadarPose, evidence: RadarEvidence) -> RefinedPose | None:
     try:
         return refine_radar(evidence, given)
     except DatasetError:
         return None
 
 
-def _objects(found: Refined, given: RadarPose, evidence: Evidence) -> int:
+def _objects(found: RefinedPose, given: RadarPose, evidence: RadarEvidence) -> int:
     """How many objects both sensors see where a solution puts them."""
     return len(np.unique(match_objects(evidence, found.value, given.frames, GATES_M[-1]).track))
 
 
-def _half(evidence: Evidence, *, late: bool) -> Evidence:
+def _half(evidence: RadarEvidence, *, late: bool) -> RadarEvidence:
     middle: Sequence[int] = sorted(evidence.targets)
     limit = middle[len(middle) // 2]
     kept = {number: each for number, each in evidence.targets.items() if (number >= limit) == late}

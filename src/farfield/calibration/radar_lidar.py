@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from farfield.calibration.bird import Start, correlate
+from farfield.calibration.bird import PoseHypothesis, correlate
 from farfield.calibration.problems import Parameter, Solution, Told, solve, untold
 from farfield.calibration.radar_matching import (
-    Evidence,
+    RadarEvidence,
     RadarPose,
     match_objects,
     peak_costs,
@@ -23,7 +23,7 @@ from farfield.calibration.radar_matching import (
     shares,
     whitened,
 )
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs, notes_of, standing
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, notes_of, standing
 from farfield.calibration.radar_systematic import systematic_of
 from farfield.errors import DatasetError
 
@@ -78,7 +78,7 @@ class RadarCalibration:
 
 
 def calibrate_radar(
-    evidence: Evidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
+    evidence: RadarEvidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
 ) -> RadarCalibration:
     """Find the radar's pose and time from a rough start.
 
@@ -92,7 +92,7 @@ def calibrate_radar(
     Raises:
         DatasetError: If too few objects match.
     """
-    around = Start(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
+    around = PoseHypothesis(frames=guess.frames, yaw_rad=guess.yaw_rad, x_m=guess.x_m, y_m=guess.y_m, score=0.0)
     starts = correlate(
         evidence.maps, around, reach_m=reach_m, frames=frames, told=lambda done: told(_MAPS_SHARE * done)
     )
@@ -133,7 +133,7 @@ def calibrate_radar(
     )
 
 
-_Tried = tuple[RadarPose, Pairs, Solution]
+_Tried = tuple[RadarPose, MatchedObjects, Solution]
 
 
 def _nearest(costs: Float[np.ndarray, "tries frames"]) -> int:
@@ -145,7 +145,7 @@ def _nearest(costs: Float[np.ndarray, "tries frames"]) -> int:
     return best
 
 
-def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | None:
+def _refined(evidence: RadarEvidence, start: PoseHypothesis, guess: RadarPose) -> _Tried | None:
     """Solve from a start of the maps; a time offset of whole frames goes into the frame offset.
 
     Where speeds differ, the objects tell the whole time, however many frames the start is off.
@@ -158,7 +158,7 @@ def _refined(evidence: Evidence, start: Start, guess: RadarPose) -> _Tried | Non
     return _folded(evidence, first[1].value, frames, guess)
 
 
-def _folded(evidence: Evidence, value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> _Tried | None:
+def _folded(evidence: RadarEvidence, value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> _Tried | None:
     """Solve again from a solution, with whole frames of its time offset in the frame offset, until none is left."""
     found = None
     for _ in range(_FOLDS):
@@ -179,7 +179,7 @@ def _posed(value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> Rad
     return RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames, time_offset_s=time_s)
 
 
-def _settled(evidence: Evidence, found: _Tried, guess: RadarPose) -> _Tried:
+def _settled(evidence: RadarEvidence, found: _Tried, guess: RadarPose) -> _Tried:
     """Solve again from where all peaks together lie nearest to the LiDAR's objects.
 
     Which of neighbouring peaks an object matches depends on where the search comes from, and holds it there; the least
@@ -199,20 +199,20 @@ def _settled(evidence: Evidence, found: _Tried, guess: RadarPose) -> _Tried:
     return found if end is None else (_posed(end[1].value, pose.frames, guess), *end)
 
 
-def _peaks_away(steps: Float[np.ndarray, " 4"], evidence: Evidence, begun: RadarPose, guess: RadarPose) -> float:
+def _peaks_away(steps: Float[np.ndarray, " 4"], evidence: RadarEvidence, begun: RadarPose, guess: RadarPose) -> float:
     """How far all peaks lie from the LiDAR's objects so many steps from where the search began."""
     there = _posed(begun.vector + steps * _STEPS, begun.frames, guess)
     return float(np.nanmean(peak_costs(evidence, there, guess)))
 
 
 def _solved(
-    evidence: Evidence,
+    evidence: RadarEvidence,
     value: Float[np.ndarray, " 4"],
     frames: int,
     guess: RadarPose,
     parameters: tuple[Parameter, ...],
     gates_m: tuple[float, ...],
-) -> tuple[Pairs, Solution] | None:
+) -> tuple[MatchedObjects, Solution] | None:
     """Match and solve in turn, with a narrower gate each time and then the last one, until the solution rests.
 
     The prior stands where the last solution did: it holds what the data do not tell, and does not draw what they tell
@@ -234,7 +234,7 @@ def _solved(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Refined:
+class RefinedPose:
     """A radar's pose by matched objects.
 
     Args:
@@ -248,7 +248,7 @@ class Refined:
     systematic: Float[np.ndarray, "4 4"]
 
 
-def refine_radar(evidence: Evidence, guess: RadarPose) -> Refined:
+def refine_radar(evidence: RadarEvidence, guess: RadarPose) -> RefinedPose:
     """Solve from a near start by matched objects alone, with the frame offset as given.
 
     Args:
@@ -263,4 +263,4 @@ def refine_radar(evidence: Evidence, guess: RadarPose) -> Refined:
         raise DatasetError(f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer")
     _, pairs, solution = _settled(evidence, (_posed(found[1].value, guess.frames, guess), *found), guess)
     systematic = systematic_of(pairs, solution.value)
-    return Refined(value=solution.value, covariance=solution.covariance + systematic, systematic=systematic)
+    return RefinedPose(value=solution.value, covariance=solution.covariance + systematic, systematic=systematic)

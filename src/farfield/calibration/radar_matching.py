@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.bird import Maps
-from farfield.calibration.moments import Moment
+from farfield.calibration.bird import OccupancyMaps
+from farfield.calibration.moments import SensorPair
 from farfield.calibration.peaks import STRONG_DB, Peaks, find_peaks
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs
-from farfield.calibration.targets import THIN_M, Targets, find_targets
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
+from farfield.calibration.targets import THIN_M, LidarTargets, find_targets
 
 _WEAK_GATE_M = 1.0  # a farther one is not told from noise
 # What matched objects of three simulated drives err by at the right calibration; none of the benchmark's is among them.
@@ -60,7 +60,7 @@ class RadarPose:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Evidence:
+class RadarEvidence:
     """Maps and objects of all frames, made once.
 
     Args:
@@ -70,22 +70,22 @@ class Evidence:
         period_s: Time between frames.
     """
 
-    moments: Sequence[Moment]
-    targets: Mapping[int, Targets]
+    moments: Sequence[SensorPair]
+    targets: Mapping[int, LidarTargets]
     peaks: Mapping[int, Peaks]
     period_s: float = 0.1
 
     @classmethod
-    def of(cls, moments: Sequence[Moment], *, period_s: float = 0.1) -> "Evidence":
+    def of(cls, moments: Sequence[SensorPair], *, period_s: float = 0.1) -> "RadarEvidence":
         """Find the objects of all frames."""
         peaks = {each.number: find_peaks(each) for each in moments}
         targets = dict(zip(peaks, find_targets(moments), strict=True))
         return cls(moments=moments, targets=targets, peaks=peaks, period_s=period_s)
 
     @cached_property
-    def maps(self) -> Maps:
+    def maps(self) -> OccupancyMaps:
         """Bird's-eye maps; what one start correlates, later ones find again."""
-        return Maps(self.moments)
+        return OccupancyMaps(self.moments)
 
     @cached_property
     def speeds(self) -> Mapping[int, Float[np.ndarray, "n 2"]]:
@@ -93,7 +93,7 @@ class Evidence:
         return {number: _speeds(each, self.period_s) for number, each in self.targets.items()}
 
 
-def shares(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+def shares(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
     """For how many observations each match counts: an object's echo errs alike in all of its frames.
 
     One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed. Such
@@ -117,7 +117,7 @@ def placed(
     return at @ np.array([[cos, sin], [-sin, cos]]) + value[:2]
 
 
-def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
+def _speeds(targets: LidarTargets, period_s: float) -> Float[np.ndarray, "n 2"]:
     """Velocities; where they are not known, or differ by noise only, the usual one of the frame.
 
     Noise in velocities would pose as a spread of speeds and claim to tell x from the time offset.
@@ -129,11 +129,13 @@ def _speeds(targets: Targets, period_s: float) -> Float[np.ndarray, "n 2"]:
     return np.where((known & own)[:, None], targets.velocity, usual) / period_s
 
 
-def match_objects(evidence: Evidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float) -> Pairs:
+def match_objects(
+    evidence: RadarEvidence, value: Float[np.ndarray, " 4"], offset: int, gate_m: float
+) -> MatchedObjects:
     """Pairs that are each other's nearest."""
     rows = [match_frame(evidence, value, number, number + offset, gate_m) for number in evidence.targets]
     lidar, width, speed, lag, tracked, radar, track = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Pairs(
+    return MatchedObjects(
         lidar_m=lidar, width_m=width, velocity_m_s=speed, lag_s=lag, radar_m=radar, track=track, tracked=tracked
     )
 
@@ -144,7 +146,7 @@ def _squares(at: Float[np.ndarray, "n 2"], peaks_m: Float[np.ndarray, "m 3"]) ->
 
 
 def match_frame(
-    evidence: Evidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
+    evidence: RadarEvidence, value: Float[np.ndarray, " 4"], number: int, other: int, gate_m: float
 ) -> tuple[np.ndarray, ...]:
     """Columns of the pairs of one LiDAR frame and one radar frame."""
     targets = evidence.targets[number]
@@ -165,7 +167,7 @@ def match_frame(
     return *(each[kept] for each in columns), seen.reshape(-1, 3), targets.track[kept]
 
 
-def polar(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
+def polar(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
     """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
     at = placed(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
     seen = pairs.radar_m[:, :2]
@@ -173,7 +175,7 @@ def polar(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 
     return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
 
 
-def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, "n 2"]:
+def whitened(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
     """:func:`polar` divided by sigma, less what the ranges of all objects on one side have in common.
 
     How deep a body answers depends on what it is and on the side that it shows: cars in the next lane by a decimetre
@@ -191,18 +193,18 @@ def whitened(value: Float[np.ndarray, " 4"], pairs: Pairs) -> Float[np.ndarray, 
     return np.column_stack([found[:, 0] - sides @ depth, found[:, 1]])
 
 
-def across_rad(pairs: Pairs) -> Float[np.ndarray, " n"]:
+def across_rad(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
     """One sigma of each match in azimuth."""
     faces = np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m)
     return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / reach_m(pairs)))
 
 
-def reach_m(pairs: Pairs) -> Float[np.ndarray, " n"]:
+def reach_m(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
     """How far from the radar each match is, seen from above; at least 1 m."""
     return np.asarray(np.maximum(np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]), 1.0))
 
 
-def peak_costs(evidence: Evidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
+def peak_costs(evidence: RadarEvidence, pose: RadarPose, guess: RadarPose) -> Float[np.ndarray, " frames"]:
     """Mean truncated squared distance of each radar frame's peaks to LiDAR targets, NaN where there is none.
 
     A radar frame counts for every frame offset alike, whatever it matched; the priors' cost is spread over the frames.

@@ -19,7 +19,7 @@ PARAMETERS = (
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pairs:
+class MatchedObjects:
     """Matched objects: LiDAR place, width, velocity in m/s and whether it is known, lag, radar place, object."""
 
     lidar_m: Float[np.ndarray, "n 3"]
@@ -32,7 +32,7 @@ class Pairs:
 
 
 def notes_of(
-    frames: int, solution: Solution, rivals: dict[int, float], pairs: Pairs, above_m: float
+    frames: int, solution: Solution, rivals: dict[int, float], pairs: MatchedObjects, above_m: float
 ) -> tuple[str, ...]:
     """What the data cannot tell, as sentences."""
     notes = [*solution.unobserved, "x includes the mean range bias of the radar's echoes"]

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from farfield.calibration.problems import considered
 from farfield.calibration.radar_matching import across_rad, reach_m, shares, whitened
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
 from farfield.calibration.targets import THIN_M
 
 SYSTEMATIC = np.array([0.03, 0.025, np.radians(0.05), 0.004])
@@ -19,7 +19,7 @@ _BESIDE_M = 0.04  # how far all cars are seen to one side
 _MOST = 3.0  # sigmas of a match: what errs by more does not count so much
 
 
-def systematic_of(pairs: Pairs, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "4 4"]:
+def systematic_of(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "4 4"]:
     """Covariance of x, y, yaw and time offset by what all echoes err by alike: glint and side lobes of vehicles.
 
     A car's echo is drawn to the nearer corner when it is near, and by side lobes when it is far, on one side of the

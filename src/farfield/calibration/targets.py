@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from farfield.calibration.moments import Moment
+from farfield.calibration.moments import SensorPair
 
 _CELL_M = 0.4
 THIN_M = 0.8
@@ -30,7 +30,7 @@ _UNEVEN_M = 0.15  # a frame
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Targets:
+class LidarTargets:
     """LiDAR targets of one frame.
 
     Args:
@@ -48,11 +48,11 @@ class Targets:
     track: Int[np.ndarray, " n"]
 
 
-def find_targets(moments: Sequence[Moment]) -> list[Targets]:
+def find_targets(moments: Sequence[SensorPair]) -> list[LidarTargets]:
     """Clusters of each frame with velocities from the frames before and after, and the objects that they are of."""
     raw = {each.number: _clusters(each) for each in moments}
     nothing = np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0)
-    found: list[Targets] = []
+    found: list[LidarTargets] = []
     count, last = 0, None
     for number, (place, size, lag) in raw.items():
         before, after = raw.get(number - 1, nothing)[0], raw.get(number + 1, nothing)[0]
@@ -61,11 +61,11 @@ def find_targets(moments: Sequence[Moment]) -> list[Targets]:
         if found and last == number - 1:
             track = _continued(found[-1], place, velocity, track)
         count, last = count + len(place), number
-        found.append(Targets(place_m=place, size_m=size, lag_s=lag, velocity=velocity, track=track))
+        found.append(LidarTargets(place_m=place, size_m=size, lag_s=lag, velocity=velocity, track=track))
     return _reunited(_steadied(found, count))
 
 
-def _reunited(found: list[Targets]) -> list[Targets]:
+def _reunited(found: list[LidarTargets]) -> list[LidarTargets]:
     """What keeps its place beside the car, as leading traffic does, is one object in later runs of frames too."""
     last: dict[int, np.ndarray] = {}  # where each object was seen last
     named: dict[int, int] = {}
@@ -84,7 +84,7 @@ def _reunited(found: list[Targets]) -> list[Targets]:
     ]
 
 
-def _steadied(found: list[Targets], count: int) -> list[Targets]:
+def _steadied(found: list[LidarTargets], count: int) -> list[LidarTargets]:
     """Each object's median velocity; NaN where it was seen less than four times or not evenly: a wrong partner."""
     seen: list[list[np.ndarray]] = [[] for _ in range(count)]
     for each in found:
@@ -99,7 +99,10 @@ def _steadied(found: list[Targets], count: int) -> list[Targets]:
 
 
 def _continued(
-    earlier: Targets, place_m: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 2"], new: Int[np.ndarray, " n"]
+    earlier: LidarTargets,
+    place_m: Float[np.ndarray, "n 3"],
+    velocity: Float[np.ndarray, "n 2"],
+    new: Int[np.ndarray, " n"],
 ) -> Int[np.ndarray, " n"]:
     """Numbers of the tracks that clusters go on; new ones where they come from nowhere."""
     if not len(earlier.place_m) or not len(place_m):
@@ -110,7 +113,7 @@ def _continued(
     return np.where(distance < 2 * _AGREE_M, earlier.track[partner], new)
 
 
-def _clusters(moment: Moment) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+def _clusters(moment: SensorPair) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     points = moment.points_m
     shadow = _Shadow.of(points)
     places, sizes, lags = [], [], []

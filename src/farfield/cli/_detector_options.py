@@ -11,7 +11,7 @@ from farfield.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class DetectorOptions:
     """The flags; what is not given is the weights' own."""
 
     score_threshold: float | None = None
@@ -39,10 +39,10 @@ class Given:
         return {name: value for name, value in vars(self).items() if value not in (None, "")}
 
 
-BoxFlags = Annotated[Given, tyro.conf.arg(name="")]
+BoxFlags = Annotated[DetectorOptions, tyro.conf.arg(name="")]
 """A parameter of a verb whose fields are flags of their own."""
 
-OWN = Given()
+OWN = DetectorOptions()
 """No flag is given."""
 
 

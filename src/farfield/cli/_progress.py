@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from farfield.bulk import Bulk
+    from farfield.bulk import JobOptions
 
 T = TypeVar("T")
 
@@ -28,8 +28,8 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
         yield from progress.track(listed, total=len(listed), description=what)
 
 
-def hands(workers: int, engine: str, what: str) -> "Bulk":
+def hands(workers: int, engine: str, what: str) -> "JobOptions":
     """How a verb does its units: ``--workers``, ``--engine``, and one bar over all workers that is named ``what``."""
-    from farfield.bulk import Bulk
+    from farfield.bulk import JobOptions
 
-    return Bulk(workers=workers, engine=engine, progress=partial(bar, what=what, transient=True))
+    return JobOptions(workers=workers, engine=engine, progress=partial(bar, what=what, transient=True))

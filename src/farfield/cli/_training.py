@@ -7,13 +7,13 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-class LineReport(Report):
+class LineReport(TrainingReport):
     """Plain lines, the first step and those that are logged: a log file takes no moving bar.
 
     Args:

@@ -61,9 +61,9 @@ def run(
     from farfield.cli._words import names
     from farfield.studio.serving.run import serve
     from farfield.studio.settings import StudioSettings
-    from farfield.studio.starting import Opening
+    from farfield.studio.starting import DatasetOpener
 
-    opening = Opening(data, labels=labels)
+    opening = DatasetOpener(data, labels=labels)
     settings = StudioSettings(
         mode="annotate",
         title=opening.title,

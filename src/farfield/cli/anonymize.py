@@ -50,7 +50,7 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
-    from farfield.imaging.privacy import Anonymising, anonymise, check_apart
+    from farfield.imaging.privacy import AnonymizeOptions, anonymise, check_apart
     from farfield.imaging.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
     from farfield.reports.privacy_page import write_privacy_page
 
@@ -59,7 +59,7 @@ def run(
         raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
     eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
     sources = sources_of(path)
-    chosen = Anonymising(how=how, small_faces=small_faces, plates=plates, together=series == "time")
+    chosen = AnonymizeOptions(how=how, small_faces=small_faces, plates=plates, together=series == "time")
     if chosen.without_plates():
         print(f"Number plates stay as they are: {chosen.without_plates()}")
     if dry_run:

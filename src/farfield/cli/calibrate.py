@@ -87,7 +87,7 @@ def run(
         port: Port of the page; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
     """
-    from farfield.calibration.from_nothing import Beginning
+    from farfield.calibration.from_nothing import InitialGuess
     from farfield.calibration.jobs import chosen
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
@@ -105,7 +105,9 @@ def run(
         result = _board(path, board, camera, save)
         return _write(folder, result)
     given: dict[str, Any] = {} if mapping is None else {"mapping": mapping}
-    beginning = Beginning(focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car)
+    beginning = InitialGuess(
+        focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car
+    )
     if page:
         from farfield.studio.settings import CalibrationSettings
 
@@ -136,9 +138,9 @@ def run(
 def _page(path: Path, given: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
     from farfield.studio.serving.run import serve
     from farfield.studio.settings import StudioSettings
-    from farfield.studio.starting import Opening
+    from farfield.studio.starting import DatasetOpener
 
-    opening = Opening(path, **given)
+    opening = DatasetOpener(path, **given)
     settings = StudioSettings(mode="calibrate", title=opening.title, calibration=calibration)
     return serve(opening, settings, port=port, browser=browser)
 

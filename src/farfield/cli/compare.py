@@ -13,8 +13,8 @@ from farfield.cli._words import pairs_of, read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
-    from farfield.inspection.side import Side
-    from farfield.reports.comparison import Line
+    from farfield.inspection.side import ComparedDataset
+    from farfield.reports.comparison import ComparisonLine
 
 _UNASKED = " (--clouds A:B sets others side by side)"
 
@@ -72,7 +72,7 @@ def run(
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
-    sides: Sequence[Side] = [
+    sides: Sequence[ComparedDataset] = [
         side_of(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
@@ -109,7 +109,7 @@ def _open(path: Path, mapping: Path | None) -> "Dataset":
     return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
 
 
-def _print(lines: "Sequence[Line]", sides: "Sequence[Side]") -> None:
+def _print(lines: "Sequence[ComparisonLine]", sides: "Sequence[ComparedDataset]") -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

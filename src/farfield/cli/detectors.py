@@ -11,7 +11,7 @@ from farfield.cli._words import write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
-    from farfield.detectors.catalogue import ByWeather, Entry
+    from farfield.detectors.catalogue import CatalogueEntry, WeatherScores
 
 _RANGES = ("0-70", "70-150", "150-250", "overall")
 
@@ -81,7 +81,7 @@ def run(
     return 0
 
 
-def _print_weathers(rows: "list[ByWeather]", about: Mapping[str, Any]) -> None:
+def _print_weathers(rows: "list[WeatherScores]", about: Mapping[str, Any]) -> None:
     """The weights for K-Radar's sensors, a column a weather."""
     from rich.console import Console
     from rich.table import Table
@@ -103,18 +103,18 @@ def _print_weathers(rows: "list[ByWeather]", about: Mapping[str, Any]) -> None:
     print("see them at work: farfield demo --radar")
 
 
-def _row(entry: "Entry", speed: str, by_cloud: Mapping[str, Any], cloud: str, epsilon: str) -> list[str]:
+def _row(entry: "CatalogueEntry", speed: str, by_cloud: Mapping[str, Any], cloud: str, epsilon: str) -> list[str]:
     scores = by_cloud.get(cloud, {})
     values = [scores.get(name, {}).get(epsilon) for name in _RANGES]
     size = "-" if entry.parameters is None else f"{entry.parameters / 1e6:.2f} M"
     return [size, speed, *("-" if value is None else f"{value:.3f}" for value in values)]
 
 
-def _recorded(entry: "Entry") -> str:
+def _recorded(entry: "CatalogueEntry") -> str:
     return " / ".join(f"{entry.frame_ms[name]:.0f} {name}" for name in sorted(entry.frame_ms)) or "-"
 
 
-def _measure(entry: "Entry") -> str:
+def _measure(entry: "CatalogueEntry") -> str:
     """Median time of a few simulated frames through the bundled weights, milliseconds."""
     import time
 

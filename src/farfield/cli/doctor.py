@@ -10,7 +10,7 @@ from farfield.cli._progress import hands
 from farfield.cli._words import OUTPUT, write_json
 
 if TYPE_CHECKING:
-    from farfield.inspection.doctor import Report
+    from farfield.inspection.doctor import DoctorReport
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -69,7 +69,7 @@ def run(
     return int(report.failed)
 
 
-def _print(report: "Report") -> None:
+def _print(report: "DoctorReport") -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from farfield.datasets import Dataset
     from farfield.datasets.cloud_files import CloudFiles
-    from farfield.detection import Found
+    from farfield.detection import FrameDetections
     from farfield.frame import Boxes, Frame, Key
 
 _WORDS = {"boxes-csv": "", "kitti": " as KITTI's results", "nuscenes": " as nuScenes' results"}
@@ -80,7 +80,7 @@ def run(
     from farfield.errors import ConfigError
     from farfield.files.boxes_csv import format_boxes_csv_parts
     from farfield.recording.convert import check_apart
-    from farfield.recording.results import Results, result_format, rows_of
+    from farfield.recording.results import ResultWriter, result_format, rows_of
 
     chosen_format = result_format(out, format)
     frames = _frames(files, rotate_deg, columns)
@@ -105,9 +105,9 @@ def run(
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)
-    found = _Counted(frames.keys, prepared.found({}))
+    found = _CountedPredictions(frames.keys, prepared.found({}))
     if out is not None and journal is not None:
-        results = Results(chosen_format, shown, frames.keys, loaded.kind)
+        results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
         results.write(out, found)
         journal.unlink(missing_ok=True)
         print("".join(f"note: {note}\n" for note in results.notes), end="")
@@ -146,10 +146,10 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
         print(f"picture: {target}")
 
 
-class _Counted:
+class _CountedPredictions:
     """The boxes frame by frame; only those of the first frame are remembered."""
 
-    def __init__(self, keys: "Sequence[Key]", found: "Iterator[Found | None]") -> None:
+    def __init__(self, keys: "Sequence[Key]", found: "Iterator[FrameDetections | None]") -> None:
         self.keys, self.found = keys, found
         self.count = 0
         self.first: Boxes | None = None

@@ -104,12 +104,12 @@ def _transfer(
     dry_run: bool,
 ) -> int:
     """K-Radar's table of transfer."""
-    from farfield.experiments.reproduce.transfer import Transfer, load_table, outline, runs_of
+    from farfield.experiments.reproduce.transfer import TransferExperiment, load_table, outline, runs_of
 
     if paper != "kradar":
         raise ConfigError("--transfer and --seeds: expected the paper kradar, whose appendix G they put to the test")
     table = load_table()
-    transfer = Transfer(
+    transfer = TransferExperiment(
         table=table, out=out, seeds=seeds, workers=workers or 1, progress=_shown, said=partial(print, flush=True)
     )
     if plan:

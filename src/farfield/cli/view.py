@@ -50,9 +50,9 @@ def run(
     from farfield.cli._words import names
     from farfield.studio.serving.run import serve
     from farfield.studio.settings import StudioSettings
-    from farfield.studio.starting import Opening
+    from farfield.studio.starting import DatasetOpener
 
-    opening = Opening(data, labels=labels, reference=reference)
+    opening = DatasetOpener(data, labels=labels, reference=reference)
     settings = StudioSettings(
         mode="view",
         title=opening.title,

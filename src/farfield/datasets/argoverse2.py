@@ -18,7 +18,7 @@ from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
-from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2
 
@@ -212,7 +212,7 @@ class Argoverse2(Dataset):
             load_annotation=None if rows is None else partial(_annotation, *log.annotated(rows), self.classes),
             world_T_frame=_pose_near(log, time_ns),
             reference="ego",
-            metadata=Lazy({"files": Given([str(path) for path in self.files(index)])}),
+            metadata=Lazy({"files": Constant([str(path) for path in self.files(index)])}),
         )
 
 

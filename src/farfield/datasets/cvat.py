@@ -32,7 +32,7 @@ ByFrame = Mapping[str, tuple[Cuboid, ...]]
 
 
 @dataclass(frozen=True)
-class Task:
+class CvatTask:
     """One task: its folder, its clouds, and the label files (one for all clouds, or one a cloud)."""
 
     folder: Path
@@ -53,14 +53,14 @@ class Task:
         return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(place), "")
 
 
-def tasks(root: Path) -> list[Task]:
+def tasks(root: Path) -> list[CvatTask]:
     """The tasks in a folder: itself, or those in it, at most two folders down."""
     places = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
     found = [task for folder in places if folder.is_dir() and (task := _task(folder)) is not None]
     return [task for task in found if not any(task.folder.is_relative_to(o.folder) for o in found if o is not task)]
 
 
-def _task(folder: Path) -> Task | None:
+def _task(folder: Path) -> CvatTask | None:
     for parse, pattern, place in (
         (_datumaro, "annotations/*.json", "point_clouds"),
         (parse_tracklets, _TRACKLETS, _KITTI_CLOUDS),
@@ -70,7 +70,7 @@ def _task(folder: Path) -> Task | None:
         if labels and (folder / place).is_dir():
             paths = sorted((folder / place).rglob("*"))
             clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
-            return Task(folder, clouds, labels, parse) if clouds else None
+            return CvatTask(folder, clouds, labels, parse) if clouds else None
     return None
 
 
@@ -147,12 +147,12 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     return DatumaroLabels(data.root) if named and len(files) == len(data.tasks) else None
 
 
-def _ann(task: Task, place: int) -> Path:
+def _ann(task: CvatTask, place: int) -> Path:
     """The annotation file of a cloud, or where it would stand."""
     return task.label_file(place) or task.folder / "ann" / f"{task.clouds[place].name}.json"
 
 
-def _annotation(task: Task, place: int) -> Annotation:
+def _annotation(task: CvatTask, place: int) -> Annotation:
     path = task.label_file(place)
     assert path is not None
     status = path.stat()

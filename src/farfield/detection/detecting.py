@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.bulk import Bulk, Done, Journal, run, values
+from farfield.bulk import JobJournal, JobOptions, UnitResult, run, values
 from farfield.datasets.base import Dataset
 from farfield.detection.learnt import remembered, seen_in_training
 from farfield.detection.seeing import Frames, as_trained, suitable_clouds
-from farfield.detection.work import AnyDetector, Detecting, Found, points_in
+from farfield.detection.work import AnyDetector, DetectTask, FrameDetections, points_in
 from farfield.errors import ConfigError, DatasetError
-from farfield.files.spool import Spool, alike
+from farfield.files.spool import DiskDict, alike
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
@@ -26,7 +26,7 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Search:
+class DetectionPlan:
     """A detector and frames that it is going to see.
 
     Args:
@@ -37,12 +37,12 @@ class Search:
         overwrite: Search again what the journal has.
     """
 
-    work: Detecting
-    bulk: Bulk | None = None
+    work: DetectTask
+    bulk: JobOptions | None = None
     journal: Path | None = None
     overwrite: bool = False
 
-    def found(self, clocks: dict[int, float]) -> Iterator[Found | None]:
+    def found(self, clocks: dict[int, float]) -> Iterator[FrameDetections | None]:
         """What was found in each frame, in their order; None where a frame does not count.
 
         With a journal everything is searched before this returns, else while it is iterated over.
@@ -54,14 +54,14 @@ class Search:
         if self.journal is None or setting is None:
             results = map(self.work, units) if self.bulk is None else values(self.work, units, self.bulk)
             return _timed(results, clocks)
-        journal = Journal(self.journal, setting, overwrite=self.overwrite, files=False)
-        outcome = run(replace(self.work, packed=True), units, self.bulk or Bulk(), journal=journal)
+        journal = JobJournal(self.journal, setting, overwrite=self.overwrite, files=False)
+        outcome = run(replace(self.work, packed=True), units, self.bulk or JobOptions(), journal=journal)
         clocks.update({place: ms for place, ms in outcome.clocks.items() if ms is not None})
         kept = journal.values(unit.name for unit in units)
-        return (None if value is None else Found.from_json(value) for value in kept)
+        return (None if value is None else FrameDetections.from_json(value) for value in kept)
 
 
-def _timed(results: Iterable[Done], clocks: dict[int, float]) -> Iterator[Found | None]:
+def _timed(results: Iterable[UnitResult], clocks: dict[int, float]) -> Iterator[FrameDetections | None]:
     for place, done in enumerate(results):
         if done.clock is not None:
             clocks[place] = done.clock
@@ -75,11 +75,11 @@ def search(
     cloud: str | None = None,
     annotated_only: bool = False,
     in_own: bool = False,
-    bulk: Bulk | None = None,
+    bulk: JobOptions | None = None,
     journal: Path | None = None,
     overwrite: bool = False,
-) -> Search:
-    """Prepare a search; nothing is detected before :meth:`Search.found` is iterated over.
+) -> DetectionPlan:
+    """Prepare a search; nothing is detected before :meth:`DetectionPlan.found` is iterated over.
 
     Args:
         detector: A detector, or any function from a frame to scored boxes.
@@ -87,9 +87,9 @@ def search(
         cloud: Which of the frames' clouds to read; by default the first of :func:`suitable_clouds`.
         annotated_only: Leave out frames without annotation, which no score counts.
         in_own: Give the boxes in the coordinates of ``data`` instead of those in which the detector sees them.
-        bulk: As of :class:`Search`.
-        journal: As of :class:`Search`.
-        overwrite: As of :class:`Search`.
+        bulk: As of :class:`DetectionPlan`.
+        journal: As of :class:`DetectionPlan`.
+        overwrite: As of :class:`DetectionPlan`.
 
     Raises:
         ConfigError: If a frame has no cloud that suits the detector.
@@ -100,14 +100,14 @@ def search(
         raise DatasetError("detect: expected at least one frame, found none.")
     first = seen[0]
     name = cloud or next(iter(suitable_clouds(detector, first)), None)
-    work = Detecting(
+    work = DetectTask(
         detector=detector.with_cloud(name) if hasattr(detector, "with_cloud") else detector,
         seen=seen,
         cloud=name,
         annotated_only=annotated_only,
         own=data if in_own and data[0].reference != first.reference else None,
     )
-    return Search(work=work, bulk=bulk, journal=journal, overwrite=overwrite)
+    return DetectionPlan(work=work, bulk=bulk, journal=journal, overwrite=overwrite)
 
 
 def detect(
@@ -116,7 +116,7 @@ def detect(
     *,
     cloud: str | None = None,
     annotated_only: bool = False,
-    bulk: Bulk | None = None,
+    bulk: JobOptions | None = None,
     journal: Path | None = None,
     overwrite: bool = False,
     progress: Progress = iter,
@@ -132,9 +132,9 @@ def detect(
         data: A data set, or frames in memory.
         cloud: Which of the frames' clouds to read; by default the first of :func:`suitable_clouds`.
         annotated_only: Leave out frames without annotation, which no score counts.
-        bulk: As of :class:`Search`.
-        journal: As of :class:`Search`; boxes and annotations too stand in a file then, of no name beside it.
-        overwrite: As of :class:`Search`.
+        bulk: As of :class:`DetectionPlan`.
+        journal: As of :class:`DetectionPlan`; boxes and annotations too stand in a file then, of no name beside it.
+        overwrite: As of :class:`DetectionPlan`.
         progress: Wraps the frame numbers, to show progress; with ``bulk`` its own does.
 
     Raises:
@@ -152,7 +152,7 @@ def detect(
     )
     seen, clocks = prepared.work.seen, dict[int, float]()
     left_out = 0
-    boxes: MutableMapping[Key, Boxes] = {} if journal is None else Spool(journal.parent)
+    boxes: MutableMapping[Key, Boxes] = {} if journal is None else DiskDict(journal.parent)
     annotations: MutableMapping[Key, Annotation] = alike(boxes)
     conditions: dict[Key, Mapping[str, str]] = {}
     numbers = range(len(seen))

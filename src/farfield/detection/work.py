@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Int
 
-from farfield.bulk import Done, Unit
+from farfield.bulk import Unit, UnitResult
 from farfield.datasets.base import Dataset
 from farfield.detection.seeing import Frames, motion
 from farfield.frame import Annotation, Boxes, Cloud, Frame
@@ -24,7 +24,7 @@ _BYTES = 1_500_000_000  # that a process with torch and a detector's feature map
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FrameDetections:
     """What was found in a frame.
 
     Args:
@@ -42,7 +42,7 @@ class Found:
         return {"boxes": lists, "point_count": None if self.point_count is None else self.point_count.tolist()}
 
     @classmethod
-    def from_json(cls, given: Mapping[str, Any]) -> "Found":
+    def from_json(cls, given: Mapping[str, Any]) -> "FrameDetections":
         """Read what :meth:`to_json` gave."""
         rows = {name: np.array(values) for name, values in given["boxes"].items()}
         if not len(rows["yaw_rad"]):
@@ -56,8 +56,8 @@ def _counts(given: Mapping[str, Any]) -> Int[np.ndarray, " n"] | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Detecting:
-    """Detects in one frame, whose index is the unit's parameters; the value is a ``Found``, or None without annotation.
+class DetectTask:
+    """Detects in one frame, whose index is the unit's parameters; gives ``FrameDetections``, or None without annotation.
 
     Args:
         detector: What detects.
@@ -76,11 +76,11 @@ class Detecting:
     packed: bool = False
     memory_bytes = _BYTES
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Detect in a frame; the clock says how many milliseconds it took from points to boxes."""
         frame = self.seen[unit.parameters]
         if self.annotated_only and not frame.has_annotation:
-            return Done()
+            return UnitResult()
         points = None if self.cloud is None else frame.cloud(self.cloud)  # reading a file is not the detector's time
         began = time.perf_counter()
         boxes = self.detector(frame)
@@ -88,8 +88,8 @@ class Detecting:
         if self.own is not None:
             boxes = boxes.transform(motion(frame, self.own[unit.parameters]))
         annotated = None if points is None else frame.annotation
-        found = Found(boxes, None if annotated is None or points is None else points_in(annotated, points))
-        return Done(value=found.to_json() if self.packed else found, clock=ms)
+        found = FrameDetections(boxes, None if annotated is None or points is None else points_in(annotated, points))
+        return UnitResult(value=found.to_json() if self.packed else found, clock=ms)
 
     def units(self) -> list[Unit]:
         """One a frame."""

@@ -5,12 +5,12 @@
 
 from typing import TYPE_CHECKING
 
-from farfield.detectors.kinds import DETECTORS, Kind, detector
+from farfield.detectors.kinds import DETECTORS, DetectorSpec, detector
 
 if TYPE_CHECKING:
     from farfield.detectors.contract import DetectorConfig, Network
 
-__all__ = ["DETECTORS", "Kind", "build_detector", "detector"]
+__all__ = ["DETECTORS", "DetectorSpec", "build_detector", "detector"]
 
 
 def build_detector(config: "DetectorConfig", *, seed: int | None = None) -> "Network":

@@ -16,7 +16,7 @@ from farfield.detectors import DETECTORS
 
 
 @dataclass(frozen=True)
-class Entry:
+class CatalogueEntry:
     """One detector.
 
     Args:
@@ -47,7 +47,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class ByWeather:
+class WeatherScores:
     """What bundled weights reach in each weather, on simulated K-Radar drives.
 
     Args:
@@ -77,7 +77,7 @@ def figures() -> dict[str, Any]:
     return stored
 
 
-def catalogue() -> list[Entry]:
+def catalogue() -> list[CatalogueEntry]:
     """Every detector with what is recorded of it: ours, then those registered here and those of other packages."""
     known = figures()["detectors"]
     shipped = _bundled_names()
@@ -89,7 +89,7 @@ def catalogue() -> list[Entry]:
         own += [each for each in shipped if each.startswith(f"{name}-") and each not in own]
         own = own if origin == "farfield" else []
         entries.append(
-            Entry(
+            CatalogueEntry(
                 name=name,
                 paper="" if broken else DETECTORS[name].paper,
                 weights=own[0] if own else "",
@@ -106,11 +106,11 @@ def catalogue() -> list[Entry]:
     return entries
 
 
-def by_weather() -> list[ByWeather]:
+def by_weather() -> list[WeatherScores]:
     """What the bundled weights for K-Radar's sensors reach in each weather; none where nothing was recorded."""
     recorded = figures().get("radar", {}).get("weights", {})
     shipped = _bundled_names()
-    return [ByWeather(weights=name, **known) for name, known in recorded.items() if name in shipped]
+    return [WeatherScores(weights=name, **known) for name, known in recorded.items() if name in shipped]
 
 
 def _bundled_names() -> list[str]:

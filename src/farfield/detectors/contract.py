@@ -32,7 +32,7 @@ ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
 equal in two networks where they mean the same."""
 
 
-class OfAnchor(NamedTuple):
+class AnchorRow(NamedTuple):
     """A row that gives a number of an anchor's box: in units of the anchor, so that another of its size can have it.
 
     Attributes:

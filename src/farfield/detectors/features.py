@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from farfield.detectors.sparse.tensor import SparseTensor
 
 
-class Rows(NamedTuple):
+class FeatureRows(NamedTuple):
     """Features one by one.
 
     Attributes:
@@ -93,7 +93,7 @@ class FeatureMap:
     def __len__(self) -> int:
         return self.values.batch_size if isinstance(self.values, SparseTensor) else len(self.values)
 
-    def rows(self, limit: int | None = None, generator: torch.Generator | None = None) -> Rows:
+    def rows(self, limit: int | None = None, generator: torch.Generator | None = None) -> FeatureRows:
         """The features of the cells, frame after frame; of sparse features those of the occupied cells.
 
         Args:
@@ -107,7 +107,7 @@ class FeatureMap:
                 index = index.to(cells.device)
                 values, cells = values[index], cells[index]
             frame, _, ix, iy = cells.unbind(1)
-            return Rows(values, frame, self._places_m(ix, iy))
+            return FeatureRows(values, frame, self._places_m(ix, iy))
         frames, channels, nx, ny = self.values.shape
         index = chosen_rows(frames * nx * ny, limit, generator)
         every = torch.arange(frames * nx * ny) if index is None else index
@@ -117,7 +117,7 @@ class FeatureMap:
             values = self.values.permute(0, 2, 3, 1).reshape(-1, channels)
         else:
             values = self.values[frame, :, ix, iy]  # without a copy of the whole map
-        return Rows(values, frame, self._places_m(ix, iy))
+        return FeatureRows(values, frame, self._places_m(ix, iy))
 
     def _places_m(self, ix: Tensor, iy: Tensor) -> Tensor:
         x, y = ((i + 0.5) * self.cell_m + start for i, start in zip((ix, iy), self.origin_m, strict=True))
@@ -158,13 +158,13 @@ class PointFeatures:
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def rows(self, limit: int | None = None, generator: torch.Generator | None = None) -> Rows:
+    def rows(self, limit: int | None = None, generator: torch.Generator | None = None) -> FeatureRows:
         """The features of the points; see :meth:`FeatureMap.rows`."""
         numbers = torch.arange(len(self.lengths), device=self.xyz.device)
         frame = numbers.repeat_interleave(torch.tensor(self.lengths, device=self.xyz.device))
-        rows = Rows(self.values, frame, self.xyz[:, :2])
+        rows = FeatureRows(self.values, frame, self.xyz[:, :2])
         index = chosen_rows(len(self.values), limit, generator)
-        return rows if index is None else Rows(*(part[index.to(part.device)] for part in rows))
+        return rows if index is None else FeatureRows(*(part[index.to(part.device)] for part in rows))
 
     def split(self, n: int) -> "tuple[PointFeatures, PointFeatures]":
         """The first ``n`` frames, and the rest.

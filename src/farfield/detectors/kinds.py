@@ -16,7 +16,7 @@ NetworkClass = TypeVar("NetworkClass", bound=type)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class DetectorSpec:
     """One kind of detector; nothing of it is imported before it is asked for.
 
     Args:
@@ -63,15 +63,15 @@ def _loaded(place: "str | type") -> Any:
         raise
 
 
-class Detectors(Registry[Kind]):
+class Detectors(Registry[DetectorSpec]):
     """Detectors by name."""
 
-    def __getitem__(self, name: str) -> Kind:
+    def __getitem__(self, name: str) -> DetectorSpec:
         found = super().__getitem__(name)
-        if not isinstance(found, Kind) or found.name != name:
+        if not isinstance(found, DetectorSpec) or found.name != name:
             raise PluginError(
                 f"detector {name!r} of the package {self.origin(name)} cannot be used: expected a "
-                f"farfield.detectors.Kind with name={name!r}, got {found!r}"
+                f"farfield.detectors.DetectorSpec with name={name!r}, got {found!r}"
             )
         return found
 
@@ -111,5 +111,5 @@ def detector(name: str, *, config: type, paper: str = "") -> Callable[[NetworkCl
 
 
 def _registered(network: NetworkClass, *, name: str, config: type, paper: str) -> NetworkClass:
-    DETECTORS.register(name)(Kind(name=name, paper=paper, config=config, network=network))
+    DETECTORS.register(name)(DetectorSpec(name=name, paper=paper, config=config, network=network))
     return network

@@ -91,7 +91,7 @@ def kept_times() -> dict[Work, dict[Precision, float]]:
 def measured_times() -> dict[Work, dict[Precision, float]]:
     """The same, measured now: the least of a few rounds in which both number types take turns."""
     types: dict[Precision, torch.dtype] = {"fp32": torch.float32, "bf16": torch.bfloat16}
-    runs: dict[Work, Callable[[torch.dtype], Callable[[], Tensor]]] = {"dense": _Dense, "rows": _Rows}
+    runs: dict[Work, Callable[[torch.dtype], Callable[[], Tensor]]] = {"dense": _Dense, "rows": _GatherMultiply}
     with torch.inference_mode():
         return {work: _least({name: make(dtype) for name, dtype in types.items()}) for work, make in runs.items()}
 
@@ -117,7 +117,7 @@ class _Dense:
         return torch.nn.functional.conv2d(self.map, self.kernel, padding=1)
 
 
-class _Rows:
+class _GatherMultiply:
     """Rows gathered, multiplied, and added up elsewhere."""
 
     def __init__(self, dtype: torch.dtype) -> None:

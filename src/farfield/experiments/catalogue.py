@@ -13,7 +13,7 @@ FOLDER = Path(__file__).resolve().parent
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shipped:
+class ShippedExperiment:
     """One shipped experiment.
 
     Args:
@@ -35,7 +35,7 @@ class Shipped:
     steps: int
 
 
-def shipped() -> tuple[Shipped, ...]:
+def shipped() -> tuple[ShippedExperiment, ...]:
     """All shipped experiments, by name."""
     return tuple(sorted((_shipped(path) for path in FOLDER.glob("*.yaml")), key=_name))
 
@@ -69,11 +69,11 @@ def find(name_or_path: str | Path) -> Path:
     )
 
 
-def _shipped(path: Path) -> Shipped:
+def _shipped(path: Path) -> ShippedExperiment:
     text = path.read_text(encoding="utf-8")
     tree: dict[str, Any] = yaml.safe_load(text)
     simulate = tree["data"].get("simulate") or {}
-    return Shipped(
+    return ShippedExperiment(
         name=tree["name"],
         title=text.partition("\n")[0].lstrip("# "),
         path=path,
@@ -84,7 +84,7 @@ def _shipped(path: Path) -> Shipped:
     )
 
 
-def _name(entry: Shipped) -> str:
+def _name(entry: ShippedExperiment) -> str:
     return entry.name
 
 

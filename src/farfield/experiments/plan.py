@@ -24,7 +24,7 @@ from farfield.training.launching import launch
 from farfield.training.loop import CHECKPOINT_NAME, Training
 from farfield.training.method import DETECTOR, METHODS, Method, Stream
 from farfield.training.rates import described
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 from farfield.training.samples import TrainingSamples
 from farfield.training.starting import TransferReport, start_network
 from farfield.training.validating import Validation, spread
@@ -48,7 +48,7 @@ class Plan:
     folder: Path
     data: Mapping[str, Dataset] = field(default_factory=dict)
 
-    def run(self, report: Report | None = None) -> Path:
+    def run(self, report: TrainingReport | None = None) -> Path:
         """Start or join the processes, make what data are to be simulated, and train; a run that stopped goes on.
 
         Args:
@@ -63,7 +63,7 @@ class Plan:
         """
         experiment = self.experiment
         fabric = launch(experiment.training)
-        report = report if report is not None and fabric.is_global_zero else Report()
+        report = report if report is not None and fabric.is_global_zero else TrainingReport()
         if fabric.is_global_zero:
             self.announce(report)
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
@@ -107,7 +107,7 @@ class Plan:
                 report.say(f"note: {text}")
         return weights
 
-    def announce(self, report: Report) -> None:
+    def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that can be told without simulating."""
         method, _ = _method(self.experiment, fresh=False)
         configs = _configs(self.experiment, method)

@@ -33,7 +33,7 @@ class Cuboid:
     attributes: Mapping[str, Value] = field(default_factory=dict)
 
 
-class Placed(NamedTuple):
+class CuboidEntry(NamedTuple):
     """A cuboid and the way to it in a JSON file."""
 
     steps: tuple[str | int, ...]

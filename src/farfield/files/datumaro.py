@@ -17,13 +17,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Placed, attributes_of, checked, numbers, word, wrapped
+from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, numbers, word, wrapped
 from farfield.files.json_text import append, parse_json
 
 KIND = "cuboid_3d"
 
 
-def parse_datumaro(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+def parse_datumaro(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     """The cuboids of all items; other kinds of annotations are passed over. A frame is named by its item's stem.
 
     Raises:
@@ -34,7 +34,7 @@ def parse_datumaro(data: bytes, path: Path | str) -> tuple[Placed, ...]:
     if not isinstance(items, list):
         raise FileFormatError(path, where="the root", expected="an object with items", found=repr(content)[:80])
     names = class_names(content, path)
-    found: list[Placed] = []
+    found: list[CuboidEntry] = []
     for number, item in enumerate(items):
         entries = item.get("annotations", []) if isinstance(item, dict) else None
         if not isinstance(entries, list):
@@ -46,7 +46,7 @@ def parse_datumaro(data: bytes, path: Path | str) -> tuple[Placed, ...]:
                 raise FileFormatError(path, where=where, expected="an object", found=repr(entry)[:80])
             if entry.get("type") == KIND:
                 cuboid = _cuboid(entry, frame, names, path, where)
-                found.append(Placed(("items", number, "annotations", place), cuboid))
+                found.append(CuboidEntry(("items", number, "annotations", place), cuboid))
     return tuple(found)
 
 

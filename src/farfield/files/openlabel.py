@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Placed, attributes_of, checked, numbers, word
+from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, numbers, word
 from farfield.files.json_text import append, parse_json, set_value, span
 
 SYSTEM = "lidar"
 _ROOT = "openlabel"
 
 
-def parse_openlabel(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     """The cuboids of all frames, in the file's order; the object's uid is the track.
 
     Raises:
@@ -38,7 +38,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[Placed, ...]:
     if not isinstance(root, dict):
         raise FileFormatError(path, where="the root", expected="an object 'openlabel'", found=repr(content)[:80])
     types = _mapping(root.get("objects", {}), path, "objects")
-    found: list[Placed] = []
+    found: list[CuboidEntry] = []
     for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
         frame = _mapping(frame, path, f"frame {number}")
         name = frame_name(number, frame, path)
@@ -50,7 +50,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[Placed, ...]:
                 raise FileFormatError(path, where=where, expected="a list of cuboids", found=repr(inner)[:80])
             for place, cuboid in enumerate(inner):
                 steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", place)
-                found.append(Placed(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
+                found.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
     return tuple(found)
 
 

@@ -11,7 +11,7 @@ V = TypeVar("V")
 W = TypeVar("W")
 
 
-class Spool(MutableMapping[K, V]):
+class DiskDict(MutableMapping[K, V]):
     """A mapping whose values are written to a file without a name, and read anew each time they are asked for.
 
     The file goes with the mapping, whatever ends the process; nobody else can read or write it.
@@ -61,7 +61,7 @@ class Spool(MutableMapping[K, V]):
             self._file.close()
 
 
-class Each(Mapping[K, W], Generic[K, V, W]):
+class MappedView(Mapping[K, W], Generic[K, V, W]):
     """What a function makes of each value of a mapping, made anew each time it is asked for.
 
     Args:
@@ -87,4 +87,4 @@ class Each(Mapping[K, W], Generic[K, V, W]):
 
 def alike(values: Mapping[K, Any]) -> MutableMapping[K, Any]:
     """An empty mapping that keeps its values where another one does: in a file or in memory."""
-    return Spool(values.folder) if isinstance(values, Spool) else {}
+    return DiskDict(values.folder) if isinstance(values, DiskDict) else {}

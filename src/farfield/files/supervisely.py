@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Placed, Value, attributes_of, checked, word, xyz
+from farfield.files.cuboids import Cuboid, CuboidEntry, Value, attributes_of, checked, word, xyz
 from farfield.files.json_text import append, parse_json, set_value
 
 MAX_BYTES = 64 << 20
@@ -32,7 +32,7 @@ def parse_supervisely(data: bytes, path: Path | str) -> tuple[Cuboid, ...]:
     return tuple(placed.cuboid for placed in placed_supervisely(data, path))
 
 
-def placed_supervisely(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+def placed_supervisely(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     """The same with the way to each figure; errors as above."""
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     held = {name: content.get(name) if isinstance(content, dict) else None for name in ("objects", "figures")}
@@ -41,7 +41,7 @@ def placed_supervisely(data: bytes, path: Path | str) -> tuple[Placed, ...]:
             raise FileFormatError(path, where="the root", expected=f"a list {name}", found=repr(value)[:80])
     objects = {str(each.get("key")): each for each in held["objects"] or []}
     return tuple(
-        Placed(("figures", place), _cuboid(figure, objects, path, f"figure {place}"))
+        CuboidEntry(("figures", place), _cuboid(figure, objects, path, f"figure {place}"))
         for place, figure in enumerate(held["figures"] or [])
         if figure.get("geometryType") == _KIND
     )

@@ -18,13 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, Placed, checked, word, wrapped, xyz
+from farfield.files.cuboids import Cuboid, CuboidEntry, checked, word, wrapped, xyz
 from farfield.files.json_text import append, parse_json
 
 MAX_BYTES = 16 << 20
 
 
-def parse_sustechpoints(data: bytes, path: Path | str) -> tuple[Placed, ...]:
+def parse_sustechpoints(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     """The boxes of one file; ``obj_attr`` is an attribute.
 
     Raises:
@@ -33,7 +33,9 @@ def parse_sustechpoints(data: bytes, path: Path | str) -> tuple[Placed, ...]:
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     if not isinstance(content, list):
         raise FileFormatError(path, where="the root", expected="a list of objects", found=type(content).__name__)
-    return tuple(Placed((number,), _cuboid(entry, path, f"object {number}")) for number, entry in enumerate(content))
+    return tuple(
+        CuboidEntry((number,), _cuboid(entry, path, f"object {number}")) for number, entry in enumerate(content)
+    )
 
 
 def _cuboid(entry: Any, path: Path | str, where: str) -> Cuboid:

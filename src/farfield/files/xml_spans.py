@@ -39,14 +39,14 @@ def parse_spans(data: bytes, path: Path | str) -> Span:
         FileFormatError: As :func:`~farfield.files.xml_tree.parse_xml`.
     """
     parse_xml(data, path)
-    builder, parser = _Builder(data), expat.ParserCreate()
+    builder, parser = _SpanBuilder(data), expat.ParserCreate()
     builder.parser = parser
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.finish
     parser.Parse(data, True)
     return builder.open[0].children[0]
 
 
-class _Builder:
+class _SpanBuilder:
     def __init__(self, data: bytes) -> None:
         self.data, self.open = data, [Span("", 0, 0)]
         self.parser = expat.ParserCreate()

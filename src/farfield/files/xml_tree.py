@@ -32,7 +32,7 @@ class _RefusedError(Exception):
     """What the parser met is not allowed."""
 
 
-class _Builder:
+class _TreeBuilder:
     """Builds the tree as the parser goes along."""
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ def parse_xml(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> E
     """
     if len(data) > max_bytes:
         raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", found=f"{len(data)} bytes")
-    builder, parser = _Builder(), expat.ParserCreate()
+    builder, parser = _TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.characters

@@ -3,7 +3,7 @@
 from farfield.frame.annotation import Annotation, CameraField, Footprints
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Drive, Key
-from farfield.frame.lazy import Given, Lazy
+from farfield.frame.lazy import Constant, Lazy
 from farfield.frame.record import Frame, Pose, Sensor, camera_sensor, joined, moved
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
@@ -14,10 +14,10 @@ __all__ = [
     "Camera",
     "CameraField",
     "Cloud",
+    "Constant",
     "Drive",
     "Footprints",
     "Frame",
-    "Given",
     "Key",
     "Lazy",
     "Pose",

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 
-class Given:
+class Constant:
     """A loader of a value that is in memory already; unlike a lambda it can be pickled.
 
     >>> Given(42)()
@@ -22,7 +22,7 @@ class Given:
 class Lazy(Mapping[str, Any]):
     """A read-only mapping whose values are loaded at the first access and then kept.
 
-    It pickles if its loaders do (functools.partial of functions of a module, or :class:`Given`); values that were
+    It pickles if its loaders do (functools.partial of functions of a module, or :class:`Constant`); values that were
     loaded stay behind, so that frames travel light.
 
     >>> clouds = Lazy({"gaussian": lambda: 42})

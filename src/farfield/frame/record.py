@@ -16,7 +16,7 @@ from farfield.errors import ConfigError, MissingCloudError
 from farfield.frame.annotation import Annotation
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Key
-from farfield.frame.lazy import Given, Lazy
+from farfield.frame.lazy import Constant, Lazy
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
@@ -146,7 +146,7 @@ class Frame:
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
         sensors = {key: Sensor(kind=_kind_of(key, each)) for key, each in given.items()}
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
-        load = None if annotation is None else Given(annotation)
+        load = None if annotation is None else Constant(annotation)
         return cls(clouds=given, load_annotation=load, **{**usual, "sensors": sensors, **rest})
 
     def __repr__(self) -> str:
@@ -184,7 +184,7 @@ class Frame:
 
     def annotated(self, annotation: Annotation | None) -> "Frame":
         """The same frame with another annotation, or with none."""
-        return replace(self, load_annotation=None if annotation is None else Given(annotation))
+        return replace(self, load_annotation=None if annotation is None else Constant(annotation))
 
     def cloud(self, name: str | None = None) -> Cloud:
         """One cloud by name; without a name the only or first one.

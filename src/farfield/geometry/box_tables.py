@@ -20,7 +20,7 @@ Fields = dict[str, Any]
 
 
 @runtime_checkable
-class Columns(Protocol):
+class BoxColumns(Protocol):
     """Columns by name: a dictionary, or a DataFrame, which is no Mapping."""
 
     def keys(self) -> Iterable[Any]:
@@ -41,7 +41,7 @@ def columns_of(boxes: Mapping[str, Any]) -> dict[str, Shaped[np.ndarray, " n"]]:
     return table
 
 
-def fields_of(table: Columns) -> Fields:
+def fields_of(table: BoxColumns) -> Fields:
     """Fields of boxes from a table of named columns: a dictionary, a DataFrame, a structured array's columns.
 
     Raises:

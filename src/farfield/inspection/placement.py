@@ -12,7 +12,7 @@ from farfield.frame.record import Kind
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Placed:
+class SensorPlacement:
     """One sensor.
 
     Args:
@@ -27,7 +27,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Placement:
+class RigPlacement:
     """The sensors of a data set.
 
     Args:
@@ -37,7 +37,7 @@ class Placement:
     """
 
     reference: str
-    sensors: tuple[Placed, ...]
+    sensors: tuple[SensorPlacement, ...]
     unknown: tuple[str, ...]
 
     def to_json(self) -> Mapping[str, object]:
@@ -46,7 +46,7 @@ class Placement:
         return {"reference": self.reference, "frame_T_sensor": rows, "unknown": list(self.unknown)}
 
 
-def placement(data: Dataset) -> Placement | None:
+def placement(data: Dataset) -> RigPlacement | None:
     """Where the sensors stand of which the first, the middle or the last frame has data; None where none is known."""
     for index in dict.fromkeys((0, len(data) // 2, len(data) - 1)) if len(data) else ():
         try:
@@ -55,21 +55,21 @@ def placement(data: Dataset) -> Placement | None:
             continue
         there = {*frame.clouds, *frame.images, *frame.radar}
         sensors = {name: sensor for name, sensor in frame.sensors.items() if name in there}
-        known: list[Placed] = []
+        known: list[SensorPlacement] = []
         for name, sensor in sensors.items():
             if sensor.frame_T_sensor is not None:
-                _add(known, Placed(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,)))
+                _add(known, SensorPlacement(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,)))
         lacks = tuple(name for name, sensor in sensors.items() if sensor.frame_T_sensor is None)
         if known:
-            return Placement(reference=frame.reference, sensors=tuple(known), unknown=lacks)
+            return RigPlacement(reference=frame.reference, sensors=tuple(known), unknown=lacks)
     return None
 
 
-def _add(known: list[Placed], one: Placed) -> None:
+def _add(known: list[SensorPlacement], one: SensorPlacement) -> None:
     """Put the data of one sensor together."""
     for place, other in enumerate(known):
         if other.kind == one.kind and np.allclose(other.frame_T_sensor, one.frame_T_sensor, atol=1e-9):
             names = (*other.names, *one.names)
-            known[place] = Placed(kind=one.kind, frame_T_sensor=one.frame_T_sensor, names=names)
+            known[place] = SensorPlacement(kind=one.kind, frame_T_sensor=one.frame_T_sensor, names=names)
             return
     known.append(one)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
+from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
@@ -20,7 +20,7 @@ _BLOCK = 1  # frame that is counted at a time: sums are those of one frame after
 
 
 @dataclass(frozen=True)
-class Side:
+class ComparedDataset:
     """One of the two data sets.
 
     Args:
@@ -47,7 +47,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class _Counting:
+class _BlockCounting:
     """Counts a block of frames, of ``count`` that are spread evenly over the data."""
 
     data: Dataset
@@ -55,14 +55,14 @@ class _Counting:
     settings: Mapping[str, Any]
     memory_bytes = 800_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         statistics = Statistics(**self.settings)
         for place in unit.parameters:
             statistics.add(self.data[place * len(self.data) // self.count])
-        return Done(value=statistics)
+        return UnitResult(value=statistics)
 
 
-def side_of(data: Dataset, name: str, frames: int = 0, bulk: Bulk = HERE, **settings: Any) -> Side:
+def side_of(data: Dataset, name: str, frames: int = 0, bulk: JobOptions = HERE, **settings: Any) -> ComparedDataset:
     """Count the clouds, boxes and radar of a data set.
 
     Args:
@@ -75,12 +75,12 @@ def side_of(data: Dataset, name: str, frames: int = 0, bulk: Bulk = HERE, **sett
     count = len(data) if frames == 0 else min(frames, len(data))
     settings = {"shots": shots_of(data.root), **settings}
     statistics = Statistics(**settings)
-    for done in values(_Counting(data, count, settings), blocks(count, _BLOCK), bulk):
+    for done in values(_BlockCounting(data, count, settings), blocks(count, _BLOCK), bulk):
         statistics.merge(done.value)
     summary = statistics.summary()
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
-    return Side(name, summary, {**statistics.arrays(), **_sweeps(data)}, str(data.root))
+    return ComparedDataset(name, summary, {**statistics.arrays(), **_sweeps(data)}, str(data.root))
 
 
 _SWEEP_POINTS = 40_000
@@ -100,8 +100,8 @@ def _sweeps(data: Dataset) -> dict[str, dict[str, np.ndarray]]:
 
 
 def paired(
-    sides: Sequence[Side], clouds: Mapping[str, str] | None = None
-) -> tuple[tuple[Side, Side], list[tuple[str, str]]]:
+    sides: Sequence[ComparedDataset], clouds: Mapping[str, str] | None = None
+) -> tuple[tuple[ComparedDataset, ComparedDataset], list[tuple[str, str]]]:
     """Two sides whose clouds stand beside one another under one name.
 
     Args:
@@ -132,7 +132,7 @@ def paired(
     return renamed, list(pairs.items())
 
 
-def _with_clouds(side: Side, names: Mapping[str, str], *, alone: bool) -> Side:
+def _with_clouds(side: ComparedDataset, names: Mapping[str, str], *, alone: bool) -> ComparedDataset:
     """A side with some clouds under other names, and perhaps only those."""
     clouds = {names.get(n, n): c for n, c in side.summary.get("clouds", {}).items() if n in names or not alone}
     arrays = {}

@@ -22,7 +22,7 @@ _HOMES = {"range": ("ranges",), "visibility": ("visibility",)}  # others: condit
 
 
 @dataclass(frozen=True)
-class Entry:
+class ComparedResult:
     """One result of one class.
 
     Args:
@@ -41,7 +41,7 @@ class Entry:
     protocol: Protocol
     subject: Subject | None = None
 
-    def same_data(self, other: "Entry") -> bool:
+    def same_data(self, other: "ComparedResult") -> bool:
         """Whether both are of the same data: by fingerprints where both have any, else by the numbers of boxes."""
         a, b = self.subject, other.subject
         if a is not None and b is not None and a.labels_fingerprint and b.labels_fingerprint:
@@ -59,7 +59,7 @@ class Column:
 
 
 def compare(
-    entries: Sequence[Entry],
+    entries: Sequence[ComparedResult],
     *,
     label: str | None = None,
     figures: Sequence[str] = (),
@@ -92,7 +92,7 @@ def compare(
     return "\n\n".join(tables)
 
 
-def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Entry]:
+def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[ComparedResult]:
     """Read result files: what ``farfield score --json`` and ``farfield evaluate`` write.
 
     Args:
@@ -121,7 +121,7 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Entry
         else:
             classes = tree.get("labels") or {tree.get("label", ""): tree}
         entries += [
-            Entry(name, family, str(label), each, protocol, subject_of(each) or subject_of(tree))
+            ComparedResult(name, family, str(label), each, protocol, subject_of(each) or subject_of(tree))
             for label, each in classes.items()
         ]
     return entries
@@ -180,7 +180,7 @@ def _check(path: Path, result: Any) -> None:
         )
 
 
-def _tables(members: list[Entry], *, figures: Sequence[str], by: str, separate: bool) -> list[str]:
+def _tables(members: list[ComparedResult], *, figures: Sequence[str], by: str, separate: bool) -> list[str]:
     """Tables of one protocol and class, then their conventions and what is to be known of the data."""
     conventions = _conventions(members, by_range=by == "range", separate=separate)
     letters = {entry.name: letter for entry, letter in zip(members, conventions, strict=True)}
@@ -192,7 +192,7 @@ def _tables(members: list[Entry], *, figures: Sequence[str], by: str, separate: 
     return [*tables, _footer(members, letters, by_range=by == "range")]
 
 
-def _layout(members: list[Entry], columns: list[Column], letters: Mapping[str, str]) -> str:
+def _layout(members: list[ComparedResult], columns: list[Column], letters: Mapping[str, str]) -> str:
     """The table; where there are several conventions, each figure has a column for each of them."""
     kinds = list(dict.fromkeys(letters.values()))
     head = [column.title + (f" [{kind}]" if len(kinds) > 1 else "") for column in columns for kind in kinds]
@@ -204,19 +204,19 @@ def _layout(members: list[Entry], columns: list[Column], letters: Mapping[str, s
     return table(["", *head], rows)
 
 
-def _cell(entry: Entry, column: Column) -> str:
+def _cell(entry: ComparedResult, column: Column) -> str:
     value = value_at(at(entry.tree, column.part), column.figure)
     if value is None:
         return "-"
     return f"{100 * value:.2f}" if _unit(entry) else f"{value:.4f}"
 
 
-def _unit(entry: Entry) -> str:
+def _unit(entry: ComparedResult) -> str:
     return ", per cent" if entry.protocol.per_cent else ""
 
 
-def _footer(members: list[Entry], letters: Mapping[str, str], *, by_range: bool) -> str:
-    firsts: dict[str, Entry] = {}
+def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_range: bool) -> str:
+    firsts: dict[str, ComparedResult] = {}
     for entry in members:
         firsts.setdefault(letters[entry.name], entry)
     lines = []
@@ -232,18 +232,18 @@ def _footer(members: list[Entry], letters: Mapping[str, str], *, by_range: bool)
     return "\n".join(wrapped)
 
 
-def _data(entry: Entry) -> tuple[Any, Any]:
+def _data(entry: ComparedResult) -> tuple[Any, Any]:
     counts = entry.tree.get("counts") or {}
     mine = at(counts, ("classes", entry.label)) or counts
     return counts.get("frames_given"), mine.get("annotated")
 
 
-def _conventions(members: list[Entry], *, by_range: bool, separate: bool) -> list[str]:
+def _conventions(members: list[ComparedResult], *, by_range: bool, separate: bool) -> list[str]:
     """A letter for the data and the convention of each result.
 
     Different data always stand apart; different conventions may, or are refused.
     """
-    firsts: list[Entry] = []
+    firsts: list[ComparedResult] = []
     letters = []
     for entry in members:
         same = [
@@ -259,7 +259,7 @@ def _conventions(members: list[Entry], *, by_range: bool, separate: bool) -> lis
     return letters
 
 
-def _check_convention(first: Entry, entry: Entry, *, by_range: bool) -> None:
+def _check_convention(first: ComparedResult, entry: ComparedResult, *, by_range: bool) -> None:
     differing = differing_settings(first.tree, entry.tree, by_range=by_range)
     if differing:
         words = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
@@ -269,7 +269,7 @@ def _check_convention(first: Entry, entry: Entry, *, by_range: bool) -> None:
         )
 
 
-def _columns(members: list[Entry], figures: Sequence[str], by: str) -> list[tuple[str, list[Column]]]:
+def _columns(members: list[ComparedResult], figures: Sequence[str], by: str) -> list[tuple[str, list[Column]]]:
     """Title and columns of each table."""
     trees, protocol = [entry.tree for entry in members], members[0].protocol
     prefix = f"ap/{members[0].label}/" if protocol.several_classes else ""
@@ -295,7 +295,7 @@ def _part_columns(trees: list[Tree], figure: str, by: str) -> list[Column]:
     return [Column(name.replace("_", " "), figure, (*home, name)) for name in present]
 
 
-def _usual(members: list[Entry], prefix: str, by: str) -> list[str]:
+def _usual(members: list[ComparedResult], prefix: str, by: str) -> list[str]:
     """Figures that are shown if none are named: the protocol's headline; of parts the first of it alone."""
     named = (name for entry in members for name in entry.protocol.headline(entry.tree) if name.startswith(prefix))
     found = list(dict.fromkeys(named)) or _figures_of(members[0].tree, prefix)

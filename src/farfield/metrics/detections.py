@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Shaped
 
 from farfield.errors import ConfigError
-from farfield.files.spool import Each, alike
+from farfield.files.spool import MappedView, alike
 from farfield.frame.annotation import Annotation, CameraField
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
@@ -74,7 +74,7 @@ class Detections:
     @property
     def annotated(self) -> BoxesByFrame:
         """The annotated boxes by frame."""
-        return Each(self.annotations, attrgetter("boxes"))
+        return MappedView(self.annotations, attrgetter("boxes"))
 
     def replaced(self, boxes: BoxesByFrame) -> "Detections":
         """The same with other boxes, as a tracker gives them."""
@@ -210,7 +210,7 @@ class Detections:
         notes = list(self.notes)
         if strangers:
             notes.append(f"{len(strangers)} of {len(self.boxes)} frames are not annotated and do not count")
-        boxes, annotations, details, left = alike(self.boxes), alike(self.annotations), {}, _LeftOut()
+        boxes, annotations, details, left = alike(self.boxes), alike(self.annotations), {}, _OutsideCounts()
         for key, annotation in self.annotations.items():
             found, known = self.boxes.get(key, _NOTHING), self.prediction_details.get(key)
             if annotation.region is not None:
@@ -255,7 +255,7 @@ def _inside(boxes: Boxes, region: CameraField) -> Bool[np.ndarray, " n"]:
     return region.contains(boxes.centre_m) if len(boxes) else np.zeros(0, dtype=bool)
 
 
-class _LeftOut:
+class _OutsideCounts:
     """Counts of the boxes outside the annotated regions."""
 
     def __init__(self) -> None:

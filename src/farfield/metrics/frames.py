@@ -85,7 +85,7 @@ def group_frames(keys: Sequence[Key], drives: Sequence[Drive] = ()) -> tuple[Int
 
 
 @runtime_checkable
-class Region(Protocol):
+class ScoredRegion(Protocol):
     """What the settings of every protocol say of the region, see :class:`CentreSettings`."""
 
     @property
@@ -101,7 +101,7 @@ class Region(Protocol):
         """Bounds of the window: x from, x to, y from, y to."""
 
 
-def in_region(boxes: Boxes, settings: Region) -> Bool[np.ndarray, " n"]:
+def in_region(boxes: Boxes, settings: ScoredRegion) -> Bool[np.ndarray, " n"]:
     """Which boxes lie in the region that counts."""
     if settings.region == "none":
         return np.ones(len(boxes), dtype=bool)

@@ -23,7 +23,7 @@ _LONG = 1.5  # times as long as wide: then a heading can be seen
 Points = Float[np.ndarray, "n 3"]
 
 
-class _Pairs(NamedTuple):
+class _PairedBoxes(NamedTuple):
     """Predicted and annotated boxes that lie at one place, row by row: centre, size, heading."""
 
     predicted: Float[np.ndarray, "n 7"]
@@ -104,15 +104,15 @@ def _count(theirs: Mapping[Key, Points], ours: Mapping[Key, np.ndarray]) -> int:
     return sum(len(_nearest(points, ours[key])[0]) for key, points in theirs.items())
 
 
-def _paired(theirs: Mapping[Key, np.ndarray], ours: Mapping[Key, np.ndarray]) -> _Pairs:
+def _paired(theirs: Mapping[Key, np.ndarray], ours: Mapping[Key, np.ndarray]) -> _PairedBoxes:
     found = [(rows, ours[key], *_nearest(rows[:, :3], ours[key])) for key, rows in theirs.items()]
     left = [rows[chosen] for rows, _, chosen, _ in found]
     right = [rows[chosen] for _, rows, _, chosen in found]
     empty = np.zeros((0, 7))
-    return _Pairs(np.concatenate([empty, *left]), np.concatenate([empty, *right]))
+    return _PairedBoxes(np.concatenate([empty, *left]), np.concatenate([empty, *right]))
 
 
-def _of_pairs(pairs: _Pairs) -> Iterator[str]:
+def _of_pairs(pairs: _PairedBoxes) -> Iterator[str]:
     theirs, ours = pairs
     share = (theirs[:, 2] - ours[:, 2]) / ours[:, 5]
     middle, spread = float(np.median(share)), float(np.subtract(*np.percentile(share, [75, 25])))

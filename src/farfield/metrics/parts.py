@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from farfield.files.spool import Each, alike
+from farfield.files.spool import MappedView, alike
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
@@ -123,8 +123,8 @@ def _of_boxes(found: Detections, inside: Callable[[Boxes], Bool[np.ndarray, " n"
     }
     return replace(
         found,
-        boxes=Each(found.boxes, partial(_cut, inside)),
-        annotations=Each(found.annotations, partial(_cut_annotation, inside)),
+        boxes=MappedView(found.boxes, partial(_cut, inside)),
+        annotations=MappedView(found.annotations, partial(_cut_annotation, inside)),
         prediction_details=details,
     )
 

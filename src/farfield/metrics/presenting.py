@@ -35,7 +35,7 @@ BASICS: Words = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class HitRule:
     """When an annotated box counts as found in pictures; scores have their own rules.
 
     Args:
@@ -129,7 +129,7 @@ class Presentation:
     glossary: Words = ()
     kinds: tuple[str, ...] = ("weather", "road", "time", "azimuth")
     conditions_first: bool = False
-    finding: Finding = field(default_factory=Finding)
+    finding: HitRule = field(default_factory=HitRule)
 
     @property
     def main(self) -> str:

@@ -259,8 +259,8 @@ PROTOCOLS = Protocols(
     {
         "dds": "farfield.metrics.centre.dds:Dds",
         "nuscenes": "farfield.metrics.centre.nuscenes:NuScenes",
-        "kitti": "farfield.metrics.kitti.protocol:Kitti",
-        "kradar": "farfield.metrics.kradar.protocol:KRadar",
+        "kitti": "farfield.metrics.kitti.protocol:KittiProtocol",
+        "kradar": "farfield.metrics.kradar.protocol:KRadarProtocol",
         "kradar-compat": "farfield.metrics.kradar.protocol:KRadarCompat",
         "tracking": "farfield.metrics.tracking.protocol:Tracking",
         "nuscenes-tracking": "farfield.metrics.tracking.nuscenes:NuScenesTracking",

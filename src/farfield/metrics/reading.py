@@ -51,7 +51,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
     notes: list[str] = []
-    predicted, annotated = _Collected(scored=True), _Collected(scored=False)
+    predicted, annotated = _SideBoxes(scored=True), _SideBoxes(scored=False)
     read = _READERS[format]
     for predicted_path, label_path in _pairs(Path(predictions), Path(labels), notes):
         stem = label_path.stem if Path(labels).is_dir() or format == "kitti-tracking" else ""
@@ -93,7 +93,7 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
     """
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    root, predicted = Path(predictions), _Collected(scored=True)
+    root, predicted = Path(predictions), _SideBoxes(scored=True)
     if not root.exists():
         raise ConfigError(f"{root}: expected a file or a folder, found nothing there")
     for stem, path in sorted(_files(root).items()) if root.is_dir() else [(root.stem, root)]:
@@ -121,7 +121,7 @@ def _split_details(known: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarra
 
 
 @dataclass(eq=False)
-class _Collected:
+class _SideBoxes:
     """The boxes of one side as they are read."""
 
     scored: bool
@@ -198,7 +198,7 @@ def _files(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[str]) -> None:
+def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> None:
     """Where one side names no sequence and the other a single one, that is the sequence of both."""
     sides = {"predictions": predicted, "labels": annotated}
     for (word, side), (other_word, other) in zip(sides.items(), reversed(sides.items()), strict=True):
@@ -213,7 +213,7 @@ def _share_sequence(predicted: _Collected, annotated: _Collected, notes: list[st
         )
 
 
-def _without_image_boxes(predicted: _Collected) -> list[str]:
+def _without_image_boxes(predicted: _SideBoxes) -> list[str]:
     """A note on KITTI's predictions that have no place in the image."""
     heights = [
         known["box_px"][:, 3] - known["box_px"][:, 1] for known in predicted.details.values() if "box_px" in known
@@ -228,7 +228,7 @@ def _without_image_boxes(predicted: _Collected) -> list[str]:
     ]
 
 
-def _name_coordinates(side: _Collected, place: Path, given: str) -> None:
+def _name_coordinates(side: _SideBoxes, place: Path, given: str) -> None:
     """Take the coordinates that stand beside the files, and those that were given for files which name none."""
     side.stands_in(place, read_coordinates(place) if place.is_dir() else "")
     if given and side.reference and given != side.reference:
@@ -236,7 +236,7 @@ def _name_coordinates(side: _Collected, place: Path, given: str) -> None:
     side.reference = side.reference or given
 
 
-def _agreed(predicted: _Collected, annotated: _Collected, notes: list[str]) -> str:
+def _agreed(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> str:
     """The coordinates of both sides."""
     theirs, ours = predicted.reference, annotated.reference
     if theirs and ours and theirs != ours:
@@ -284,7 +284,7 @@ def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], n
     return [(names, np.array(found)) for names, found in rows.items()]
 
 
-def _read_csv(side: _Collected, path: Path, stem: str) -> None:
+def _read_csv(side: _SideBoxes, path: Path, stem: str) -> None:
     rows: BoxRows = read_boxes_csv(path)
     side.stands_in(path, rows.stands_in)
     side.turned(rows.yaw_rad)
@@ -304,12 +304,12 @@ def _read_csv(side: _Collected, path: Path, stem: str) -> None:
         side.add(path, (name, frame), boxes[index], known)
 
 
-def _read_kitti(side: _Collected, path: Path, stem: str) -> None:
+def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
     objects = read_labels(path)
     side.add(path, ("", stem), *_split(side, path, objects))
 
 
-def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
+def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
     with path.open("rb") as handle:
         commas = b"," in handle.readline(4096)
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
@@ -327,7 +327,7 @@ def _read_kitti_tracking(side: _Collected, path: Path, stem: str) -> None:
         side.add(path, (stem, *key), boxes[real.get(key, none)], facts)
 
 
-def _read_nuscenes(side: _Collected, path: Path, stem: str) -> None:
+def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
     del stem
     numbers: dict[str, int] = {}
     samples, stands_in = read_results_in(path)
@@ -346,7 +346,7 @@ def _read_nuscenes(side: _Collected, path: Path, stem: str) -> None:
         side.add(path, ("", token), boxes)
 
 
-def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
+def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
     """Boxes with their 2D facts; DontCare regions stand beside them."""
     dontcare = objects.type == "DontCare"
     extent_m = np.column_stack([objects.size_m, np.abs(objects.bottom_m)])
@@ -366,7 +366,7 @@ def _split(side: _Collected, path: Path, objects: KittiObjects) -> tuple[Boxes, 
     return kitti_boxes(real, score=side.scores(real.score, len(real))), details
 
 
-_READERS: dict[str, Callable[[_Collected, Path, str], None]] = {
+_READERS: dict[str, Callable[[_SideBoxes, Path, str], None]] = {
     "boxes-csv": _read_csv,
     "kitti": _read_kitti,
     "kitti-tracking": _read_kitti_tracking,

@@ -34,7 +34,7 @@ OVERS: tuple[Over, ...] = get_args(Over)
 
 
 @dataclass(frozen=True)
-class Region:
+class RadarRegion:
     """A box in the radar's frame: x forward, y left, z up.
 
     A cell belongs to it if its point, half a cell below the grid's node as in the published clouds, lies in the
@@ -72,19 +72,19 @@ class Region:
 
 
 REGIONS = MappingProxyType(
-    {name: Region(bounds[:2], bounds[2:4], bounds[4:]) for name, bounds in REGIONS_M.items()}
-    | {"cube": Region((-0.2, 99.8), (-80.2, 79.8), (-30.2, 29.8))}
+    {name: RadarRegion(bounds[:2], bounds[2:4], bounds[4:]) for name, bounds in REGIONS_M.items()}
+    | {"cube": RadarRegion((-0.2, 99.8), (-80.2, 79.8), (-30.2, 29.8))}
 )
 """K-Radar's regions (kradar devkit: the driving corridor of benchmark v1.0, and that of v2.0), and all there is."""
 
 
-def find_region(region: "str | Region") -> Region:
+def find_region(region: "str | RadarRegion") -> RadarRegion:
     """A region by its name.
 
     Raises:
         ConfigError: If there is none of this name.
     """
-    if isinstance(region, Region):
+    if isinstance(region, RadarRegion):
         return region
     if region not in REGIONS:
         raise ConfigError(f"radar region: expected one of {', '.join(REGIONS)}; got {region!r}")
@@ -134,7 +134,9 @@ class RadarCells:
             np.float32
         )
 
-    def select(self, region: "str | Region" = "cube", rate: float | int = 1.0, *, over: Over = "all") -> "RadarCells":
+    def select(
+        self, region: "str | RadarRegion" = "cube", rate: float | int = 1.0, *, over: Over = "all"
+    ) -> "RadarCells":
         """The cells in a region whose power is above a quantile.
 
         Args:
@@ -163,7 +165,7 @@ class RadarCells:
         codes = self.code[keep]
         return -1 if most >= len(codes) else int(np.partition(codes, len(codes) - 1 - most)[len(codes) - 1 - most])
 
-    def _inside(self, region: Region) -> Bool[np.ndarray, " n"]:
+    def _inside(self, region: RadarRegion) -> Bool[np.ndarray, " n"]:
         keep = np.ones(len(self), dtype=np.bool_)
         for place, part in zip(np.unravel_index(self.index, _CUBE_SHAPE), region.slices(), strict=True):
             keep &= (place >= part.start) & (place < part.stop)
@@ -172,7 +174,7 @@ class RadarCells:
 
 def cells_of_cube(
     cube: Float32[np.ndarray, "150 400 250"],
-    region: "str | Region" = "wide",
+    region: "str | RadarRegion" = "wide",
     *,
     doppler_m_s: Float32[np.ndarray, "150 400 250"] | None = None,
 ) -> RadarCells:

@@ -68,7 +68,7 @@ def radar_velocity(
     return vehicle_T_radar[:3, :3].T @ (vehicle_velocity_m_s + turning)
 
 
-class Unwrapped(NamedTuple):
+class UnwrappedVelocity(NamedTuple):
     """Velocities with a multiple of the span chosen.
 
     Args:
@@ -87,7 +87,7 @@ def unwrap(
     points_m: Num[np.ndarray, "n 3"],
     radar_velocity_m_s: Float[np.ndarray, "3"],
     axes: RadarAxes = KRADAR_AXES,
-) -> Unwrapped:
+) -> UnwrappedVelocity:
     """Choose for each point the multiple of the velocity span that brings it nearest to standing still.
 
     A standing point in direction d shows -v d when the radar moves with v. A point that moves radially by more than
@@ -105,4 +105,4 @@ def unwrap(
     span = axes.velocity_span_m_s
     folds = np.rint((standing - wrapped_m_s) / span).astype(np.int64)
     velocity = wrapped_m_s + folds * span
-    return Unwrapped(velocity, velocity - standing, folds)
+    return UnwrappedVelocity(velocity, velocity - standing, folds)

@@ -24,7 +24,7 @@ OUTSIDE = -1.0
 _CHUNK_CELLS = 1 << 16
 
 
-class Gather(NamedTuple):
+class CubeGather(NamedTuple):
     """Where each of the cube's cells inside the field of view takes its eight corners from.
 
     Args:
@@ -39,7 +39,7 @@ class Gather(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def cube_gather(axes: RadarAxes) -> Gather:
+def cube_gather(axes: RadarAxes) -> CubeGather:
     """Look-up table of the cube for one radar's axes: 247 MB for K-Radar, made once in a process."""
     y_m, x_m = (side.ravel() for side in np.meshgrid(CUBE_Y_M, CUBE_X_M, indexing="ij"))
     flat_m = np.hypot(x_m, y_m)
@@ -64,7 +64,7 @@ def cube_gather(axes: RadarAxes) -> Gather:
         for place, share in enumerate((rng_share[inside], elevation_share[inside], azimuth_share[kept])):
             shares[place, 0, part], shares[place, 1, part] = 1.0 - share, share
         at += len(inside)
-    return Gather(cell[:at], corner[:at], shares[:, :, :at])
+    return CubeGather(cell[:at], corner[:at], shares[:, :, :at])
 
 
 def _place(axis: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

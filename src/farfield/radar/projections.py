@@ -15,7 +15,7 @@ from farfield.radar.grid import OUTSIDE
 How = Literal["max", "mean", "sum"]
 
 
-class Views(NamedTuple):
+class RadarProjections(NamedTuple):
     """Three projections, linear power in the input's units; -1 where a line of sight has no cell in the field of view.
 
     Args:
@@ -39,19 +39,19 @@ def bev_2d(cube: Float32[np.ndarray, "z y x"], how: How = "mean") -> Float32[np.
     return _along(cube, 0, how)
 
 
-def bfs_2d(cube: Float32[np.ndarray, "z y x"], how: How = "max") -> Views:
+def bfs_2d(cube: Float32[np.ndarray, "z y x"], how: How = "max") -> RadarProjections:
     """A cube from above, from the front and from the side; arguments as :func:`bev_2d`."""
-    return Views(_along(cube, 0, how), _along(cube, 2, how), _along(cube, 1, how))
+    return RadarProjections(_along(cube, 0, how), _along(cube, 2, how), _along(cube, 1, how))
 
 
-def polar_views(power: Float32[np.ndarray, "r a e"], how: How = "mean") -> Views:
+def polar_views(power: Float32[np.ndarray, "r a e"], how: How = "mean") -> RadarProjections:
     """A polar map from above, from the front and from the side.
 
     Args:
         power: Power of every cell: channel 0 of ``polar3d``.
         how: ``"max"``, ``"mean"`` or ``"sum"``.
     """
-    return Views(_along(power, 2, how), _along(power, 0, how).T, _along(power, 1, how).T)
+    return RadarProjections(_along(power, 2, how), _along(power, 0, how).T, _along(power, 1, how).T)
 
 
 def _along(values: Float32[np.ndarray, "_ _ _"], axis: int, how: How) -> Float32[np.ndarray, "_ _"]:

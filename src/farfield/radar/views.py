@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.cfar import Kind, cfar
-from farfield.radar.doppler import Unwrapped, unwrap, wrapped_mean_velocity, wrapped_peak_velocity
+from farfield.radar.doppler import UnwrappedVelocity, unwrap, wrapped_mean_velocity, wrapped_peak_velocity
 from farfield.radar.grid import CUBE_SHAPE, CUBE_X_M, CUBE_Z_M, OUTSIDE
 from farfield.radar.products import moments, polar_points, zyx_cube
 from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
@@ -36,7 +36,7 @@ _PEAK = (1, 3)  # bins of range and azimuth
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Echoes:
+class PolarPeaks:
     """Cells of the polar map that stand out of what is around them, one for each range and azimuth.
 
     Args:
@@ -56,7 +56,7 @@ class Echoes:
     def __len__(self) -> int:
         return len(self.points_m)
 
-    def unwrapped(self, radar_velocity_m_s: Float[np.ndarray, "3"]) -> Unwrapped:
+    def unwrapped(self, radar_velocity_m_s: Float[np.ndarray, "3"]) -> UnwrappedVelocity:
         """Their velocities for a radar that moves so, see :func:`~farfield.radar.doppler.unwrap`."""
         return unwrap(self.wrapped_m_s, self.points_m, radar_velocity_m_s)
 
@@ -81,7 +81,7 @@ class RadarViews:
     side_db: Float32[np.ndarray, "z x"]
     polar_db: Float32[np.ndarray, "r a"] | None = None
     wrapped_m_s: Float32[np.ndarray, "r a"] | None = None
-    echoes: Echoes | None = None
+    echoes: PolarPeaks | None = None
 
 
 def radar_views(
@@ -143,7 +143,7 @@ def bird_db(radar: Mapping[str, Any]) -> Float32[np.ndarray, "y x"] | None:
 
 def echoes_of(
     polar: Float32[np.ndarray, "2 r a e"], *, kind: Kind = "cell-averaging", false_alarm: float = 1e-6
-) -> Echoes:
+) -> PolarPeaks:
     """Detect the echoes of a polar map; of the elevations of one direction the strongest cell is kept.
 
     Args:
@@ -155,7 +155,7 @@ def echoes_of(
     cells = _strongest(polar[0], cells[cells >= _first_cell(polar[0].shape)])
     columns = polar_points(polar, cells)
     marked = side_lobes(polar)
-    return Echoes(
+    return PolarPeaks(
         points_m=columns[:, :3].astype(np.float32),
         power_db=decibel(columns[:, 3].astype(np.float32), unit=1.0),
         wrapped_m_s=columns[:, 4].astype(np.float32),

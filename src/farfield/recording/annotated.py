@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from farfield.bulk import Done, Unit
+from farfield.bulk import Unit, UnitResult
 from farfield.datasets.base import Dataset
 from farfield.datasets.labels.tool_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
 from farfield.errors import DatasetError
@@ -57,7 +57,7 @@ def cuboids_of(boxes: Boxes | None, frame: str) -> list[Cuboid]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ToTool:
+class ToolExport:
     """Writes sequences of a data set for an annotation tool; a unit's parameters are the frames' indices.
 
     SUSTechPOINTS gets scenes with clouds (PCD), images, calibration and labels; CVAT clouds below ``point_clouds`` and
@@ -97,11 +97,11 @@ class ToTool:
             for name, indices in groups.items()
         ]
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Write one unit."""
         frames = [self.dataset.frame(index) for index in unit.parameters]
         if self.to == "sustechpoints":
-            return Done(files=tuple(path for frame in frames for path in self._scene_frame(frame)))
+            return UnitResult(files=tuple(path for frame in frames for path in self._scene_frame(frame)))
         names = [frame.frame_id if self.to == "openlabel" else file_name(frame.frame_id) for frame in frames]
         cuboids = [
             cuboid
@@ -110,9 +110,9 @@ class ToTool:
         ]
         if self.to == "openlabel":
             text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames], system=frames[0].reference)
-            return Done(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
+            return UnitResult(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
         path = _written(DatumaroLabels(self.target).path(frames[0].key), format_datumaro(cuboids, names))
-        return Done(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))
+        return UnitResult(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))
 
     def _clouds(self, frames: Sequence[Frame], folder: Path, names: Sequence[str]) -> Iterable[Path]:
         for frame, name in zip(frames, names, strict=True):

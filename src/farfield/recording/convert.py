@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.bulk.folders import locked, sweep_out
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
@@ -22,7 +22,7 @@ from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.files.coordinates import camera_words, write_coordinates
 from farfield.frame import Boxes, Frame, Key
-from farfield.recording.annotated import AnnotationTool, BoxSource, ToTool, boxes_of, views
+from farfield.recording.annotated import AnnotationTool, BoxSource, ToolExport, boxes_of, views
 
 Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
 TARGETS: tuple[str, ...] = get_args(Target)
@@ -39,7 +39,7 @@ def convert(
     cloud: str | None = None,
     overwrite: bool = False,
     store: StoreSettings | None = None,
-    bulk: Bulk = HERE,
+    bulk: JobOptions = HERE,
 ) -> Outcome:
     """Convert a data set. What was written before from unchanged sources, and is intact, is skipped.
 
@@ -77,7 +77,7 @@ def convert(
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
         return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
     work = _work(dataset, target, to, boxes, cloud)
-    journal = Journal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
+    journal = JobJournal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
     outcome = run(work, work.units(), bulk, journal=journal)
     if to == "kitti":
         _finish_kitti(dataset, target)
@@ -116,7 +116,7 @@ def verify(
     work = _work(dataset, target, to, boxes, cloud)
     if not (target / JOURNAL_NAME).is_file():
         raise DatasetError(f"{target}: expected what `farfield convert --to {to}` wrote, found no {JOURNAL_NAME}")
-    return faults(work.units(), Journal(target / JOURNAL_NAME, work.setting))
+    return faults(work.units(), JobJournal(target / JOURNAL_NAME, work.setting))
 
 
 def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
@@ -148,7 +148,7 @@ def _kradar(dataset: Dataset) -> Dataset:
 
 def _work(
     dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
-) -> "_ToKitti | _ToCirrus | _ToCsv | ToTool":
+) -> "_ToKitti | _ToCirrus | _ToCsv | ToolExport":
     if to == "kitti":
         return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "cirrus":
@@ -158,12 +158,12 @@ def _work(
     tool: AnnotationTool
     for tool in get_args(AnnotationTool):
         if to == tool:
-            return ToTool(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
+            return ToolExport(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
     expected = f"expected to to be one of {', '.join(TARGETS)}"
     raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
 
 
-def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
+def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
     reader = dataset.unwrapped
     if isinstance(reader, Cirrus):
         columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
@@ -188,7 +188,7 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: Bulk) -> Outcome:
     _sweep(folders)
     units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
     try:
-        done = run(_Cache(delimiter), units, bulk)
+        done = run(_CloudCache(delimiter), units, bulk)
     finally:
         _sweep(folders)  # a worker that was killed left what it was at
     return Outcome(written=done.written, skipped=len(sources) - done.written)
@@ -201,23 +201,23 @@ def _sweep(folders: Iterable[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class _Cache:
+class _CloudCache:
     """Writes the cache of one cloud."""
 
     delimiter: str
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         root, count = unit.parameters
         columns = None if count in (5, 8) else count
         folder = root / CACHE_FOLDER
         folder.mkdir(exist_ok=True)
         with locked(folder, shared=True):  # or another command would sweep out what is being written
             path = write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter)
-        return Done(files=(path,))
+        return UnitResult(files=(path,))
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Frames:
+class _FrameConversion:
     """Writes frames of a data set in another layout; the unit's parameters are the frame's index.
 
     Args:
@@ -245,17 +245,17 @@ class _Frames:
         return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
 
 
-class _ToKitti(_Frames):
+class _ToKitti(_FrameConversion):
     to = "kitti"
 
     def units(self) -> list[Unit]:
         """One a frame; the number names its files."""
         return [replace(unit, name=f"{unit.parameters:06d}/{unit.name}") for unit in super().units()]
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         index, frame = unit.parameters, self.dataset[unit.parameters]
         paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
-        return Done(files=tuple(paths.values()))
+        return UnitResult(files=tuple(paths.values()))
 
 
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
@@ -279,16 +279,16 @@ def _write_image_sets(dataset: Dataset, target: Path) -> None:
         write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
 
 
-class _ToCirrus(_Frames):
+class _ToCirrus(_FrameConversion):
     to = "cirrus"
 
     @cached_property
     def times(self) -> list[int]:
         return _times(self.dataset)
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         frame = _as_cirrus(self.dataset[unit.parameters], self.times[unit.parameters], self.cloud)
-        return Done(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
+        return UnitResult(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
 
 
 def _times(dataset: Dataset) -> list[int]:
@@ -346,13 +346,13 @@ class _ToCsv:
             for name, indices in groups.items()
         ]
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         name, indices = unit.parameters
         frames = (self.dataset.frame(index) for index in indices)
         reference = self.dataset[indices[0]].reference
         rows = box_rows(((frame.key, boxes_of(frame, self.boxes)) for frame in frames), reference=reference)
         write_boxes_csv(self.target / name, rows)
-        return Done(files=(self.target / name,))
+        return UnitResult(files=(self.target / name,))
 
 
 def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "") -> BoxRows:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from farfield.bulk import Done, Journal, Unit
+from farfield.bulk import JobJournal, Unit, UnitResult
 from farfield.bulk.journal import mark_of, state_of
 from farfield.errors import DatasetError
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import writer_for
-from farfield.recording.settings import Recording
+from farfield.recording.settings import RecordingOptions
 from farfield.recording.writing import write_whole
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
@@ -45,7 +45,7 @@ _WORKER_BYTES, _RADAR_WORKER_BYTES = 600_000_000, 1_500_000_000
 _RADAR_SENSORS = {"cells", "sparse", "polar3d", "cube", "tesseract"}
 
 
-def units_of(recording: Recording) -> list[Unit]:
+def units_of(recording: RecordingOptions) -> list[Unit]:
     """One unit a frame; those of a sequence go together, for its road and traffic are made once."""
     return [
         Unit(f"{sequence}/{index}", parameters=(sequence, index), group=str(sequence))
@@ -54,12 +54,12 @@ def units_of(recording: Recording) -> list[Unit]:
     ]
 
 
-def journal_of(recording: Recording) -> Journal:
+def journal_of(recording: RecordingOptions) -> JobJournal:
     """What was written before with these very settings; frames of before there was a journal are entered."""
     setting = json.dumps([recording.preset.said(), recording.seed, recording.sensors, recording.cache])
     path = recording.out / JOURNAL_NAME
     begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
-    journal = Journal(path, setting)
+    journal = JobJournal(path, setting)
     for unit in units_of(recording) if begun else ():
         if not journal.has(unit) and (paths := _complete(recording, *unit.parameters)):
             files = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in paths}
@@ -68,7 +68,7 @@ def journal_of(recording: Recording) -> Journal:
     return journal
 
 
-def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
+def _complete(recording: RecordingOptions, sequence: int, index: int) -> list[Path]:
     """The files of a frame if all are there, each of which appeared whole or not at all; else none."""
     from farfield.simulation.sequence import planned_frame
 
@@ -88,7 +88,7 @@ def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
     return [*paths.values(), *cached.values()] if fresh else []
 
 
-def bytes_needed(recording: Recording, count: int) -> float:
+def bytes_needed(recording: RecordingOptions, count: int) -> float:
     """How many bytes so many frames take at most."""
     preset = recording.preset
     lines = dict.fromkeys((*PATTERNS, "lidar"), preset.lines) | OUSTER_LINES
@@ -97,7 +97,7 @@ def bytes_needed(recording: Recording, count: int) -> float:
     return count * (sum(sizes) + 20_000) * (_CACHED if recording.cache else 1.0)
 
 
-def check_disk(recording: Recording, count: int) -> None:
+def check_disk(recording: RecordingOptions, count: int) -> None:
     """Refuse to begin what cannot be finished.
 
     Raises:
@@ -120,14 +120,14 @@ class Simulate:
         memory_bytes: What a worker needs at most.
     """
 
-    recording: Recording
+    recording: RecordingOptions
     memory_bytes: int = field(init=False)
 
     def __post_init__(self) -> None:
         radar = _RADAR_SENSORS & {*self.recording.sensors}
         object.__setattr__(self, "memory_bytes", _RADAR_WORKER_BYTES if radar else _WORKER_BYTES)
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Simulate one frame.
 
         Raises:
@@ -146,10 +146,10 @@ class Simulate:
                 f"{wanted.out}: the disk is full. The frames written so far are whole and stay; make room and run the "
                 "same command again to go on."
             ) from error
-        return Done(files=files, value=_verdict(wanted, frame, sequence, index) if wanted.frozen else None)
+        return UnitResult(files=files, value=_verdict(wanted, frame, sequence, index) if wanted.frozen else None)
 
 
-def _verdict(recording: Recording, frame: "Frame", sequence: int, index: int) -> str:
+def _verdict(recording: RecordingOptions, frame: "Frame", sequence: int, index: int) -> str:
     from farfield.simulation.frozen import compare, frame_record, frozen_records
 
     return compare(frame_record(frame), frozen_records(recording.preset.name)[sequence, index])

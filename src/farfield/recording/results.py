@@ -61,7 +61,7 @@ def result_format(out: Path | None, format: str | None = None) -> str:
 
 
 @dataclass
-class Results:
+class ResultWriter:
     """Writes what was found, once, and remembers what was assumed.
 
     Args:

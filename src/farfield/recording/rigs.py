@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @runtime_checkable
-class Writer(Protocol):
+class FrameWriter(Protocol):
     """Writes frames in a data set's layout."""
 
     root: Path
@@ -40,25 +40,25 @@ class RigFiles:
     finishes: bool = False
 
 
-def _cirrus(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
+def _cirrus(preset: "Preset", root: Path) -> FrameWriter:  # noqa: ARG001
     from farfield.datasets.cirrus import CirrusWriter
 
     return CirrusWriter(root)
 
 
-def _kradar(preset: "Preset", root: Path) -> Writer:
+def _kradar(preset: "Preset", root: Path) -> FrameWriter:
     from farfield.datasets.kradar import KRadarWriter
 
     return KRadarWriter(root, columns=preset.columns)
 
 
-def _kitti(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
+def _kitti(preset: "Preset", root: Path) -> FrameWriter:  # noqa: ARG001
     from farfield.recording.kitti import SimulatedKittiWriter
 
     return SimulatedKittiWriter(root)
 
 
-def _radiate(preset: "Preset", root: Path) -> Writer:  # noqa: ARG001
+def _radiate(preset: "Preset", root: Path) -> FrameWriter:  # noqa: ARG001
     from farfield.recording.radiate import SimulatedRadiateWriter
 
     return SimulatedRadiateWriter(root)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class RecordingOptions:
     """What is written where.
 
     Args:
@@ -37,7 +37,7 @@ class Recording:
     raw: bool = False
 
 
-def claim(wanted: Recording) -> None:
+def claim(wanted: RecordingOptions) -> None:
     """Claim the folder for these settings, or make sure that it was claimed for the same ones.
 
     Sensors and frames may be added later: what a sensor measures does not depend on the others.
@@ -64,7 +64,7 @@ def claim(wanted: Recording) -> None:
     write_text(record, json.dumps(settings, indent=1) + "\n")
 
 
-def _claimed(record: Path, settings: dict[str, Any], wanted: Recording) -> tuple[int, set[str]]:
+def _claimed(record: Path, settings: dict[str, Any], wanted: RecordingOptions) -> tuple[int, set[str]]:
     """Sequences and sensors for which a folder was claimed before, with the same settings."""
     try:
         found = json.loads(record.read_text("utf-8"))

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk import Bulk, Running, Unit
+from farfield.bulk import JobOptions, JobRun, Unit
 from farfield.bulk.journal import mark_of, state_of
 from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError
 from farfield.recording.frames import Simulate, check_disk, journal_of, units_of
 from farfield.recording.planning import MAX_STRIDE_S, frames_of_sequences
 from farfield.recording.rigs import files_of, writer_for
-from farfield.recording.settings import Recording, claim
+from farfield.recording.settings import RecordingOptions, claim
 from farfield.recording.words import announced, concluded
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _FINISHED = Unit("what belongs to whole sequences")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class RecordingSummary:
     """What a recording wrote.
 
     Args:
@@ -32,7 +32,7 @@ class Recorded:
             "different".
     """
 
-    recording: Recording
+    recording: RecordingOptions
     verdicts: tuple[str, ...]
 
     @property
@@ -65,7 +65,7 @@ def record(
     dry_run: bool = False,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
-) -> Recorded:
+) -> RecordingSummary:
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE.
 
     Called again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
@@ -100,7 +100,7 @@ def record(
         changes["uniform_offset_ms"] = (uniform_offset_ms, uniform_offset_ms)
     changes = {name: value for name, value in changes.items() if value is not None}
     chosen, frozen = _chosen(preset, changes, sensors, seed, cache=cache)
-    recording = Recording(
+    recording = RecordingOptions(
         preset=chosen,
         seed=chosen.seed if seed is None else seed,
         sensors=_sensors(chosen, sensors),
@@ -109,10 +109,10 @@ def record(
         cache=cache,
         frozen=frozen,
     )
-    bulk = Bulk(workers=workers, engine=engine, progress=progress)
+    bulk = JobOptions(workers=workers, engine=engine, progress=progress)
     if dry_run:
         _say(recording, bulk, report or _silent)
-        return Recorded(recording=recording, verdicts=())
+        return RecordingSummary(recording=recording, verdicts=())
     return _run(recording, bulk, report or _silent)
 
 
@@ -141,7 +141,7 @@ def _sensors(preset: "Preset", sensors: str | Sequence[str] | None) -> tuple[str
     return check_sensors(preset, tuple(sensors) if sensors else preset.sensors)
 
 
-def _say(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> None:
+def _say(recording: RecordingOptions, bulk: JobOptions, report: Callable[[str], object]) -> None:
     """The lines of :func:`_run`, of a folder that is left as it is."""
     begun = recording.out.is_dir() and any(recording.out.iterdir())
     left = len(units_of(recording))
@@ -150,14 +150,14 @@ def _say(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> N
     report(f"{recording.out} {'has files already; what fits is kept' if begun else 'is made'}; nothing is written now")
 
 
-def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> Recorded:
+def _run(recording: RecordingOptions, bulk: JobOptions, report: Callable[[str], object]) -> RecordingSummary:
     claim(recording)
     units, journal, work = units_of(recording), journal_of(recording), Simulate(recording)
     left = sum(not journal.has(unit) for unit in units)
     for line in announced(recording, left, bulk.hands(work, left)):
         report(line)
     check_disk(recording, left)
-    with Running(work, units, bulk, journal=journal) as running:
+    with JobRun(work, units, bulk, journal=journal) as running:
         for number in bulk.progress(running):
             if running.here:
                 running.enter(number, work(running.unit(number)))
@@ -171,7 +171,7 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     verdicts = tuple(str(verdict or "written") for verdict in said)
     for line in concluded(recording, verdicts):
         report(line)
-    return Recorded(recording=recording, verdicts=verdicts)
+    return RecordingSummary(recording=recording, verdicts=verdicts)
 
 
 def _silent(line: str) -> None:

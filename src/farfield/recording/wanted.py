@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_serializer
 from farfield.bulk.runs import Progress
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.rigs import files_of
-from farfield.recording.settings import Recording
-from farfield.recording.simulated import Recorded, record
+from farfield.recording.settings import RecordingOptions
+from farfield.recording.simulated import RecordingSummary, record
 from farfield.vocabulary.conditions import Side
 
 
@@ -38,7 +38,7 @@ def ensure(
     path: Path,
     progress: Progress = iter,
     report: Callable[[str], object] | None = None,
-) -> Recorded | None:
+) -> RecordingSummary | None:
     """Simulate a data set where there is none yet, or go on with one that was begun; leave other data as they are.
 
     Args:
@@ -59,7 +59,7 @@ def ensure(
     return _recorded(wanted, path, progress=progress, report=report)
 
 
-def planned(wanted: SimulationConfig, path: Path) -> Recording:
+def planned(wanted: SimulationConfig, path: Path) -> RecordingOptions:
     """What :func:`ensure` would record into an absent folder; nothing is written.
 
     Raises:
@@ -68,7 +68,7 @@ def planned(wanted: SimulationConfig, path: Path) -> Recording:
     return _recorded(wanted, path, dry_run=True).recording
 
 
-def _recorded(wanted: SimulationConfig, path: Path, **how: Any) -> Recorded:
+def _recorded(wanted: SimulationConfig, path: Path, **how: Any) -> RecordingSummary:
     from farfield.simulation import find_preset
 
     return record(

@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.recording.frames import bytes_needed
-from farfield.recording.settings import Recording
+from farfield.recording.settings import RecordingOptions
 
 _SHOWN = 6  # sequences whose weather is shown
 
 
-def announced(recording: Recording, count: int, processes: int) -> Iterator[str]:
+def announced(recording: RecordingOptions, count: int, processes: int) -> Iterator[str]:
     """What is going to be written: frames, sensors, room, weather.
 
     Args:
@@ -36,7 +36,7 @@ def announced(recording: Recording, count: int, processes: int) -> Iterator[str]
     yield f"  {processes} process{'es' if processes > 1 else ''}, into {recording.out}"
 
 
-def concluded(recording: Recording, verdicts: Sequence[str]) -> Iterator[str]:
+def concluded(recording: RecordingOptions, verdicts: Sequence[str]) -> Iterator[str]:
     """What was written, and what the checksums of a frozen split say."""
     yield f"wrote {len(verdicts)} frames into {recording.out}"
     if not recording.frozen:

@@ -13,13 +13,13 @@ from farfield.frame import Boxes, Frame, Key
 from farfield.reports.adapted_plots import changed, scores
 from farfield.reports.adapted_scores import HeldScores
 from farfield.reports.courses import ADAPTATION, courses
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class PseudoLabelFrame:
     """A frame of the target with its sure boxes before and after.
 
     Args:
@@ -67,7 +67,7 @@ class AdaptedPage:
     negative: Mapping[str, float]
     source_rate: float
     measured: Sequence[str]
-    changes: Sequence[Change]
+    changes: Sequence[PseudoLabelFrame]
     rows: Sequence[Mapping[str, float | int]]
     signs: Sequence[str]
     labels: str
@@ -158,8 +158,8 @@ def _origin(simulated: Mapping[str, bool]) -> str:
     return f"The source frames are {source}, the target's are {target}.{end}"
 
 
-def _histogram(page: AdaptedPage) -> Picture:
-    return Picture(
+def _histogram(page: AdaptedPage) -> PageImage:
+    return PageImage(
         figure_uri(scores(page.before, page.after, page.classes, page.positive, page.negative)),
         "Histograms of the scores of all boxes before and after, a panel for each class",
         "Boxes a sweep by score, on a logarithmic scale. The dashed lines are the thresholds: boxes right of both "
@@ -168,12 +168,12 @@ def _histogram(page: AdaptedPage) -> Picture:
     )
 
 
-def _picture(change: Change) -> Picture:
+def _picture(change: PseudoLabelFrame) -> PageImage:
     frame = change.frame
     caption = f"{len(change.before)} sure boxes before, {len(change.after)} after."
     if frame.boxes is not None:
         caption += " Annotated boxes are drawn too; they were not used."
-    return Picture(
+    return PageImage(
         figure_uri(changed(frame, change.cloud, change.before, change.after)),
         f"Bird's-eye view of {frame.sequence}, {frame.frame_id}, with the boxes before above those after",
         caption,
@@ -181,11 +181,11 @@ def _picture(change: Change) -> Picture:
     )
 
 
-def _course(rows: Sequence[Mapping[str, float | int]]) -> Picture | None:
+def _course(rows: Sequence[Mapping[str, float | int]]) -> PageImage | None:
     figure = courses(rows, ADAPTATION)
     if figure is None:
         return None
-    return Picture(
+    return PageImage(
         figure_uri(figure),
         "Curves of the losses and of what else was logged over the steps of all rounds",
         "Every logged step, the rounds one after the other. Losses are those of the labelled source and of the pseudo "

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from farfield.files.atomic import write_text
-from farfield.inspection.side import Side
+from farfield.inspection.side import ComparedDataset
 from farfield.reports import comparison_plots as plots
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import figure_uri
 from farfield.reports.sweeps_plot import SPEED_MPH, effective_range_m, from_above, reaction_s
 from farfield.reports.template import render_template
@@ -33,7 +33,7 @@ NOTHING = "–"
 
 
 @dataclass(frozen=True)
-class Line:
+class ComparisonLine:
     """One line of the table.
 
     Args:
@@ -49,12 +49,12 @@ class Line:
     published: str = ""
 
 
-def table_lines(sides: Sequence[Side]) -> list[Line]:
+def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
     """The table of all statistics; lines that neither side has are left out."""
     lines = [
         *_line(sides, "data", "frames", "frames", digits=0),
         *_line(sides, "data", "sequences", "sequences", digits=0),
-        Line("data", "simulated", tuple(_said(side.summary.get("simulated")) for side in sides)),
+        ComparisonLine("data", "simulated", tuple(_said(side.summary.get("simulated")) for side in sides)),
         *_line(sides, "data", "boxes are", "box_protocol"),
     ]
     for cloud in _names(sides, "clouds"):
@@ -86,7 +86,7 @@ def table_lines(sides: Sequence[Side]) -> list[Line]:
     return lines
 
 
-def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
+def _cloud_lines(sides: Sequence[ComparedDataset], cloud: str) -> list[ComparisonLine]:
     base = ("clouds", cloud)
     topic = f"LiDAR, {cloud}"
     lines = [
@@ -118,7 +118,7 @@ def _cloud_lines(sides: Sequence[Side], cloud: str) -> list[Line]:
     return lines
 
 
-def _reach_lines(sides: Sequence[Side], topic: str, cloud: str) -> list[Line]:
+def _reach_lines(sides: Sequence[ComparedDataset], topic: str, cloud: str) -> list[ComparisonLine]:
     """Effective range and the time that it leaves."""
     clouds = [side.summary["clouds"].get(cloud) for side in sides]
     reaches = [None if each is None or "range" not in each else effective_range_m(each) for each in clouds]
@@ -127,14 +127,16 @@ def _reach_lines(sides: Sequence[Side], topic: str, cloud: str) -> list[Line]:
     times = [None if reach is None else reaction_s(reach) for reach in reaches]
     leaves = f"time that leaves at {SPEED_MPH:.0f} mph (s)"
     return [
-        Line(topic, "99.9 % of returns lie within (m)", tuple(_text(reach, 0) for reach in reaches)),
-        Line(topic, leaves, tuple(_text(each, 1) for each in times)),
+        ComparisonLine(topic, "99.9 % of returns lie within (m)", tuple(_text(reach, 0) for reach in reaches)),
+        ComparisonLine(topic, leaves, tuple(_text(each, 1) for each in times)),
     ]
 
 
-def _line(sides: Sequence[Side], topic: str, what: str, *path: str, digits: int = 2, published: str = "") -> list[Line]:
+def _line(
+    sides: Sequence[ComparedDataset], topic: str, what: str, *path: str, digits: int = 2, published: str = ""
+) -> list[ComparisonLine]:
     values = tuple(_text(_find(side.summary, path), digits) for side in sides)
-    return [] if set(values) == {NOTHING} else [Line(topic, what, values, published)]
+    return [] if set(values) == {NOTHING} else [ComparisonLine(topic, what, values, published)]
 
 
 def _find(tree: Any, path: Sequence[str]) -> Any:
@@ -143,7 +145,7 @@ def _find(tree: Any, path: Sequence[str]) -> Any:
     return tree
 
 
-def _names(sides: Sequence[Side], *path: str) -> list[str]:
+def _names(sides: Sequence[ComparedDataset], *path: str) -> list[str]:
     """Keys that any side has there, in the order of their first appearance."""
     return list(dict.fromkeys(name for side in sides for name in _find(side.summary, path) or {}))
 
@@ -158,7 +160,7 @@ def _said(simulated: bool | None) -> str:
     return {True: "yes", False: "no", None: "not said"}[simulated]
 
 
-def pictures(sides: Sequence[Side]) -> list[Picture]:
+def pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
     """Every figure that at least one side has the data for."""
     found = []
     for draw, heading, caption in (
@@ -210,11 +212,11 @@ def pictures(sides: Sequence[Side]) -> list[Picture]:
         figure = draw(sides)
         if figure is not None:
             alt = f"{heading}: {' and '.join(side.title for side in sides)}"
-            found.append(Picture(figure_uri(figure), alt, caption, heading))
+            found.append(PageImage(figure_uri(figure), alt, caption, heading))
     return found
 
 
-def render(sides: Sequence[Side], *, title: str) -> str:
+def render(sides: Sequence[ComparedDataset], *, title: str) -> str:
     """Return the page as HTML."""
     return render_template(
         "comparison.html",
@@ -226,7 +228,7 @@ def render(sides: Sequence[Side], *, title: str) -> str:
     )
 
 
-def write_comparison(folder: Path | str, sides: Sequence[Side], *, title: str) -> Path:
+def write_comparison(folder: Path | str, sides: Sequence[ComparedDataset], *, title: str) -> Path:
     """Write ``comparison.json`` and ``comparison.html`` into a folder, each all or nothing.
 
     Args:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.inspection.side import Side
+from farfield.inspection.side import ComparedDataset
 from farfield.reports.style import INK, MUTED, SIDES, house_style, new_figure
 from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
 from farfield.vocabulary.patterns import PATTERNS
@@ -24,7 +24,7 @@ _SHARES = {limit: float(share) for limit, share in SHARES_NEAR_HORIZON.items()}
 _QUANTILES = {quantile: float(level) for quantile, level in ROW_QUANTILES_DB.items()}
 
 
-def _series(sides: Sequence[Side]) -> Iterator[tuple[Side, str, Mapping[str, Any], str, Any]]:
+def _series(sides: Sequence[ComparedDataset]) -> Iterator[tuple[ComparedDataset, str, Mapping[str, Any], str, Any]]:
     """Every cloud of every side: side, cloud, its figures, colour (by side) and dashes (by cloud)."""
     names = list(dict.fromkeys(name for side in sides for name in side.summary["clouds"]))
     for side, colour in zip(sides, SIDES, strict=False):
@@ -37,7 +37,7 @@ def _legend(figure: "Figure", axes: "Axes", *, columns: int = 2) -> None:
     figure.legend(handles, names, loc="outside lower center", ncols=columns, handlelength=2.6)
 
 
-def elevation(sides: Sequence[Side]) -> "Figure | None":
+def elevation(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Density of returns over elevation, and the shares near the horizon."""
     series = list(_series(sides))
     if not series:
@@ -67,7 +67,7 @@ def elevation(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def points_in_vehicles(sides: Sequence[Side]) -> "Figure | None":
+def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them.
 
     Without a median or a line there is no such panel.
@@ -155,7 +155,7 @@ def _draw_medians(axes: "Axes", fit: Mapping[str, Any], colour: str, dash: Any, 
     axes.plot(ends, fit["level"] * (ends / 50.0) ** fit["slope"], color=colour, lw=1.6, ls=dash, zorder=3, label=label)
 
 
-def ranges(sides: Sequence[Side]) -> "Figure | None":
+def ranges(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Share of returns by range."""
     series = list(_series(sides))
     if not series:
@@ -181,7 +181,7 @@ def ranges(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def objects(sides: Sequence[Side]) -> "Figure | None":
+def objects(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Distances of vehicles and shares of classes."""
     having = [(side, colour) for side, colour in zip(sides, SIDES, strict=False) if side.summary["boxes"]["count"]]
     if not having:
@@ -231,7 +231,7 @@ def _bars(
     axes.set_xlim(0, 112)
 
 
-def sizes(sides: Sequence[Side]) -> "Figure | None":
+def sizes(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Mean and spread of length, width and height by class."""
     tables = [
         {name: each for name, each in side.summary["boxes"]["classes"].items() if each["count"] >= 3} for side in sides
@@ -259,7 +259,7 @@ def sizes(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def survival(sides: Sequence[Side]) -> "Figure | None":
+def survival(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Ratio of points in vehicle boxes to normal weather by distance, a panel a cloud with two weathers or more."""
     drawn = [
         (side, name, cloud["survival"])
@@ -299,7 +299,7 @@ def survival(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def conditions(sides: Sequence[Side]) -> "Figure | None":
+def conditions(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Shares of frames by weather, road and time of day."""
     kinds = [kind for kind in CONDITIONS if any(side.summary["conditions"][kind] for side in sides)]
     if not kinds:
@@ -319,7 +319,7 @@ def conditions(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def radar_maps(sides: Sequence[Side]) -> "Figure | None":
+def radar_maps(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """The first range-azimuth map of each side."""
     drawn = [(side, side.arrays["radar"]) for side in sides if side.arrays.get("radar")]
     if not drawn:
@@ -340,7 +340,7 @@ def radar_maps(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def radar_levels(sides: Sequence[Side]) -> "Figure | None":
+def radar_levels(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Range profile above the floor, and quantiles of the strongest object's row."""
     drawn = [(s, c, s.arrays["radar"]) for s, c in zip(sides, SIDES, strict=False) if s.arrays.get("radar")]
     if not drawn:

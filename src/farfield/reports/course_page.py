@@ -6,7 +6,7 @@ from pathlib import Path
 
 from farfield.files.atomic import write_text
 from farfield.reports.courses import RUN, Row, columns_of, courses
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import figure_uri
 from farfield.reports.template import render_template
 
@@ -60,7 +60,7 @@ def write_course(path: Path, page: CoursePage) -> Path:
     figure = courses(page.rows, RUN)
     course = None
     if figure is not None:
-        course = Picture(
+        course = PageImage(
             figure_uri(figure),
             "Curves of the losses and of what else was logged over the steps",
             "Every logged step; of long curves the mean of fifty stretches is drawn over the single steps. A dashed "

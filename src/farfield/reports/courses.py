@@ -20,7 +20,7 @@ _MEANS = 50  # of so many windows
 _FEW = 4  # curves whose names find room beside them
 
 
-class Panel(NamedTuple):
+class CoursePanel(NamedTuple):
     """What one panel shows.
 
     Attributes:
@@ -37,38 +37,38 @@ class Panel(NamedTuple):
 
 
 _DOMAINS = (
-    Panel("gradient at the shared features", ("gradient_",)),
-    Panel("rank of the features", ("rank_",)),
-    Panel("variance of the features", ("variance_",)),
-    Panel(
+    CoursePanel("gradient at the shared features", ("gradient_",)),
+    CoursePanel("rank of the features", ("rank_",)),
+    CoursePanel("variance of the features", ("variance_",)),
+    CoursePanel(
         "accuracy between the domains", ("discriminator_accuracy", "held_accuracy", "probe_accuracy"), 0.5, bottom=None
     ),
 )
 ADAPTATION = (
-    Panel("loss of source and pseudo boxes", ("source_", "target_")),
-    Panel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
+    CoursePanel("loss of source and pseudo boxes", ("source_", "target_")),
+    CoursePanel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
     *_DOMAINS,
 )
 """Panels of an adaptation's rounds."""
 RUN = (
-    Panel("losses"),
-    Panel("mean AP on held-out frames", ("validation",)),
-    Panel("loss on held-out frames", ("held_loss_",)),
+    CoursePanel("losses"),
+    CoursePanel("mean AP on held-out frames", ("validation",)),
+    CoursePanel("loss on held-out frames", ("held_loss_",)),
     *_DOMAINS,
-    Panel("proxy distance of the domains", ("proxy_distance",)),
-    Panel("lambda", ("lambda",)),
-    Panel("occupied cells, share", ("occupied",)),
-    Panel("cells of each domain", ("cells_of_",)),
-    Panel("near objects of a mixture", ("n_eff", "local_objects")),
-    Panel("pairs", ("pairs",)),
-    Panel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
-    Panel("learning rate", ("learning_rate",)),
+    CoursePanel("proxy distance of the domains", ("proxy_distance",)),
+    CoursePanel("lambda", ("lambda",)),
+    CoursePanel("occupied cells, share", ("occupied",)),
+    CoursePanel("cells of each domain", ("cells_of_",)),
+    CoursePanel("near objects of a mixture", ("n_eff", "local_objects")),
+    CoursePanel("pairs", ("pairs",)),
+    CoursePanel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
+    CoursePanel("learning rate", ("learning_rate",)),
 )
 """Panels of any training."""
 _NOT_DRAWN = ("step", "time", "round")
 
 
-def courses(rows: Sequence[Row], panels: Sequence[Panel]) -> "Figure | None":
+def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | None":
     """What was logged over the steps; None where nothing of it was.
 
     Args:
@@ -90,7 +90,7 @@ def courses(rows: Sequence[Row], panels: Sequence[Panel]) -> "Figure | None":
     return figure
 
 
-def columns_of(rows: Sequence[Row], panel: Panel, panels: Sequence[Panel]) -> list[str]:
+def columns_of(rows: Sequence[Row], panel: CoursePanel, panels: Sequence[CoursePanel]) -> list[str]:
     """Columns of the log that a panel shows, in their order."""
     names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in _NOT_DRAWN]
     if panel.starts:
@@ -99,7 +99,7 @@ def columns_of(rows: Sequence[Row], panel: Panel, panels: Sequence[Panel]) -> li
     return [name for name in names if not name.startswith(others)]
 
 
-def _draw(axes: "Axes", rows: Sequence[Row], panel: Panel, columns: Sequence[str]) -> None:
+def _draw(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: Sequence[str]) -> None:
     for place, name in enumerate(columns):
         having = [row for row in rows if name in row and np.isfinite(row[name])]
         steps, values = (np.array([row[key] for row in having], dtype=np.float64) for key in ("step", name))

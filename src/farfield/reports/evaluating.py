@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.datasets.base import Dataset
 from farfield.detection import as_trained, detect, median_ms, suitable_clouds
 from farfield.frame import Boxes, Key
@@ -33,7 +33,7 @@ def evaluate_clouds(
     protocol: str = "dds",
     title: str = "Farfield evaluation",
     provenance: Mapping[str, Any] | None = None,
-    bulk: Bulk | None = None,
+    bulk: JobOptions | None = None,
     kept: Path | None = None,
     overwrite: bool = False,
     tables: dict[str, str] | None = None,

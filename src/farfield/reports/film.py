@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Unit, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
 from farfield.files import videos
@@ -23,7 +23,7 @@ from farfield.files.atomic import open_atomic
 from farfield.frame import Boxes, Drive, Key
 from farfield.geometry.poses import invert
 from farfield.reports.film_frame import panels_of, picture
-from farfield.reports.film_panels import Drawn
+from farfield.reports.film_panels import DrawnBoxes
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 ANIMATED = (".gif", ".webp")
@@ -74,7 +74,7 @@ class FilmWork:
     predictions: Mapping[Key, Boxes] | None = None
     settings: FilmSettings = field(default_factory=FilmSettings)
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Draw the frame at a place of the drive."""
         place = int(unit.parameters)
         frame = self.data[int(self.drive.indices[place])]
@@ -83,13 +83,13 @@ class FilmWork:
         path = self.folder / f"{place:06d}.png"
         with open_atomic(path) as handle:
             image.save(handle, format="PNG", compress_level=1)
-        return Done(files=(path,))
+        return UnitResult(files=(path,))
 
-    def _drawn(self, place: int, predicted: bool) -> Drawn | None:
+    def _drawn(self, place: int, predicted: bool) -> DrawnBoxes | None:
         boxes = self._boxes(place, predicted)
         if boxes is None:
             return None
-        return Drawn(boxes, predicted, self._trails(place, predicted, boxes))
+        return DrawnBoxes(boxes, predicted, self._trails(place, predicted, boxes))
 
     def _boxes(self, place: int, predicted: bool) -> Boxes | None:
         if not predicted:
@@ -123,7 +123,7 @@ def make_film(
     drive: str = "",
     predictions: Mapping[Key, Boxes] | None = None,
     settings: FilmSettings = FilmSettings(),
-    bulk: Bulk = HERE,
+    bulk: JobOptions = HERE,
 ) -> int:
     """Write the film of a drive; gives the number of its frames.
 
@@ -151,7 +151,7 @@ def make_film(
         for place, index in enumerate(found.indices)
     ]
     setting = repr((_VERSION, found.name, found.keys, work.panels, settings, _mark(predictions)))
-    run(work, units, bulk, journal=Journal(folder / ".journal.jsonl", setting=setting))
+    run(work, units, bulk, journal=JobJournal(folder / ".journal.jsonl", setting=setting))
     _assemble(path, [folder / f"{place:06d}.png" for place in range(len(units))], rate_of(found, settings))
     shutil.rmtree(folder)
     return len(units)

@@ -11,7 +11,7 @@ from farfield.datasets.base import Dataset
 from farfield.frame import Drive, Frame
 from farfield.geometry.poses import invert
 from farfield.radar.views import PRODUCTS, bird_db
-from farfield.reports.film_panels import GROUND, WORDS, Drawn, View, camera_panel, cloud_panel, radar_panel
+from farfield.reports.film_panels import GROUND, WORDS, DrawnBoxes, PanelView, camera_panel, cloud_panel, radar_panel
 
 SIZE = (1280, 720)
 HEAD, TITLE, MAIN = 30, 18, 660
@@ -48,7 +48,7 @@ def _order(frame: Frame, name: str) -> bool:
     return sensor is not None and sensor.kind != "lidar"
 
 
-def picture(frame: Frame, panels: Sequence[Panel], drawn: Sequence[Drawn], *, reach_m: float | int) -> Image.Image:
+def picture(frame: Frame, panels: Sequence[Panel], drawn: Sequence[DrawnBoxes], *, reach_m: float | int) -> Image.Image:
     """Draw a frame.
 
     Args:
@@ -81,7 +81,7 @@ def places(count: int) -> list[tuple[int, int, int, int]]:
     return [(0, HEAD, MAIN, room), *beside]
 
 
-def words(frame: Frame, drawn: Sequence[Drawn]) -> str:
+def words(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
     """Which frame it is, in which conditions, and what is drawn."""
     said = [f"{frame.sequence} / {frame.frame_id}", *(str(value) for value in frame.conditions.values())]
     for each in drawn:
@@ -92,7 +92,7 @@ def words(frame: Frame, drawn: Sequence[Drawn]) -> str:
 
 
 def _panel(
-    frame: Frame, kind: str, name: str, drawn: Sequence[Drawn], size: tuple[int, int], reach_m: float | int
+    frame: Frame, kind: str, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
 ) -> Image.Image:
     draw: dict[str, Callable[[], Image.Image | None]] = {
         "cloud": lambda: _cloud(frame, name, drawn, size, reach_m),
@@ -109,27 +109,29 @@ def _nothing(size: tuple[int, int]) -> Image.Image:
 
 
 def _cloud(
-    frame: Frame, name: str, drawn: Sequence[Drawn], size: tuple[int, int], reach_m: float | int
+    frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
 ) -> Image.Image | None:
-    return cloud_panel(frame.cloud(name), drawn, View(*size, reach_m)) if name in frame.clouds else None
+    return cloud_panel(frame.cloud(name), drawn, PanelView(*size, reach_m)) if name in frame.clouds else None
 
 
-def _camera(frame: Frame, name: str, drawn: Sequence[Drawn], size: tuple[int, int]) -> Image.Image | None:
+def _camera(frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int]) -> Image.Image | None:
     if name not in frame.images:
         return None
     return camera_panel(np.asarray(frame.images[name]), frame.cameras.get(name), drawn, size)
 
 
-def _radar(frame: Frame, drawn: Sequence[Drawn], size: tuple[int, int], reach_m: float | int) -> Image.Image | None:
+def _radar(
+    frame: Frame, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
+) -> Image.Image | None:
     bird = bird_db(frame.radar)
     if bird is None:
         return None
     sensor = next((frame.sensors[name] for name in PRODUCTS if name in frame.sensors and name in frame.radar), None)
     if sensor is not None and not sensor.in_frame and sensor.frame_T_sensor is not None:
         drawn = [_moved(each, invert(sensor.frame_T_sensor)) for each in drawn]
-    return radar_panel(bird, drawn, View(*size, reach_m, behind=0.03))
+    return radar_panel(bird, drawn, PanelView(*size, reach_m, behind=0.03))
 
 
-def _moved(drawn: Drawn, pose: np.ndarray) -> Drawn:
+def _moved(drawn: DrawnBoxes, pose: np.ndarray) -> DrawnBoxes:
     trails = {track: trail @ pose[:3, :3].T + pose[:3, 3] for track, trail in drawn.trails.items()}
     return replace(drawn, boxes=drawn.boxes.transform(pose), trails=trails)

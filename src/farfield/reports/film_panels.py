@@ -27,7 +27,7 @@ _BEHIND = 0.25  # share of a view from above that lies behind the sensor
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class DrawnBoxes:
     """Boxes of one kind in one frame.
 
     Args:
@@ -54,7 +54,7 @@ def track_colour(track: int) -> str:
 
 
 @dataclass(frozen=True)
-class View:
+class PanelView:
     """A window seen from above, ahead upwards.
 
     Args:
@@ -81,7 +81,7 @@ class View:
         return np.stack([column, row], axis=1)
 
 
-def cloud_panel(cloud: Cloud, drawn: Sequence[Drawn], view: View) -> Image.Image:
+def cloud_panel(cloud: Cloud, drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
     """A cloud from above, coloured by height, with boxes and trails."""
     canvas = np.full((view.height, view.width, 3), GROUND, dtype=np.uint8)
     order = np.argsort(cloud.points_m[:, 2], kind="stable")  # the highest on top
@@ -95,7 +95,7 @@ def cloud_panel(cloud: Cloud, drawn: Sequence[Drawn], view: View) -> Image.Image
     return _with_boxes(canvas, drawn, view)
 
 
-def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[Drawn], view: View) -> Image.Image:
+def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
     """A radar's power from above (BEV-2D), with boxes and trails given in the radar's coordinates."""
     columns, rows = np.meshgrid(np.arange(view.width), np.arange(view.height))
     x = (view.height * (1 - view.behind) - rows) / view.scale
@@ -110,7 +110,9 @@ def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[Drawn], view:
     return _with_boxes(canvas, drawn, view)
 
 
-def camera_panel(image: Picture, camera: Camera | None, drawn: Sequence[Drawn], size: tuple[int, int]) -> Image.Image:
+def camera_panel(
+    image: Picture, camera: Camera | None, drawn: Sequence[DrawnBoxes], size: tuple[int, int]
+) -> Image.Image:
     """A camera's picture as large as fits, with boxes where there is a calibration."""
     shown = Image.fromarray(image)
     share = min(size[0] / shown.width, size[1] / shown.height)
@@ -125,7 +127,7 @@ def camera_panel(image: Picture, camera: Camera | None, drawn: Sequence[Drawn], 
     return panel
 
 
-def _with_boxes(canvas: Picture, drawn: Sequence[Drawn], view: View) -> Image.Image:
+def _with_boxes(canvas: Picture, drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
     panel = Image.fromarray(canvas)
     pen = ImageDraw.Draw(panel)
     for ring in (each for each in _RINGS_M if each <= 1.4 * view.reach_m):
@@ -141,7 +143,7 @@ def _with_boxes(canvas: Picture, drawn: Sequence[Drawn], view: View) -> Image.Im
     return panel
 
 
-def _outline(pen: Any, box: Boxes, view: View, colour: str, *, dashed: bool) -> None:
+def _outline(pen: Any, box: Boxes, view: PanelView, colour: str, *, dashed: bool) -> None:
     """A box from above with its heading; predicted ones are dashed, as in the studio."""
     length, width = box.size_m[0, :2] / 2
     cos, sin = np.cos(box.yaw_rad[0]), np.sin(box.yaw_rad[0])

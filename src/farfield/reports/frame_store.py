@@ -13,7 +13,7 @@ from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.clouds import CACHE_SUFFIX, read_cache, write_cache
 from farfield.files.images import read_image, write_image
-from farfield.frame import Annotation, Cloud, Frame, Given, Lazy, Sensor
+from farfield.frame import Annotation, Cloud, Constant, Frame, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.radar.grid import CUBE_SHAPE
@@ -105,7 +105,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             images=Lazy({camera: partial(read_image, image) for camera, image in images.items()}),
             cameras={camera: _camera(values) for camera, values in content["cameras"].items()},
             sensors={part: _sensor(values) for part, values in content.get("sensors", {}).items()},
-            load_annotation=None if annotated is None else Given(Annotation(boxes=annotated)),
+            load_annotation=None if annotated is None else Constant(Annotation(boxes=annotated)),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         found = plain(error)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.presenting import Finding
+from farfield.metrics.presenting import HitRule
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 VEHICLES = ("vehicle", "large_vehicle")
@@ -40,7 +40,7 @@ def annotated_objects(
     *,
     labels: Collection[str] | None = VEHICLES,
     score_min: float = SHOWN_SCORE,
-    finding: Finding | None = None,
+    finding: HitRule | None = None,
     kind: str = "lidar",
 ) -> dict[str, Any]:
     """Collect range, point count and whether found of every annotated object, as JSON values for a report.
@@ -56,7 +56,7 @@ def annotated_objects(
     Returns:
         Lists ``range_m``, ``point_count``, ``found`` of equal length, ``score_min``, and ``finding`` in words.
     """
-    finding = finding or Finding()
+    finding = finding or HitRule()
     range_m: list[float] = []
     point_count: list[int] = []
     found: list[bool] = []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from farfield.files.atomic import write_bytes, write_text
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import (
     ANNOTATED,
     INK,
@@ -22,7 +22,7 @@ from farfield.reports.style import (
 from farfield.reports.template import render_template
 from farfield.reports.trails import picture_kind
 from farfield.timing.odometry_drift import way_m
-from farfield.timing.odometry_runs import Track
+from farfield.timing.odometry_runs import OdometryTrack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,9 @@ MOST_TRACKS = 12
 HEADS = ("drive", "sweeps", "way, m", "drift a 100 m", "%", "turn a 100 m", "lost", "matched", "residual, m")
 
 
-def write_odometry(folder: Path | str, tracks: Sequence[Track], *, title: str, picture: Path | None = None) -> None:
+def write_odometry(
+    folder: Path | str, tracks: Sequence[OdometryTrack], *, title: str, picture: Path | None = None
+) -> None:
     """Write ``odometry.json`` and ``odometry.html`` beside the poses, and a picture if one is wanted.
 
     Args:
@@ -48,7 +50,7 @@ def write_odometry(folder: Path | str, tracks: Sequence[Track], *, title: str, p
     content = {"tracks": [track.to_json() for track in tracks]}
     write_text(folder / "odometry.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
     drawn = tracks_picture(tracks)
-    shown = Picture(
+    shown = PageImage(
         figure_uri(drawn),
         "The track of each drive from above",
         "A tick each 100 m. The dashed line is the track that was found backwards, laid on the first pose: how far the "
@@ -64,7 +66,7 @@ def write_odometry(folder: Path | str, tracks: Sequence[Track], *, title: str, p
         write_bytes(picture, figure_bytes(drawn, picture_kind(picture)))
 
 
-def row(track: Track) -> tuple[str, ...]:
+def row(track: OdometryTrack) -> tuple[str, ...]:
     """A row of the table, under :data:`HEADS`, as words."""
     drift = track.drift
     known = ("", "", "")
@@ -75,7 +77,7 @@ def row(track: Track) -> tuple[str, ...]:
     return (track.name, f"{len(track.table):,}", f"{track.way_m:,.1f}", *known, f"{track.table.lost.sum():,}", *facts)
 
 
-def tracks_picture(tracks: Sequence[Track]) -> "Figure":
+def tracks_picture(tracks: Sequence[OdometryTrack]) -> "Figure":
     """Draw the first tracks from above, a panel each."""
     shown = list(tracks)[:MOST_TRACKS]
     columns = min(3, max(len(shown), 1))
@@ -89,7 +91,7 @@ def tracks_picture(tracks: Sequence[Track]) -> "Figure":
     return figure
 
 
-def _draw(axes: "Axes", track: Track) -> None:
+def _draw(axes: "Axes", track: OdometryTrack) -> None:
     poses = track.table.world_T_frame
     place = poses[:, :2, 3]
     if track.backward is not None:

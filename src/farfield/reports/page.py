@@ -14,7 +14,7 @@ from farfield.reports import words
 from farfield.reports.evaluation import Evaluation, FrameView
 from farfield.reports.figures import RANGES_M
 from farfield.reports.parts import class_rows, condition_tables, with_own_parts
-from farfield.reports.pictures import Drawing, Picture, frame_pictures, pattern_picture
+from farfield.reports.pictures import DrawingOptions, PageImage, frame_pictures, pattern_picture
 from farfield.reports.plots import points_against_range, precision_recall
 from farfield.reports.results import scored_labels
 from farfield.reports.sensing import kind_of
@@ -57,7 +57,7 @@ def render(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress
     protocol, edges = protocol_of(first), edges_m(first) or RANGES_M
     shown = protocol.presentation(first)
     kinds = {kind_of(view.frame, name) for view in evaluation.frames for name in view.frame.clouds}
-    drawing = Drawing(
+    drawing = DrawingOptions(
         labels=scored_labels(results),
         score_min=shown_score,
         finding=shown.finding,
@@ -116,11 +116,11 @@ def _region(result: Mapping[str, Any], frames: Sequence[FrameView]) -> Bounds | 
     return tuple(bounds) if isinstance(bounds, list | tuple) and len(bounds) == 6 else None
 
 
-def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> Picture | None:
+def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> PageImage | None:
     having = {name: result for name, result in results.items() if protocol_of(result).curves(result)}
     if not having:
         return None
-    return Picture(
+    return PageImage(
         figure_uri(precision_recall(having)),
         f"Precision over recall for {', '.join(having)}",
         f"{shown.about_curves} A line that stays high and reaches far to the right is good; its dot is the highest "
@@ -128,7 +128,7 @@ def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> Pi
     )
 
 
-def _patterns(frames: Sequence[FrameView], edges: Sequence[float]) -> Picture | None:
+def _patterns(frames: Sequence[FrameView], edges: Sequence[float]) -> PageImage | None:
     """The scan patterns of one moment side by side, where a frame has several of them."""
     for view in frames:
         if len(view.frame.clouds) > 1 and any(words.pattern_note(name) for name in view.frame.clouds):
@@ -136,13 +136,13 @@ def _patterns(frames: Sequence[FrameView], edges: Sequence[float]) -> Picture | 
     return None
 
 
-def _points(objects: Mapping[str, Mapping[str, Any]], edges: Sequence[float]) -> Picture | None:
+def _points(objects: Mapping[str, Mapping[str, Any]], edges: Sequence[float]) -> PageImage | None:
     having = {name: each for name, each in objects.items() if each.get("range_m")}
     if not having:
         return None
     limits = next(iter(having.values()))
     rule = limits.get("finding") or f"within {limits.get('distance_m', 2):g} m"
-    return Picture(
+    return PageImage(
         figure_uri(points_against_range(having, edges_m=edges)),
         f"Points inside each annotated box over its range for {', '.join(having)}, found and missed in two colours",
         f"Each dot is one annotated object. Found: {rule}, by a prediction of score "

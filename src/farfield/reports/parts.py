@@ -6,7 +6,7 @@ from typing import Any
 
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import at, value_at
-from farfield.reports.tables import Cell
+from farfield.reports.tables import TableCell
 
 Parts = Mapping[str, Mapping[str, Any]]
 _HEADS = {
@@ -36,7 +36,7 @@ class PartRow:
     title: str
     result: str
     first: bool
-    cells: Mapping[str, Cell]
+    cells: Mapping[str, TableCell]
     annotated: int | None = None
     frames: int | None = None
     why: str = ""
@@ -111,7 +111,7 @@ def _condition(
         title=_SEEN_BY.get(value, value) if kind == "visibility" else value.replace("_", " "),
         result=result,
         first=first,
-        cells={name: Cell(value_at(figures, name), _interval(drawn, name), protocol.unit(name)) for name in names},
+        cells={name: TableCell(value_at(figures, name), _interval(drawn, name), protocol.unit(name)) for name in names},
         annotated=_whole(counts, "annotated"),
         frames=_whole(counts, "frames"),
     )
@@ -152,7 +152,7 @@ def _class_row(row: Any, title: str, result: str, shown: Sequence[str], protocol
         title=title,
         result=result,
         first=first,
-        cells={each: Cell(_number(known.get(each)), None, protocol.unit(each)) for each in shown},
+        cells={each: TableCell(_number(known.get(each)), None, protocol.unit(each)) for each in shown},
         annotated=_whole(row, "annotated"),
         why=str(at(row, ("why",)) or "")[:80].replace("_", " "),
     )

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.presenting import Finding
+from farfield.metrics.presenting import HitRule
 from farfield.reports.camera import camera_picture
 from farfield.reports.evaluation import FrameView
 from farfield.reports.figures import RANGES_M, Window, filled_zooms, fitting_window, in_window, overview, zooms
@@ -26,7 +26,7 @@ _DPI = 110  # of the points, which are counted at as many
 
 
 @dataclass(frozen=True)
-class Picture:
+class PageImage:
     """A picture in a page.
 
     Args:
@@ -43,7 +43,7 @@ class Picture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawing:
+class DrawingOptions:
     """How the frames of a page are drawn.
 
     Args:
@@ -56,7 +56,7 @@ class Drawing:
 
     labels: Collection[str] | None = None
     score_min: float = SHOWN_SCORE
-    finding: Finding = field(default_factory=Finding)
+    finding: HitRule = field(default_factory=HitRule)
     edges_m: tuple[float, ...] = RANGES_M
     region_m: Bounds | None = None
 
@@ -69,7 +69,7 @@ class Drawing:
         return boxes[inside]
 
 
-def frame_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
+def frame_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]:
     """Draw a frame: the whole window and the zooms of every cloud that was run, the radar's map, the camera's image.
 
     Args:
@@ -82,7 +82,7 @@ def frame_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
     return [*pictures, *_radar_pictures(view, drawing), *_camera_pictures(view, drawing.score_min)]
 
 
-def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawing: Drawing) -> list[Picture]:
+def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawing: DrawingOptions) -> list[PageImage]:
     annotated, cloud = view.frame.boxes, view.frame.cloud(name)
     predicted = None if predictions is None else sure(predictions, drawing.score_min)
     edges, kind = drawing.edges_m, kind_of(view.frame, name)
@@ -92,15 +92,17 @@ def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawi
     alt = f"Bird's-eye view of the {name} cloud to {window[1]:g} m, with annotated and predicted boxes"
     boxes: dict[str, Any] = {"annotated": annotated, "predicted": predicted, "labels": drawing.labels, "rings_m": edges}
     whole = overview(cloud, **boxes, window_m=window, point=returns_word(kind))
-    pictures = [Picture(figure_uri(whole, dpi=_DPI), alt, caption, heading=pattern_title(name))]
+    pictures = [PageImage(figure_uri(whole, dpi=_DPI), alt, caption, heading=pattern_title(name))]
     parts = filled_zooms(cloud, annotated, predicted, edges_m=edges)
     if len(parts) > 1:
         enlarged = zooms(cloud, **boxes, windows_m=parts)
-        pictures.append(Picture(figure_uri(enlarged, dpi=_DPI), f"The same {name} view enlarged by range"))
+        pictures.append(PageImage(figure_uri(enlarged, dpi=_DPI), f"The same {name} view enlarged by range"))
     return pictures
 
 
-def _caption(start: str, annotated: Boxes | None, predicted: Boxes | None, drawing: Drawing, window_m: Window) -> str:
+def _caption(
+    start: str, annotated: Boxes | None, predicted: Boxes | None, drawing: DrawingOptions, window_m: Window
+) -> str:
     if predicted is None:
         return start
     sureness = f"score {drawing.score_min:g} or more"
@@ -116,7 +118,7 @@ def _caption(start: str, annotated: Boxes | None, predicted: Boxes | None, drawi
     )
 
 
-def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
+def _radar_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]:
     """The radar's power from above, where the frame has it in the coordinates of its boxes."""
     if view.radar_db is None:
         return []
@@ -129,10 +131,10 @@ def _radar_pictures(view: FrameView, drawing: Drawing) -> list[Picture]:
     )
     caption = "Mean power over height, in decibel: the brighter, the stronger."
     alt = "The radar's power seen from above, with annotated and predicted boxes"
-    return [Picture(figure_uri(figure, "jpg", dpi=110), alt, caption, heading="Radar map")]
+    return [PageImage(figure_uri(figure, "jpg", dpi=110), alt, caption, heading="Radar map")]
 
 
-def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
+def _camera_pictures(view: FrameView, score_min: float) -> list[PageImage]:
     pictures = []
     source, predictions = next(iter(view.by_cloud.items()), ("", None))
     predicted = None if predictions is None else sure(predictions, score_min)
@@ -147,7 +149,7 @@ def _camera_pictures(view: FrameView, score_min: float) -> list[Picture]:
             points = "" if points_m is None else f"points of {source} in a colour by range, the nearest yellow, and "
             caption = f"{name}: {points}boxes in a colour a class{dashed}, projected with its calibration."
         pictures.append(
-            Picture(figure_uri(figure, "jpg", dpi=140), f"Image of the camera {name!r}", caption, heading="Camera")
+            PageImage(figure_uri(figure, "jpg", dpi=140), f"Image of the camera {name!r}", caption, heading="Camera")
         )
     return pictures
 
@@ -160,10 +162,10 @@ def _points_to_project(frame: Frame, cloud: str) -> Float[np.ndarray, "n 3"] | N
     return frame.cloud(cloud).points_m
 
 
-def pattern_picture(frame: Frame, edges_m: Sequence[float] = RANGES_M) -> Picture:
+def pattern_picture(frame: Frame, edges_m: Sequence[float] = RANGES_M) -> PageImage:
     """Draw the LiDAR clouds of a frame side by side as the sensor saw them; ``edges_m`` are marked by arcs."""
     notes = " ".join(note for name in frame.clouds if (note := pattern_note(name)))
-    return Picture(
+    return PageImage(
         figure_uri(scan_patterns(dict(frame.clouds), edges_m=edges_m)),
         f"The {' and '.join(frame.clouds)} scan patterns of one moment side by side, seen from the sensor, "
         "and their number of points by range",

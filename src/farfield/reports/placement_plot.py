@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from farfield.inspection.placement import Placed, Placement
+from farfield.inspection.placement import RigPlacement, SensorPlacement
 from farfield.reports.style import INK, MUTED, PATTERNS, house_style, new_figure
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ _KINDS = {"lidar": PATTERNS[0], "radar": PATTERNS[3], "camera": PATTERNS[1]}
 _MOST_NAMES = 2
 
 
-def placement_figure(found: Placement | None) -> "Figure | None":
+def placement_figure(found: RigPlacement | None) -> "Figure | None":
     """Draw the sensors; None where fewer than two have a known place.
 
     Args:
@@ -38,7 +38,7 @@ def placement_figure(found: Placement | None) -> "Figure | None":
     return figure
 
 
-def _draw(axes: "Axes", found: Placement, across_up: tuple[int, int], size: float, *, mirrored: bool) -> None:
+def _draw(axes: "Axes", found: RigPlacement, across_up: tuple[int, int], size: float, *, mirrored: bool) -> None:
     rows = list(across_up)
     axes.scatter(0, 0, marker="+", s=60, color=MUTED, linewidths=0.8)
     taken: list[np.ndarray] = []
@@ -63,7 +63,7 @@ def _draw(axes: "Axes", found: Placement, across_up: tuple[int, int], size: floa
     axes.grid(True)
 
 
-def _name(each: Placed) -> str:
+def _name(each: SensorPlacement) -> str:
     shown = ", ".join(each.names[:_MOST_NAMES]) + (", ..." if len(each.names) > _MOST_NAMES else "")
     x, y, z = each.frame_T_sensor[:3, 3]
     return f"{shown} ({x:.2f}, {y:.2f}, {z:.2f})"

@@ -11,16 +11,16 @@ import numpy as np
 from farfield.files.atomic import write_text
 from farfield.files.images import read_image
 from farfield.files.videos import film_frames, read_film
-from farfield.imaging.privacy import Covered
+from farfield.imaging.privacy import PictureSummary
 from farfield.imaging.privacy.hits import FACE
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.template import render_template
 
 _SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
 HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "weak, left as they are", "pixels covered")
 
 
-def write_privacy_page(path: Path, folder: Path, done: Sequence[Covered], *, title: str) -> None:
+def write_privacy_page(path: Path, folder: Path, done: Sequence[PictureSummary], *, title: str) -> None:
     """Write the page, all or nothing.
 
     Args:
@@ -46,16 +46,16 @@ def write_privacy_page(path: Path, folder: Path, done: Sequence[Covered], *, tit
     write_text(path, page)
 
 
-def table(done: Sequence[Covered]) -> list[tuple[str, ...]]:
+def table(done: Sequence[PictureSummary]) -> list[tuple[str, ...]]:
     """A row a folder of pictures, under :data:`HEADS`, and one of all."""
-    folders: dict[str, list[Covered]] = {}
+    folders: dict[str, list[PictureSummary]] = {}
     for each in done:
         folders.setdefault(Path(each.file).parent.as_posix(), []).append(each)
     rows = [_row(name, parts) for name, parts in folders.items()]
     return [*rows, _row("all", done)] if len(rows) > 1 else rows
 
 
-def _row(name: str, done: Sequence[Covered]) -> tuple[str, ...]:
+def _row(name: str, done: Sequence[PictureSummary]) -> tuple[str, ...]:
     kinds = [row["kind"] for each in done for row in each.rows]
     doubtful = sum(len(each.doubtful) for each in done)
     share = float(np.mean([each.share for each in done]))
@@ -68,17 +68,17 @@ def frame_of(path: Path, number: int) -> np.ndarray:
     return next(film_frames(read_film(path), number, number + 1))
 
 
-def _weakest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float, str]:
+def _weakest_first(item: tuple[PictureSummary, Mapping[str, Any]]) -> tuple[bool, float, str]:
     each, row = item
     return row["how"] != "found", float(row["score"]), each.file
 
 
-def _strongest_first(item: tuple[Covered, Mapping[str, Any]]) -> tuple[bool, float, str]:
+def _strongest_first(item: tuple[PictureSummary, Mapping[str, Any]]) -> tuple[bool, float, str]:
     each, row = item
     return row["kind"] != FACE, -float(row["score"]), each.file
 
 
-def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
+def _thumbnail(folder: Path, each: PictureSummary, row: Mapping[str, Any]) -> PageImage:
     """The surroundings of a box, cut from the covered picture."""
     from PIL import Image
 
@@ -97,4 +97,4 @@ def _thumbnail(folder: Path, each: Covered, row: Mapping[str, Any]) -> Picture:
     uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
     at = "" if each.frame is None else f", frame {each.frame}"
     words = f"{each.file}{at}: {row['kind']}, score {row['score']:.2f}, {row.get('how', 'not covered')}"
-    return Picture(uri, f"Surroundings of a {row['kind']}", words)
+    return PageImage(uri, f"Surroundings of a {row['kind']}", words)

@@ -7,7 +7,7 @@ import numpy as np
 
 from farfield.files.atomic import write_bytes, write_text
 from farfield.inspection.radar_frame import RadarLook
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.radar_picture import STANDING_M_S, frame_words, radar_picture
 from farfield.reports.style import data_uri, figure_bytes
 from farfield.reports.template import render_template
@@ -35,7 +35,7 @@ def write_radar(folder: Path | str, looks: Sequence[RadarLook], *, title: str) -
         write_bytes(paths[-1], content)
         words = frame_words(look)
         alt = f"Camera, radar power, Doppler and detected echoes of {words}"
-        pictures.append(Picture(data_uri(content, "image/png"), alt, caption(look), words))
+        pictures.append(PageImage(data_uri(content, "image/png"), alt, caption(look), words))
     page = render_template(
         "radar.html", title=title, pictures=pictures, any_simulated=any(look.simulated for look in looks)
     )

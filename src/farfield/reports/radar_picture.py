@@ -8,7 +8,7 @@ from jaxtyping import Float
 from farfield.inspection.radar_frame import RadarLook
 from farfield.radar.axes import KRADAR_AXES
 from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M
-from farfield.radar.views import Echoes
+from farfield.radar.views import PolarPeaks
 from farfield.reports.camera import box_lines
 from farfield.reports.style import ANNOTATED, INK, MUTED, RULE, house_style, new_figure
 from farfield.vocabulary.conditions import CONDITIONS
@@ -93,7 +93,7 @@ def _dots(axes: "Axes", across: np.ndarray, along: np.ndarray, velocity: np.ndar
     )
 
 
-def _coloured(look: RadarLook, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
+def _coloured(look: RadarLook, echoes: PolarPeaks) -> tuple[np.ndarray, np.ndarray]:
     """Velocity that colours each echo, and which of them move; all do where nothing says how the radar moves."""
     over_ground = look.over_ground_m_s
     if over_ground is None:

@@ -16,7 +16,7 @@ from farfield.radar.views import NEAREST_M
 from farfield.reports.camera import box_lines
 from farfield.reports.figures import Window, draw_birdseye, draw_boxes, in_window
 from farfield.reports.objects import of_classes, sure
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.radar_picture import cube_extent, power_levels
 from farfield.reports.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, RULE, figure_uri, house_style, new_figure
 from farfield.vocabulary.scores import SHOWN_SCORE
@@ -35,7 +35,7 @@ _DPI = 125
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sheet:
+class RadarSheet:
     """One moment in the radar's coordinates.
 
     Args:
@@ -107,7 +107,7 @@ class SheetGroup:
 
     title: str
     words: str
-    sheets: Sequence[Sheet] = ()
+    sheets: Sequence[RadarSheet] = ()
     region_m: Window | None = None
     labels: Collection[str] | None = None
     detectors: Mapping[str, str] = field(default_factory=dict)
@@ -125,10 +125,10 @@ class SheetGroup:
             for sheet in self.sheets
         ]
 
-    def pictures(self) -> list[Picture]:
+    def pictures(self) -> list[PageImage]:
         """Its sheets as pictures with captions."""
         return [
-            Picture(
+            PageImage(
                 figure_uri(sheet_picture(sheet, region_m=self.region_m, detectors=self.detectors), "jpg", dpi=_DPI),
                 f"Camera, radar map and LiDAR of one moment in {_weather(sheet)}, with boxes",
                 self._caption(sheet, facts),
@@ -137,7 +137,7 @@ class SheetGroup:
             for sheet, facts in zip(self.sheets, self.facts(), strict=True)
         ]
 
-    def _caption(self, sheet: Sheet, facts: Mapping[str, Any]) -> str:
+    def _caption(self, sheet: RadarSheet, facts: Mapping[str, Any]) -> str:
         where = "in the corridor" if self.region_m else "in view"
         lost = facts["without_return"]
         (only,) = self.labels if self.labels and len(self.labels) == 1 else ("object",)
@@ -160,12 +160,12 @@ def _words(name: str, found: Mapping[str, int], lost: int) -> str:
     return f"{name} finds {found['found'] or 'none'}{of_lost}{wrong}."
 
 
-def _weather(sheet: Sheet) -> str:
+def _weather(sheet: RadarSheet) -> str:
     return sheet.weather.replace("_", " ") or "unknown weather"
 
 
 def sheet_picture(
-    sheet: Sheet,
+    sheet: RadarSheet,
     *,
     window_m: Window = WINDOW_M,
     region_m: Window | None = None,
@@ -200,7 +200,7 @@ def sheet_picture(
     return figure
 
 
-def _draw_objects(axes: "Axes", sheet: Sheet, found: Boxes | None, region_m: Window | None) -> None:
+def _draw_objects(axes: "Axes", sheet: RadarSheet, found: Boxes | None, region_m: Window | None) -> None:
     from matplotlib.patches import Rectangle
 
     lost = sheet.returns == 0
@@ -214,7 +214,7 @@ def _draw_objects(axes: "Axes", sheet: Sheet, found: Boxes | None, region_m: Win
         axes.add_patch(corridor)
 
 
-def _draw_power(axes: "Axes", sheet: Sheet, window_m: Window) -> None:
+def _draw_power(axes: "Axes", sheet: RadarSheet, window_m: Window) -> None:
     values = sheet.look.views.bird_db
     ahead = (max(window_m[0], NEAREST_M) <= CUBE_X_M) & (window_m[1] >= CUBE_X_M)
     beside = (window_m[2] <= CUBE_Y_M) & (window_m[3] >= CUBE_Y_M)
@@ -225,7 +225,7 @@ def _draw_power(axes: "Axes", sheet: Sheet, window_m: Window) -> None:
     axes.set_title(f"Radar: mean power over height, {low:.0f} to {high:.0f} dB, dark is strong")
 
 
-def _draw_camera(axes: "Axes", sheet: Sheet, window_m: Window) -> None:
+def _draw_camera(axes: "Axes", sheet: RadarSheet, window_m: Window) -> None:
     from matplotlib.collections import LineCollection
 
     axes.set_axis_off()
@@ -248,7 +248,7 @@ def _draw_camera(axes: "Axes", sheet: Sheet, window_m: Window) -> None:
 _BRIGHT, _BRIGHT_LOST = "#22b8e6", "#e599f7"  # the same blue and purple, light enough for a night's picture
 
 
-def _legend(sheet: Sheet, detectors: Mapping[str, str], *, region: bool) -> list[Any]:
+def _legend(sheet: RadarSheet, detectors: Mapping[str, str], *, region: bool) -> list[Any]:
     from matplotlib.lines import Line2D
 
     entries = [

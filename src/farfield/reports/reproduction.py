@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.files.atomic import write_text
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.plots import precision_recall
 from farfield.reports.radar_sheets import SheetGroup
 from farfield.reports.reproduction_memory import MEMORY, brought, memory_rows, unmeasured, with_memory
@@ -23,7 +23,7 @@ _TONES = {"holds": "good", "holds by construction": "good", "holds not": "bad"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class ScoreCell:
     """A figure of a table.
 
     Args:
@@ -38,7 +38,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class TableLine:
     """A row of a table.
 
     Args:
@@ -53,11 +53,11 @@ class Line:
     metric: str
     printed: bool
     seeds: int | None
-    cells: tuple[Cell, ...]
+    cells: tuple[ScoreCell, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class PaperTable:
     """A table of the paper again.
 
     Args:
@@ -69,12 +69,12 @@ class Table:
 
     title: str
     columns: tuple[str, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[TableLine, ...]
     lacking: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class ComparisonView:
     """A difference between two rows, as the page shows it; texts of figures, empty where there are none."""
 
     what: str
@@ -102,7 +102,7 @@ class ClaimView:
     verdict: str
     note: str
     tone: str
-    comparisons: tuple[Comparison, ...] = field(default=())
+    comparisons: tuple[ComparisonView, ...] = field(default=())
 
 
 def write_page(
@@ -177,13 +177,13 @@ def _claim(claim: Mapping[str, Any]) -> ClaimView:
     )
 
 
-def _comparison(each: Mapping[str, Any], metrics: Mapping[str, str]) -> Comparison:
+def _comparison(each: Mapping[str, Any], metrics: Mapping[str, str]) -> ComparisonView:
     decision, adjusted = each["decision"], each["adjusted"]
     found = decision["difference"] if decision else {}
     interval, spreads = found.get("interval"), found.get("s_seed") or {}
     margin = f" (margin {each['margin']:g})" if each["margin"] else ""
     own = spreads.get("own")
-    return Comparison(
+    return ComparisonView(
         what=f"{_row(each['a'])} {_RELATIONS[each['kind']]} {_row(each['b'])}{margin}",
         control=each["role"] == "control",
         metric=metrics[each["metric"]],
@@ -217,12 +217,12 @@ def _signed(value: float | None) -> str:
     return NOTHING if value is None else f"{value:+.3f}"
 
 
-def _table(bare: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> Table:
+def _table(bare: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> PaperTable:
     table = with_memory(bare, timing)
     metrics, rows, left_out = table["metrics"], table["rows"], summary.get("left_out", {})
     parts = [part for part in table["parts"] if any(_known(row, part, metric) for row in rows for metric in metrics)]
     shown = [row for row in rows if row["n"] or row["published"]]
-    return Table(
+    return PaperTable(
         title=f"Table {table['number']}: {table['title']}",
         columns=tuple(_part(part, table["bins"]) for part in parts),
         lines=tuple(
@@ -260,8 +260,8 @@ def _called(row: Mapping[str, Any]) -> str:
     return f"{row['words']}, on {row['cloud']}"
 
 
-def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str, *, first: bool) -> Line:
-    return Line(
+def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str, *, first: bool) -> TableLine:
+    return TableLine(
         name=_called(row) if first else "",
         metric=words,
         printed=bool(row["published"]),
@@ -270,11 +270,11 @@ def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str,
     )
 
 
-def _cell(cell: Mapping[str, Any] | None, metric: str) -> Cell:
+def _cell(cell: Mapping[str, Any] | None, metric: str) -> ScoreCell:
     if cell is None:
-        return Cell(published=NOTHING, ours=NOTHING, spread="")
+        return ScoreCell(published=NOTHING, ours=NOTHING, spread="")
     in_mb = metric == MEMORY
-    return Cell(
+    return ScoreCell(
         published=_figure(cell["published"], in_mb=in_mb),
         ours="nothing found" if cell["mean"] == 0 else _figure(cell["mean"], in_mb=in_mb),
         spread=f"s {_figure(cell['s'], in_mb=in_mb)}" if cell["s"] else "",
@@ -321,10 +321,10 @@ def _trained(group: Mapping[str, Any]) -> str:
     return f"{runs}: {', '.join(word for word in known if word)}, commit {group['commit']}"
 
 
-def _features(pairs: Sequence[Mapping[str, Any]]) -> list[Picture]:
+def _features(pairs: Sequence[Mapping[str, Any]]) -> list[PageImage]:
     """Features before and after the adaptations."""
     return [
-        Picture(
+        PageImage(
             figure_uri(features_apart(pair)),
             f"Features of occupied cells on two axes, coloured by {pair['by']}, before and after adaptation",
             "Features that enter the head, at cells that hold points, on the two axes along which they vary most; left "
@@ -335,11 +335,11 @@ def _features(pairs: Sequence[Mapping[str, Any]]) -> list[Picture]:
     ]
 
 
-def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapping[str, Any]) -> list[Picture]:
+def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapping[str, Any]) -> list[PageImage]:
     found = []
     if paper == "cirrus" and objects and set(PATTERNS) & set(objects["points"]):
         found.append(
-            Picture(
+            PageImage(
                 figure_uri(points_by_range(objects)),
                 "Density of the number of points inside annotated boxes over range, for each pattern",
                 "Every annotated object of the frames that runs are scored on. Darker: more objects. The line is the "
@@ -348,7 +348,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
             )
         )
         found.append(
-            Picture(
+            PageImage(
                 figure_uri(ranges_of_classes(objects)),
                 "Histograms of the distance of annotated objects, and of their classes",
                 "What is annotated in these frames.",
@@ -357,7 +357,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
         )
     if curves:
         found.append(
-            Picture(
+            PageImage(
                 figure_uri(precision_recall(curves)),
                 "Precision over recall of the detectors of both patterns, one line for each distance",
                 "Each pattern by the detector that was trained on it, first seed.",
@@ -366,7 +366,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
         )
     if paper == "kradar" and objects and "os2-64" in objects["points"]:
         found.append(
-            Picture(
+            PageImage(
                 figure_uri(returns_by_weather(objects, "os2-64")),
                 "Share of annotated objects with at least five LiDAR returns, by weather",
                 "Objects on which the os2-64 has five returns or more. Where data are simulated, the ice on its window "

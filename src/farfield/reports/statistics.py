@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.files.atomic import write_bytes, write_text
-from farfield.inspection.placement import Placement
-from farfield.inspection.side import Side
+from farfield.inspection.placement import RigPlacement
+from farfield.inspection.side import ComparedDataset
 from farfield.reports import statistics_plots as plots
-from farfield.reports.comparison import Line, table_lines
+from farfield.reports.comparison import ComparisonLine, table_lines
 from farfield.reports.comparison import pictures as sensor_pictures
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.placement_plot import placement_figure
 from farfield.reports.style import figure_bytes, figure_uri
 from farfield.reports.template import render_template
@@ -52,9 +52,9 @@ class DatasetFigures:
     path: str
     census: Mapping[str, Any]
     arrays: Mapping[str, np.ndarray]
-    sensors: Side | None = None
+    sensors: ComparedDataset | None = None
     notes: tuple[str, ...] = ()
-    placed: Placement | None = None
+    placed: RigPlacement | None = None
 
 
 def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
@@ -105,7 +105,7 @@ def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
             yield name, figure, heading, caption
 
 
-def _placed_caption(placed: Placement | None) -> str:
+def _placed_caption(placed: RigPlacement | None) -> str:
     if placed is None:
         return ""
     lacks = f" Not known: {', '.join(placed.unknown)}." if placed.unknown else ""
@@ -142,10 +142,10 @@ def _text(value: str | int) -> str:
     return f"{value:,}" if isinstance(value, int) else value
 
 
-def render(found: DatasetFigures, drawn: list[Picture]) -> str:
+def render(found: DatasetFigures, drawn: list[PageImage]) -> str:
     """Return the page as HTML."""
     side = found.sensors
-    lines: list[Line] = [] if side is None else [line for line in table_lines([side]) if line.topic != "data"]
+    lines: list[ComparisonLine] = [] if side is None else [line for line in table_lines([side]) if line.topic != "data"]
     return render_template(
         "statistics.html",
         found=found,
@@ -173,7 +173,7 @@ def write_statistics(folder: Path | str, found: DatasetFigures) -> Path:
     drawn = []
     for name, figure, heading, caption in figures(found):
         write_bytes(folder / "figures" / f"{name}.png", figure_bytes(figure, "png"))
-        drawn.append(Picture(figure_uri(figure), f"{heading} of {found.name}", caption, heading))
+        drawn.append(PageImage(figure_uri(figure), f"{heading} of {found.name}", caption, heading))
     tree = {"name": found.name, "format": found.format, "path": found.path, "notes": list(found.notes)}
     content = {**tree, "annotations": found.census, "sensors": found.sensors and found.sensors.summary}
     content |= {"placement": None if found.placed is None else found.placed.to_json()}

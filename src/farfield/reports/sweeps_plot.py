@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.inspection.side import Side
+from farfield.inspection.side import ComparedDataset
 from farfield.reports.style import INK, MUTED, SIDES, house_style, new_figure
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def reaction_s(range_m: float, *, speed_m_s: float = SPEED_MPH * _MPH_M_S) -> fl
     return range_m / speed_m_s
 
 
-def from_above(sides: Sequence[Side]) -> "Figure | None":
+def from_above(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """One sweep of each cloud, rings every 50 m, its effective range as a dashed ring."""
     panels = [
         (side, name, colour)
@@ -71,7 +71,7 @@ def from_above(sides: Sequence[Side]) -> "Figure | None":
     return figure
 
 
-def _words(side: Side, name: str, reach: float | None) -> str:
+def _words(side: ComparedDataset, name: str, reach: float | None) -> str:
     told = f"{side.title}, {name}"
     return told if reach is None else f"{told}\n{reach:.0f} m: {reaction_s(reach):.1f} s at {SPEED_MPH:.0f} mph"
 

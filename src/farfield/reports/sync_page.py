@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from farfield.files.atomic import write_text
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import ANNOTATED, INK, MUTED, PREDICTED, RULE, figure_uri, house_style, new_figure
 from farfield.reports.template import render_template
-from farfield.timing.synchronising import Pair, Synchronised, over_time
+from farfield.timing.synchronising import StreamPair, SyncResult, over_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ _FEW = 200
 """So few pairs are drawn one by one."""
 
 
-def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: str) -> None:
+def write_sync_page(path: Path | str, found: Sequence[SyncResult], *, title: str) -> None:
     """Write the page, all or nothing.
 
     Args:
@@ -47,14 +47,14 @@ def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: s
         head = each.name if len(found) > 1 else "Streams"
         alt = f"When each stream of {each.name} has messages, and where it has gaps"
         caption = "Orange: intervals longer than one and a half periods."
-        pictures.append(Picture(figure_uri(timeline(each)), alt, caption, f"{head}: when they ran"))
+        pictures.append(PageImage(figure_uri(timeline(each)), alt, caption, f"{head}: when they ran"))
         if any(len(pair.times_ns) for pair in each.pairs.values()):
             alt = f"Histogram and course of the residuals of each stream against {each.reference}"
             caption = (
                 f"How much later than {each.reference} each stream's message is. Right: median, and the band that "
                 "holds 80 % of them; dashed: the fitted offset and drift."
             )
-            pictures.append(Picture(figure_uri(residuals(each)), alt, caption, f"{head}: residual offsets"))
+            pictures.append(PageImage(figure_uri(residuals(each)), alt, caption, f"{head}: residual offsets"))
     page = render_template(
         "sync.html",
         title=title,
@@ -68,7 +68,7 @@ def write_sync_page(path: Path | str, found: Sequence[Synchronised], *, title: s
     write_text(path, page)
 
 
-def table(found: Synchronised) -> list[tuple[str, ...]]:
+def table(found: SyncResult) -> list[tuple[str, ...]]:
     """A row a stream, under :data:`HEADS`, as words."""
     rows = []
     for name, health in found.streams.items():
@@ -80,7 +80,7 @@ def table(found: Synchronised) -> list[tuple[str, ...]]:
     return rows
 
 
-def _matched(pair: Pair) -> list[str]:
+def _matched(pair: StreamPair) -> list[str]:
     size = np.abs(pair.residual_ns) / 1e6
     quantile = f"{np.median(size):.3f}" if len(size) else ""
     worst = f"{pair.worst_ns / 1e6:.3f}" if len(size) else ""
@@ -92,7 +92,7 @@ def _matched(pair: Pair) -> list[str]:
     return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}{turns}", drift]
 
 
-def arrivals(found: Synchronised) -> list[tuple[str, ...]]:
+def arrivals(found: SyncResult) -> list[tuple[str, ...]]:
     """A row a stream whose messages were recorded by a computer, under :data:`ARRIVAL_HEADS`, as words."""
     return [
         (
@@ -105,7 +105,7 @@ def arrivals(found: Synchronised) -> list[tuple[str, ...]]:
     ]
 
 
-def residuals(found: Synchronised) -> "Figure":
+def residuals(found: SyncResult) -> "Figure":
     """A row a stream: the histogram of its residuals, and their course over time."""
     shown = {name: pair for name, pair in found.pairs.items() if len(pair.times_ns)}
     with house_style():
@@ -119,7 +119,7 @@ def residuals(found: Synchronised) -> "Figure":
     return figure
 
 
-def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
+def _histogram(axes: "Axes", name: str, pair: StreamPair) -> None:
     values = pair.residual_ns / 1e6
     low, high = float(values.min()), float(values.max())
     spare = max(0.1 * (high - low), 1e-3)
@@ -133,7 +133,7 @@ def _histogram(axes: "Axes", name: str, pair: Pair) -> None:
     axes.locator_params(axis="y", integer=True)
 
 
-def _course(axes: "Axes", pair: Pair) -> None:
+def _course(axes: "Axes", pair: StreamPair) -> None:
     if len(pair.times_ns) < _FEW:
         axes.plot((pair.times_ns - pair.times_ns[0]) / 1e9, pair.residual_ns / 1e6, "o", color=ANNOTATED, ms=3.5)
     else:
@@ -151,7 +151,7 @@ def _course(axes: "Axes", pair: Pair) -> None:
     axes.grid(visible=True)
 
 
-def timeline(found: Synchronised) -> "Figure":
+def timeline(found: SyncResult) -> "Figure":
     """A line a stream from its first to its last stamp, with its gaps, in seconds from the reference's first."""
     start = found.streams[found.reference].first_ns or 0
     with house_style():

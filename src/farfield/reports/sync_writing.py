@@ -9,15 +9,15 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import write_text
 from farfield.files.clock_logs import read_clock_log
 from farfield.reports.sync_page import write_sync_page
-from farfield.timing.exchange import Exchanged, summarised
-from farfield.timing.sources import Recording
-from farfield.timing.synchronising import Synchronised, best_reference, describe, synchronise
+from farfield.timing.exchange import ExchangeClock, summarised
+from farfield.timing.sources import RecordedStreams
+from farfield.timing.synchronising import SyncResult, best_reference, describe, synchronise
 from farfield.timing.tables import match_table
 
 
 def write_synchronised(
-    folder: Path | str, found: Sequence[Recording], *, to: str | None, tolerance_ns: int | None, title: str
-) -> list[Synchronised]:
+    folder: Path | str, found: Sequence[RecordedStreams], *, to: str | None, tolerance_ns: int | None, title: str
+) -> list[SyncResult]:
     """Match each recording and write ``matches.csv`` (``matches-NAME.csv`` of several), ``sync.json``, ``sync.html``.
 
     Args:
@@ -45,7 +45,7 @@ def write_synchronised(
     return done
 
 
-def _one(path: Path, recording: Recording, to: str | None, tolerance_ns: int | None) -> Synchronised:
+def _one(path: Path, recording: RecordedStreams, to: str | None, tolerance_ns: int | None) -> SyncResult:
     reference = best_reference(describe(recording)) if to is None else to
     labels = {name: source.labels for name, source in recording.streams.items() if source.labels is not None}
     with match_table(path, reference, labels) as table:
@@ -58,7 +58,7 @@ def _one(path: Path, recording: Recording, to: str | None, tolerance_ns: int | N
         )
 
 
-def _exchanged(log: Path) -> Exchanged:
+def _exchanged(log: Path) -> ExchangeClock:
     try:
         return summarised(read_clock_log(log))
     except FarfieldError as error:

@@ -12,7 +12,7 @@ NOTHING = "–"
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """One figure of a table.
 
     Args:
@@ -49,7 +49,7 @@ def shown(value: float, unit: str, *, less: int = 0) -> str:
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreTableRow:
     """Scores of one result in one range.
 
     Args:
@@ -64,7 +64,7 @@ class Row:
     part: str
     annotated: int | None
     predicted: int | None
-    cells: Mapping[str, Cell] = field(default_factory=dict)
+    cells: Mapping[str, TableCell] = field(default_factory=dict)
 
 
 def range_name(part: str) -> str:
@@ -78,7 +78,7 @@ def heading(protocol: Protocol, name: str) -> str:
     return protocol.title(name) + (f" ({unit})" if unit else "")
 
 
-def rows(results: Results, names: Sequence[str], protocol: Protocol) -> list[Row]:
+def rows(results: Results, names: Sequence[str], protocol: Protocol) -> list[ScoreTableRow]:
     """Rows by range, near to far and then overall, and inside a range by result.
 
     Args:
@@ -94,10 +94,10 @@ def rows(results: Results, names: Sequence[str], protocol: Protocol) -> list[Row
     return [_row(name, result, part, names, protocol) for part in ordered for name, result in results.items()]
 
 
-def _row(name: str, result: Mapping[str, Any], part: str, names: Sequence[str], protocol: Protocol) -> Row:
+def _row(name: str, result: Mapping[str, Any], part: str, names: Sequence[str], protocol: Protocol) -> ScoreTableRow:
     number = counts(result, part=part)
     cells = {
-        each: Cell(figure(result, each, part=part), interval(result, each, part=part), protocol.unit(each))
+        each: TableCell(figure(result, each, part=part), interval(result, each, part=part), protocol.unit(each))
         for each in names
     }
-    return Row(name, part, number.get("annotated"), number.get("predictions"), cells)
+    return ScoreTableRow(name, part, number.get("annotated"), number.get("predictions"), cells)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.files.atomic import write_text
-from farfield.reports.pictures import Picture
+from farfield.reports.pictures import PageImage
 from farfield.reports.style import PATTERNS, figure_uri, house_style, new_figure
 from farfield.reports.template import render_template
 
@@ -94,12 +94,12 @@ def _decision(each: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _pictures(tree: Mapping[str, Any]) -> list[Picture]:
+def _pictures(tree: Mapping[str, Any]) -> list[PageImage]:
     """A panel of curves for each world that a row starts in from elsewhere."""
     if not any(len(_course(tree, row["name"])) > 1 for row in tree["rows"]):
         return []
     return [
-        Picture(
+        PageImage(
             uri=figure_uri(curves(tree)),
             alt="AP against the number of frames of the target, one curve a row, a panel a target",
             caption=(

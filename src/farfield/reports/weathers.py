@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.datasets.base import Dataset
 from farfield.detection import as_trained, detect, suitable_clouds
 from farfield.errors import ConfigError, DatasetError
@@ -44,7 +44,7 @@ def evaluate_weathers(
     title: str,
     name: str,
     kept: Path | None = None,
-    bulk: Bulk | None = None,
+    bulk: JobOptions | None = None,
 ) -> Evaluation:
     """Score detectors on the same drives in several weathers: AP of vehicles in the driving corridor, by weather.
 

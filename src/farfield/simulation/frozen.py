@@ -23,7 +23,7 @@ _COUNT_TOLERANCE = 0.002
 
 
 @dataclass(frozen=True)
-class FrameRecord:
+class FrozenFrame:
     """What is known of one frozen frame.
 
     Args:
@@ -43,7 +43,7 @@ def _boxes_bytes(boxes: Boxes) -> bytes:
     return np.round(rows * 1000).astype("<i8").tobytes() + text.encode()
 
 
-def frame_record(frame: Frame) -> FrameRecord:
+def frame_record(frame: Frame) -> FrozenFrame:
     """Digest and counts of a frame: coordinates to 1 mm, intensities to 1/255, boxes to 1 mm and 0.001 degrees."""
     content = hashlib.sha256(frame.frame_id.encode())
     clouds = [frame.clouds[name] for name in ("gaussian", "uniform")]
@@ -58,17 +58,17 @@ def frame_record(frame: Frame) -> FrameRecord:
     boxes = annotation.boxes
     for each in (boxes, annotation.full_boxes):
         content.update(_boxes_bytes(each))
-    return FrameRecord(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
+    return FrozenFrame(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
 
 
-def split_digest(records: Mapping[tuple[int, int], FrameRecord]) -> str:
+def split_digest(records: Mapping[tuple[int, int], FrozenFrame]) -> str:
     """SHA-256 over all frames' digests in the order of sequence and frame."""
     lines = [f"{sequence} {index} {records[sequence, index].digest}" for sequence, index in sorted(records)]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @cache
-def frozen_records(name: str) -> dict[tuple[int, int], FrameRecord]:
+def frozen_records(name: str) -> dict[tuple[int, int], FrozenFrame]:
     """The recorded frames of a frozen split, by (sequence, index).
 
     Raises:
@@ -78,7 +78,7 @@ def frozen_records(name: str) -> dict[tuple[int, int], FrameRecord]:
         raise ConfigError(f"frozen split: expected one of {', '.join(FROZEN)}; got {name!r}")
     stored: dict[str, Any] = json.loads(files("farfield.simulation").joinpath(f"{name}.json").read_text("utf-8"))
     records = {
-        (sequence, index): FrameRecord(digest, (gaussian, uniform), boxes)
+        (sequence, index): FrozenFrame(digest, (gaussian, uniform), boxes)
         for sequence, index, digest, gaussian, uniform, boxes in stored["frames"]
     }
     if split_digest(records) != stored["sha256"]:
@@ -86,7 +86,7 @@ def frozen_records(name: str) -> dict[tuple[int, int], FrameRecord]:
     return records
 
 
-def records_json(name: str, records: Mapping[tuple[int, int], FrameRecord]) -> str:
+def records_json(name: str, records: Mapping[tuple[int, int], FrozenFrame]) -> str:
     """The text of a frozen split's file."""
     rows = [
         json.dumps([sequence, index, record.digest, *record.points, record.boxes])
@@ -97,7 +97,7 @@ def records_json(name: str, records: Mapping[tuple[int, int], FrameRecord]) -> s
     return head + ",\n  ".join(rows) + "\n]}\n"
 
 
-def compare(record: FrameRecord, expected: FrameRecord) -> str:
+def compare(record: FrozenFrame, expected: FrozenFrame) -> str:
     """``"identical"``, ``"equivalent"`` or ``"different"``."""
     if record == expected:
         return "identical"

@@ -25,7 +25,7 @@ MOVING_M_S = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Annotation:
+class VisibleObjects:
     """What the annotators of one frame would draw.
 
     Args:

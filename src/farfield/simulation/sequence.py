@@ -11,7 +11,7 @@ from typing import Any
 from farfield.errors import ConfigError
 from farfield.frame import Frame
 from farfield.simulation.presets import Preset, check_sensors, find_preset
-from farfield.simulation.rigs.drive import Drive, drive_of
+from farfield.simulation.rigs.drive import SimulatedDrive, drive_of
 
 _EPOCH_NS = 1_600_000_000_000_000_000
 
@@ -50,7 +50,7 @@ def posed_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors
     return replace(frame, world_T_frame=_world_T_lidar(drive, index))
 
 
-def _world_T_lidar(drive: Drive, index: int) -> Any:
+def _world_T_lidar(drive: SimulatedDrive, index: int) -> Any:
     return drive.scene.ego_pose(drive.time_s(index)) @ drive.mounted.ego_T_lidar
 
 

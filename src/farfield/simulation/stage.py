@@ -11,7 +11,7 @@ from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box, quads
 from farfield.simulation.lidar.model import LidarModel
 from farfield.simulation.trace import Body, Tracer
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 Number = float | int
 HERE = np.eye(4)
@@ -42,21 +42,23 @@ def body(mesh: Mesh, *place_m: Number, yaw_rad: Number = 0.0, actor: int = 0, kn
     return Body(Tracer(mesh), np.broadcast_to(where, (knots, 4, 4)), actor)
 
 
-def frozen(*bodies: Body) -> Window:
+def frozen(*bodies: Body) -> SceneWindow:
     """A world that stands still, the sensor in its origin."""
     return moving(list(bodies), np.zeros(3), np.zeros(1))
 
 
-def moving(bodies: list[Body], ego_velocity_m_s: np.ndarray, knots_s: np.ndarray, *, yaw_rate: Number = 0.0) -> Window:
+def moving(
+    bodies: list[Body], ego_velocity_m_s: np.ndarray, knots_s: np.ndarray, *, yaw_rate: Number = 0.0
+) -> SceneWindow:
     """A world around a sensor that drives through the origin at the reference time."""
     poses = np.stack([pose_from_yaw(yaw_rate * float(knot), ego_velocity_m_s * knot) for knot in knots_s])
     count = max((item.actor for item in bodies), default=-1) + 1
     actors = [Actor(row, "sedan", (4.5, 1.9, 1.5), np.random.SeedSequence(row)) for row in range(count)]
     still = np.zeros((count, 3))
-    return Window(5.0, knots_s, poses, bodies, actors, still, np.zeros(count), still, ego_velocity_m_s)
+    return SceneWindow(5.0, knots_s, poses, bodies, actors, still, np.zeros(count), still, ego_velocity_m_s)
 
 
-def fleet(rng: np.random.Generator) -> Window:
+def fleet(rng: np.random.Generator) -> SceneWindow:
     """Rear ends of 160 cars within 70 degrees and 20 to 70 m, a log-normal paint each, none behind another."""
     cars = []
     for row in range(160):
@@ -68,7 +70,7 @@ def fleet(rng: np.random.Generator) -> Window:
     return frozen(*cars)
 
 
-def patch_of_road(material: Material, *, reflectance: Number) -> Window:
+def patch_of_road(material: Material, *, reflectance: Number) -> SceneWindow:
     """Level ground ahead of a sensor that stands 1.9 m above it."""
     road = quads(np.array([[[3.0, -30, 0], [40, -30, 0], [40, 30, 0], [3, 30, 0]]]), int(material))
     return frozen(body(coloured(road, reflectance), 0, 0, -1.9, actor=-1))
@@ -85,11 +87,11 @@ def painted(mesh: Mesh) -> Mesh:
     return mesh.painted(np.random.default_rng(5))
 
 
-def on_asphalt(*bodies: tuple[Mesh, np.ndarray], fixed: Mesh | None = None) -> Window:
+def on_asphalt(*bodies: tuple[Mesh, np.ndarray], fixed: Mesh | None = None) -> SceneWindow:
     """One moment of a drive: the fixed world, by default asphalt, then road users as meshes at their poses."""
     actors = [Actor(i, "sedan", (4.5, 1.8, 1.5), np.random.SeedSequence(i)) for i in range(len(bodies))]
     poses = [world_T_body for _, world_T_body in bodies]
-    return Window(
+    return SceneWindow(
         time_s=0.0,
         knots_s=np.zeros(1),
         world_T_ego=np.eye(4)[None],

@@ -15,7 +15,7 @@ _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=b
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """What n rays hit first.
 
     Args:
@@ -76,7 +76,7 @@ class Tracer:
         self._inverse_normal = np.append(1.0 / length, 0.0).astype(np.float32)  # the last for rays that missed
         self.level: Bool[np.ndarray, " f"] = np.abs(normal[:, 2]) > _LEVEL * length
 
-    def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+    def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> RayHits:
         """First hit of each ray.
 
         Args:
@@ -85,12 +85,12 @@ class Tracer:
         """
         return self.cast_from(np.broadcast_to(origin_m, directions.shape), directions)
 
-    def cast_from(self, origins_m: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+    def cast_from(self, origins_m: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> RayHits:
         """First hit of each ray, every ray with an origin of its own."""
         rays = np.ascontiguousarray(directions, dtype=np.float32)
         return self.cast_anchored(np.ascontiguousarray(origins_m - self.anchor_m, dtype=np.float32), rays)
 
-    def cast_anchored(self, origins_m: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
+    def cast_anchored(self, origins_m: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
         """First hit of each ray, with origins given relative to ``anchor_m``: the fastest way in.
 
         Args:
@@ -99,7 +99,7 @@ class Tracer:
         """
         if len(directions) == 0:
             none = np.zeros(0, dtype=np.float32)
-            return Hits(none, np.zeros(0, dtype=np.int32), none)
+            return RayHits(none, np.zeros(0, dtype=np.int32), none)
         out = self.scene.run(origins_m, directions, output=1)
         face: Int[np.ndarray, " n"] = out["primID"]
         range_m: Float32[np.ndarray, " n"] = out["tfar"]
@@ -107,7 +107,7 @@ class Tracer:
         cosine = np.einsum("ij,ij->i", out["Ng"], directions)
         np.abs(cosine, out=cosine)
         cosine *= self._inverse_normal[face]
-        return Hits(range_m, face, cosine)
+        return RayHits(range_m, face, cosine)
 
 
 def _normals(vertices_m: Float32[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from farfield.calibration.from_nothing import Beginning
+    from farfield.calibration.from_nothing import InitialGuess
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class CalibrationSettings:
     frames: int = 20
     camera: str | None = None
     radar: tuple[float | None, float | None, float | None, int] = (None, None, None, 0)
-    beginning: "Beginning | None" = None
+    beginning: "InitialGuess | None" = None
     pairs: Path | None = None
     folder: Path = Path("runs/calibrate")
 

@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
 
 
-class Opening:
+class DatasetOpener:
     """Opens a data set when it is called, or the frames that ship where no path is given.
 
     Args:

@@ -8,7 +8,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class Threads:
+class ThreadGroup:
     """Some threads.
 
     Args:

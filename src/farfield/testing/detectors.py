@@ -16,7 +16,7 @@ from torch import Tensor
 
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.contract import Network
-from farfield.detectors.features import FeatureMap, PointFeatures, Rows
+from farfield.detectors.features import FeatureMap, FeatureRows, PointFeatures
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.weights import load_weights, save_weights
@@ -151,7 +151,7 @@ def check_rows(network: Network) -> None:
     assert len(even.values) == min(64, count), "expected rows without a generator too"
 
 
-def _places(rows: Rows) -> list[tuple[int, list[float]]]:
+def _places(rows: FeatureRows) -> list[tuple[int, list[float]]]:
     return list(zip(rows.frame.tolist(), rows.place_m.tolist(), strict=True))
 
 
@@ -248,7 +248,7 @@ def _shuffled(cloud: Tensor, draw: torch.Generator) -> Tensor:
     return cloud[torch.randperm(len(cloud), generator=draw)]
 
 
-def _in_order(rows: Rows) -> tuple[Tensor, Tensor]:
+def _in_order(rows: FeatureRows) -> tuple[Tensor, Tensor]:
     """Places and values of rows, in the order of their places."""
     order = np.lexsort(rows.place_m.numpy().T)
     return rows.place_m[order], rows.values[order]

@@ -25,7 +25,7 @@ PROCESSES = 2
 PATIENCE_S = 300.0
 
 
-class Task(NamedTuple):
+class StepTask(NamedTuple):
     """A small network that takes a step.
 
     Attributes:
@@ -50,7 +50,7 @@ def check_two_processes(name: str, settings: Mapping[str, Any]) -> None:
     Raises:
         AssertionError: If a process fails or the steps differ; the message says in what.
     """
-    task = Task(name, settings)
+    task = StepTask(name, settings)
     with TemporaryDirectory() as folder:
         (shared,) = steps_of_two(Path(folder), [task])
     check_same_step(name, one_step(task), shared)
@@ -97,7 +97,7 @@ def check_same_statistics(name: str, alone: Mapping[str, Any], shared: Mapping[s
         )
 
 
-def one_step(task: Task, rank: int = 0, world: int = 1) -> dict[str, Any]:
+def one_step(task: StepTask, rank: int = 0, world: int = 1) -> dict[str, Any]:
     """Losses, gradients and statistics of a network after one step on this process' share of four frames.
 
     In the last frame the sensor saw nothing.
@@ -122,7 +122,7 @@ def one_step(task: Task, rank: int = 0, world: int = 1) -> dict[str, Any]:
     }
 
 
-def steps_of_two(folder: Path, tasks: Sequence[Task]) -> list[dict[str, Any]]:
+def steps_of_two(folder: Path, tasks: Sequence[StepTask]) -> list[dict[str, Any]]:
     """The step of each task by two processes that share its batch; both are started here.
 
     Raises:
@@ -151,7 +151,7 @@ def main(folder: str, rank: str) -> None:
     """Join the other process and take the step of each task; the first one writes them beside the tasks."""
     torch.set_num_threads(1)
     place = Path(folder)
-    tasks = [Task(**task) for task in json.loads((place / "tasks.json").read_text(encoding="utf-8"))]
+    tasks = [StepTask(**task) for task in json.loads((place / "tasks.json").read_text(encoding="utf-8"))]
     meeting = (place / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=PROCESSES)
     for number, task in enumerate(tasks):

@@ -27,7 +27,7 @@ _COMPILED_FROM = 1 << 18  # cells below which compiling costs more than it saves
 Stamps = Int64[np.ndarray, " _"]
 
 
-class Windows(NamedTuple):
+class CandidateWindows(NamedTuple):
     """Candidates of each reference stamp: ``b[low:high]``, and the first row of each cluster of overlapping windows."""
 
     low: Stamps
@@ -35,13 +35,13 @@ class Windows(NamedTuple):
     starts: Stamps
 
 
-def windows(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int) -> Windows:
+def windows(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int) -> CandidateWindows:
     """Candidates of each reference stamp within the tolerance, and where clusters begin; both streams increase."""
     low = np.searchsorted(b_ns, a_ns - tolerance_ns, side="left").astype(np.int64)
     high = np.searchsorted(b_ns, a_ns + tolerance_ns, side="right").astype(np.int64)
     fresh = np.ones(len(a_ns), dtype=np.bool_)
     fresh[1:] = low[1:] >= high[:-1]
-    return Windows(low, high, np.flatnonzero(fresh).astype(np.int64))
+    return CandidateWindows(low, high, np.flatnonzero(fresh).astype(np.int64))
 
 
 def assign(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int) -> Int64[np.ndarray, " n"]:
@@ -61,7 +61,7 @@ def assign(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], toleran
 
 
 def assign_in(
-    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int, found: Windows
+    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int, found: CandidateWindows
 ) -> Int64[np.ndarray, " n"]:
     """As :func:`assign`, with the windows known."""
     if not len(a_ns) or not len(b_ns):
@@ -76,7 +76,9 @@ def assign_in(
     return partner
 
 
-def nearest(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], found: Windows) -> Int64[np.ndarray, " n"]:
+def nearest(
+    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], found: CandidateWindows
+) -> Int64[np.ndarray, " n"]:
     """Index of the nearest candidate of each reference stamp, the earlier of two, -1 where there is none.
 
     Several may claim the same one: this is a lower bound of the cost, and no matching.
@@ -106,7 +108,7 @@ def _clusters(claimed: Bool[np.ndarray, " n"], starts: Stamps) -> list[tuple[int
 
 
 def _solve(
-    a_ns: Stamps, b_ns: Stamps, found: Windows, first: int, last: int, tolerance_ns: int, partner: Stamps
+    a_ns: Stamps, b_ns: Stamps, found: CandidateWindows, first: int, last: int, tolerance_ns: int, partner: Stamps
 ) -> None:
     """Write the best partners of one cluster's rows into ``partner``."""
     low, high = found.low[first:last], found.high[first:last]

@@ -11,18 +11,18 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.errors import ConfigError
-from farfield.timing.assignment import Windows, assign_in, windows
+from farfield.timing.assignment import CandidateWindows, assign_in, windows
 from farfield.timing.matching import check
 
 LONGEST = 1 << 20
 """References of one cluster after which it is cut, to bound the memory."""
 
 Stamps = Int64[np.ndarray, " _"]
-Column = tuple["Stream", Stamps, Windows]
+Column = tuple["StampStream", Stamps, CandidateWindows]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matched:
+class MatchBlock:
     """Some rows of the table of matches, in the order of time.
 
     Args:
@@ -39,7 +39,7 @@ class Matched:
 
 
 @dataclass
-class Stream:
+class StampStream:
     """One stream, read as far as it is needed.
 
     Args:
@@ -100,7 +100,7 @@ def match_blocks(
     reference: str,
     tolerance_ns: int | Mapping[str, int],
     seen: Callable[[str, Int64[np.ndarray, " _"]], None] | None = None,
-) -> Iterator[Matched]:
+) -> Iterator[MatchBlock]:
     """Match streams that come in blocks to one of them.
 
     Stamps that do not rise are left out, unlike in :func:`match_times`, which has all of them at hand.
@@ -118,7 +118,7 @@ def match_blocks(
         ConfigError: If there is no such stream, or a tolerance is negative or missing.
     """
     check(streams, reference, None)
-    opened = {name: Stream(name, iter(blocks), seen) for name, blocks in streams.items()}
+    opened = {name: StampStream(name, iter(blocks), seen) for name, blocks in streams.items()}
     names = [name for name in streams if name != reference]
     given = tolerance_ns if isinstance(tolerance_ns, Mapping) else dict.fromkeys(names, tolerance_ns)
     if missing := [name for name in names if given.get(name, -1) < 0]:
@@ -136,7 +136,7 @@ def match_blocks(
         stream.drop(len(stream.times_ns))
 
 
-def _ready(own: Stream, others: list[Stream], tolerances: list[int]) -> tuple[int, list[Column]]:
+def _ready(own: StampStream, others: list[StampStream], tolerances: list[int]) -> tuple[int, list[Column]]:
     """How many references are decided, and the partners of all that are read; nothing is solved before some are."""
     count = len(own.times_ns)
     if not count:
@@ -154,7 +154,7 @@ def _ready(own: Stream, others: list[Stream], tolerances: list[int]) -> tuple[in
     return rows, [(s, assign_in(own.times_ns, s.times_ns, t, w), w) for s, t, w in solved]
 
 
-def _taken(own: Stream, rows: int, columns: list[Column]) -> Matched:
+def _taken(own: StampStream, rows: int, columns: list[Column]) -> MatchBlock:
     """The first rows as a table; what they used up is dropped."""
     index = np.full((rows, len(columns)), -1, dtype=np.int64)
     residual = np.zeros_like(index)
@@ -165,7 +165,7 @@ def _taken(own: Stream, rows: int, columns: list[Column]) -> Matched:
         residual[paired, column] = stream.times_ns[chosen] - own.times_ns[paired]
         used = int(chosen[-1]) + 1 if len(chosen) else 0
         stream.drop(max(used, int(found.low[rows])) if rows < len(partner) else len(stream.times_ns))
-    matched = Matched(
+    matched = MatchBlock(
         reference_ns=own.times_ns[:rows].copy(),
         reference_index=own.places[:rows].copy(),
         index=index,

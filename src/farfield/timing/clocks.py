@@ -25,7 +25,7 @@ Seconds = Float[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clock:
+class ClockModel:
     """One clock against another, with standard errors.
 
     Args:
@@ -77,7 +77,7 @@ def fit_clock(
     *,
     noise: Noise = "auto",
     modulo_ns: int | None = None,
-) -> Clock:
+) -> ClockModel:
     """Estimate offset and drift of clock b against clock a, robust against outliers and set clocks.
 
     Symmetric jitter gets Huber's regression from a Theil-Sen start, one-sided delays the lower convex hull (Moon,
@@ -114,7 +114,7 @@ def fit_clock(
     sigma = float(1.4826 * np.median(np.abs(residual - np.median(residual))))
     slope_se, level_se = _standard_errors(x, y, hull)
     span = float(a[-1] - a[0]) / 1e9
-    return Clock(
+    return ClockModel(
         offset_ns=base + level * 1e9,
         offset_se_ns=level_se * 1e9,
         drift_ppm=slope * 1e6,

@@ -77,7 +77,7 @@ class PoseTrack:
 
 
 @dataclass(frozen=True, eq=False)
-class Deskewed:
+class DeskewedSweep:
     """A sweep at one moment.
 
     Args:
@@ -95,7 +95,7 @@ def deskew(
     track: PoseTrack,
     *,
     reference_ns: int,
-) -> Deskewed:
+) -> DeskewedSweep:
     """Move the points of a sweep to where the sensor would have seen them at the reference moment.
 
     Args:
@@ -118,7 +118,7 @@ def deskew(
         part = slice(begin, begin + (1 << 16))
         matrix = ref_T_column[which[part]]
         moved[part] = np.einsum("nij,nj->ni", matrix[:, :3, :3], points_m[part]) + matrix[:, :3, 3]
-    return Deskewed(moved.astype(points_m.dtype), int((~known)[which].sum()))
+    return DeskewedSweep(moved.astype(points_m.dtype), int((~known)[which].sum()))
 
 
 def deskew_boxes(

@@ -16,7 +16,7 @@ from farfield.files.clock_logs import ClockLog
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exchanged:
+class ExchangeClock:
     """A clock against its master, from exchanges.
 
     Args:
@@ -62,7 +62,7 @@ def two_way(
     return (there - back) / 2, (there + back) / 2
 
 
-def summarised(log: ClockLog) -> Exchanged:
+def summarised(log: ClockLog) -> ExchangeClock:
     """What a log of ``ptp4l`` or ``phc2sys`` says of its clock.
 
     Raises:
@@ -76,7 +76,7 @@ def summarised(log: ClockLog) -> Exchanged:
     spread = median if log.summary else 1.4826 * float(np.median(np.abs(offset - median)))
     delay = _median(log.delay_ns[rows])
     freq = _median(log.freq_ppb[rows])
-    return Exchanged(
+    return ExchangeClock(
         exchanges=len(rows),
         unlocked=len(log) - len(rows),
         offset_ns=None if log.summary else median,

@@ -12,7 +12,7 @@ from farfield.timing.stamps import cleaned
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matches:
+class StampMatches:
     """What belongs together: a row a message of the reference, in the order of time.
 
     Args:
@@ -41,7 +41,7 @@ class Matches:
 
 def match_times(
     times_ns: Mapping[str, Int64[np.ndarray, " _"]], *, reference: str, tolerance_ns: int | None = None
-) -> Matches:
+) -> StampMatches:
     """Match streams to one of them.
 
     Each other stream is matched on its own; a message is used once, pairs do not cross, and the sum of the distances
@@ -70,7 +70,7 @@ def match_times(
         index[rows, column] = stood[partner[rows]]
         residual[rows, column] = other[partner[rows]] - own[rows]
         costs[name], tolerances[name] = cost_ns(own, other, partner, tolerance), tolerance
-    return Matches(
+    return StampMatches(
         reference=reference,
         names=names,
         reference_ns=own,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from farfield.geometry.poses import invert
 from farfield.timing.deskewing import exponential, logarithm
-from farfield.timing.odometry_fit import Fit, fit
+from farfield.timing.odometry_fit import AlignmentFit, fit
 from farfield.timing.odometry_map import SurfaceMap, thinned
 
 START_SWEEPS = 5
@@ -32,7 +32,7 @@ _STATE = ("pose", "twist", "inserted", "time_s", "deviation_m2", "lost_in_a_row"
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class OdometrySweep:
     """One sweep.
 
     Args:
@@ -67,7 +67,7 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Placing:
+class RegistrationResult:
     """Where one sweep was found to be.
 
     Args:
@@ -118,13 +118,13 @@ class Odometry:
         self.time_s, self.deviation_m2 = float(state["time_s"]), float(state["deviation_m2"])
         self.lost_in_a_row = int(state["lost_in_a_row"])
 
-    def begins_at(self, sweep: Sweep) -> bool:
+    def begins_at(self, sweep: OdometrySweep) -> bool:
         """Whether a new map is to be begun with a sweep: at the first, after a pause, or when too many were lost."""
         if self.time_s is None or self.lost_in_a_row >= _LOST_SWEEPS:
             return True
         return abs(sweep.time_s - self.time_s) > self.settings.gap_s
 
-    def begin(self, sweeps: Sequence[Sweep]) -> Placing:
+    def begin(self, sweeps: Sequence[OdometrySweep]) -> RegistrationResult:
         """Place the first of some sweeps where the last one was, in an empty map, at the speed that fits them best."""
         self.surfaces = SurfaceMap(self.settings.voxel_m)
         self.twist, self.lost_in_a_row, self.deviation_m2 = np.zeros(6), 0, 0.25
@@ -136,9 +136,9 @@ class Odometry:
             tells = not best.blind or tried[0].matched < _AS_GOOD * best.matched
             self.twist = best.first if tells else np.zeros(6)  # where nothing tells, as if the car stood
         self._put(sweeps[0])
-        return Placing(self.pose, begins=True)
+        return RegistrationResult(self.pose, begins=True)
 
-    def _tried(self, sweeps: Sequence[Sweep], twist: Float[np.ndarray, " 6"]) -> "_Tried":
+    def _tried(self, sweeps: Sequence[OdometrySweep], twist: Float[np.ndarray, " 6"]) -> "_Hypothesis":
         """Place the first sweeps as if they began at a speed."""
         trial = Odometry(replace(self.settings, source_m=1.5 * self.settings.source_m))
         trial.twist, trial.deviation_m2 = twist, 0.25
@@ -149,9 +149,9 @@ class Odometry:
             matched += found.matched
             blind += int(abs(found.blind[3]) > 0.7)
             first = trial.twist if number == 0 else first
-        return _Tried(matched, first, trial.twist, 2 * blind > len(sweeps) - 1)
+        return _Hypothesis(matched, first, trial.twist, 2 * blind > len(sweeps) - 1)
 
-    def _put(self, sweep: Sweep) -> None:
+    def _put(self, sweep: OdometrySweep) -> None:
         fine = self._prepared(sweep)
         self.surfaces.insert(fine @ self.pose[:3, :3].T + self.pose[:3, 3], self.pose[:3, 3], self._radius_m)
         self.time_s, self.inserted = sweep.time_s, self.pose
@@ -160,7 +160,7 @@ class Odometry:
     def _radius_m(self) -> float:
         return 1.1 * self.settings.most_m
 
-    def _prepared(self, sweep: Sweep) -> Float[np.ndarray, "n 3"]:
+    def _prepared(self, sweep: OdometrySweep) -> Float[np.ndarray, "n 3"]:
         """Points within reach, one a voxel, at the sweep's reference moment."""
         points = np.asarray(sweep.points_m, dtype=np.float64)
         squared = (points**2).sum(1)
@@ -173,7 +173,7 @@ class Odometry:
         motion = exponential(self.twist[None] * offsets[:, None])[column]
         return (motion[:, :3, :3] @ points[:, :, None])[:, :, 0] + motion[:, :3, 3]
 
-    def add(self, sweep: Sweep) -> Placing:
+    def add(self, sweep: OdometrySweep) -> RegistrationResult:
         """Place the next sweep of a map that was begun."""
         assert self.time_s is not None
         step_s = sweep.time_s - self.time_s
@@ -183,7 +183,7 @@ class Odometry:
         if found is None or found.matched < _LOST_SHARE:
             self.pose, self.time_s = predicted, sweep.time_s
             self.lost_in_a_row += 1
-            return Placing(self.pose, lost=True, matched=found.matched if found else 0.0)
+            return RegistrationResult(self.pose, lost=True, matched=found.matched if found else 0.0)
         self._moved(before, found, step_s)
         if sweep.offset_s is not None:  # the same with the motion that was found: it may have braked or turned
             fine = self._prepared(sweep)
@@ -199,14 +199,14 @@ class Odometry:
             self.surfaces.insert(fine @ self.pose[:3, :3].T + self.pose[:3, 3], self.pose[:3, 3], self._radius_m)
             self.inserted = self.pose
         blind = found.blind[0] if len(found.blind) else np.zeros(6)
-        return Placing(self.pose, found.matched, found.residual_m, found.information, blind)
+        return RegistrationResult(self.pose, found.matched, found.residual_m, found.information, blind)
 
-    def _fitted(self, fine: Float[np.ndarray, "n 3"], start: Float[np.ndarray, "4 4"]) -> Fit | None:
+    def _fitted(self, fine: Float[np.ndarray, "n 3"], start: Float[np.ndarray, "4 4"]) -> AlignmentFit | None:
         coarse = fine[thinned(fine, self.settings.source_m)]
         within = float(np.clip(3 * np.sqrt(self.deviation_m2), *_GATE_M))
         return fit(self.surfaces, coarse, start, within_m=within)
 
-    def _moved(self, before: Float[np.ndarray, "4 4"], found: Fit, step_s: float) -> None:
+    def _moved(self, before: Float[np.ndarray, "4 4"], found: AlignmentFit, step_s: float) -> None:
         self.twist = logarithm((invert(before) @ found.world_T_sensor)[None])[0] / step_s
 
     def _news(self) -> bool:
@@ -216,18 +216,18 @@ class Odometry:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _Hypothesis:
     matched: float
     first: Float[np.ndarray, " 6"]  # speed at which the second sweep was found
     last: Float[np.ndarray, " 6"]
     blind: bool  # along x, in most sweeps
 
 
-def _score(tried: _Tried) -> float:
+def _score(tried: _Hypothesis) -> float:
     return tried.matched
 
 
-def _first_motions(sweeps: Sequence[Sweep]) -> list[Float[np.ndarray, " 6"]]:
+def _first_motions(sweeps: Sequence[OdometrySweep]) -> list[Float[np.ndarray, " 6"]]:
     """Speeds along the sensor's x axis at which a drive may begin."""
     step_s = sweeps[1].time_s - sweeps[0].time_s
     most = min(int(np.ceil(_FAST_M_S * abs(step_s) / _START_STEP_M)), _START_MOST)

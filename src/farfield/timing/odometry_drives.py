@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from farfield.files.atomic import read_bytes, write_bytes
-from farfield.timing.odometry import START_SWEEPS, Odometry, OdometrySettings, Placing, Sweep
+from farfield.timing.odometry import START_SWEEPS, Odometry, OdometrySettings, OdometrySweep, RegistrationResult
 from farfield.timing.odometry_map import SurfaceMap
 
 SAVED_EVERY = 50
@@ -18,22 +18,22 @@ BLIND_NAMES = ("turn x", "turn y", "turn z", "x", "y", "z")
 
 
 @runtime_checkable
-class Readable(Protocol):
+class SweepSource(Protocol):
     """Sweeps by number, read when they are asked for; a list will do."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, index: int, /) -> Sweep: ...
+    def __getitem__(self, index: int, /) -> OdometrySweep: ...
 
 
-class Placed:
+class DriveOdometry:
     """What odometry found of a drive's sweeps, an array a property, in the order in which they were placed.
 
     Args:
         rows: A row a sweep.
     """
 
-    def __init__(self, rows: Sequence[Placing]) -> None:
+    def __init__(self, rows: Sequence[RegistrationResult]) -> None:
         self.world_T_sensor: Float[np.ndarray, "n 4 4"] = np.array([row.world_T_sensor for row in rows])
         self.world_T_sensor = self.world_T_sensor.reshape(-1, 4, 4)
         self.matched, self.residual_m, self.information = (
@@ -54,13 +54,13 @@ def blind_name(direction: Float[np.ndarray, " 6"]) -> str:
 
 
 def place(
-    sweeps: Readable,
+    sweeps: SweepSource,
     settings: OdometrySettings | None = None,
     *,
     saved: Path | None = None,
     mark: str = "",
     every: int = SAVED_EVERY,
-) -> Placed:
+) -> DriveOdometry:
     """Place the sweeps of a drive one after another; the first stands at the origin.
 
     Args:
@@ -83,12 +83,12 @@ def place(
             rows.append(odometry.add(sweep))
         if saved is not None and len(rows) % every == 0:
             _save(saved, mark, odometry, rows)
-    return Placed(rows)
+    return DriveOdometry(rows)
 
 
-def _following(sweeps: Readable, number: int, gap_s: float) -> list[Sweep]:
+def _following(sweeps: SweepSource, number: int, gap_s: float) -> list[OdometrySweep]:
     """The next few sweeps, up to a pause."""
-    found: list[Sweep] = []
+    found: list[OdometrySweep] = []
     last = sweeps[number]
     for later in range(number + 1, min(number + START_SWEEPS, len(sweeps))):
         sweep = sweeps[later]
@@ -102,7 +102,7 @@ def _following(sweeps: Readable, number: int, gap_s: float) -> list[Sweep]:
 _FIELDS = ("world_T_sensor", "matched", "residual_m", "information", "blind", "lost", "begins")
 
 
-def _save(path: Path, mark: str, odometry: Odometry, rows: Sequence[Placing]) -> None:
+def _save(path: Path, mark: str, odometry: Odometry, rows: Sequence[RegistrationResult]) -> None:
     arrays = {f"row_{name}": np.array([getattr(row, name) for row in rows]) for name in _FIELDS}
     arrays |= {f"map_{name}": value for name, value in odometry.surfaces.state().items()}
     arrays |= {f"now_{name}": np.array(value) for name, value in odometry.state().items()}
@@ -112,7 +112,7 @@ def _save(path: Path, mark: str, odometry: Odometry, rows: Sequence[Placing]) ->
     write_bytes(path, packed.getvalue())
 
 
-def _taken_up(path: Path | None, mark: str, settings: OdometrySettings) -> tuple[Odometry, list[Placing]]:
+def _taken_up(path: Path | None, mark: str, settings: OdometrySettings) -> tuple[Odometry, list[RegistrationResult]]:
     odometry = Odometry(settings)
     if path is None or not path.is_file():
         return odometry, []
@@ -128,7 +128,7 @@ def _taken_up(path: Path | None, mark: str, settings: OdometrySettings) -> tuple
     odometry.surfaces = SurfaceMap.restored(settings.voxel_m, state)
     odometry.restore(now)
     rows = [
-        Placing(pose, float(matched), float(residual), float(information), blind, bool(lost), bool(begins))
+        RegistrationResult(pose, float(matched), float(residual), float(information), blind, bool(lost), bool(begins))
         for pose, matched, residual, information, blind, lost, begins in zip(*columns, strict=True)
     ]
     return odometry, rows

@@ -28,7 +28,7 @@ _FEW = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class AlignmentFit:
     """Where a sweep lies.
 
     Args:
@@ -55,7 +55,7 @@ def fit(
     world_T_sensor: Float[np.ndarray, "4 4"],
     *,
     within_m: float,
-) -> Fit | None:
+) -> AlignmentFit | None:
     """Fit points to the surfaces, from a predicted pose.
 
     Args:
@@ -96,7 +96,7 @@ def fit(
             every = 1
     unseen = axes[:, ~seen] / np.linalg.norm(axes[:, ~seen], axis=0)
     blind = unseen.T.reshape(-1, 2, 3) @ pose[:3, :3]
-    return Fit(
+    return AlignmentFit(
         world_T_sensor=pose,
         matched=float(weight.sum() / len(points_m)),
         residual_m=float(np.sqrt((weight * residual**2).sum() / weight.sum())),

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 from jaxtyping import Float
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Unit, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.bulk.journal import state_of
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError
@@ -21,7 +21,7 @@ from farfield.frame import Drive
 from farfield.timing.deskewing import PoseTrack
 from farfield.timing.odometry import OdometrySettings
 from farfield.timing.odometry_drift import Drift, drift_of, way_m
-from farfield.timing.odometry_drives import Placed, place
+from farfield.timing.odometry_drives import DriveOdometry, place
 from farfield.timing.odometry_sweeps import DriveSweeps, SweepSettings
 
 FORWARD, BACKWARD = "poses", "backward"
@@ -31,7 +31,7 @@ _VERSION = 1
 
 
 @dataclass(frozen=True)
-class Track:
+class OdometryTrack:
     """The track of one drive.
 
     Args:
@@ -108,7 +108,7 @@ def file_name(drive: str) -> str:
 
 
 @dataclass(frozen=True)
-class PlaceDrive:
+class OdometryTask:
     """The work of one unit: a drive, in one direction.
 
     Args:
@@ -130,7 +130,7 @@ class PlaceDrive:
         maps = self.data.recipe
         return f"odometry {_VERSION} {asdict(self.sweeps)} {asdict(self.odometry)} {maps['options']} {maps['maps']}"
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Place the sweeps and write their poses."""
         drive, kind = unit.parameters
         began = time.process_time()
@@ -146,14 +146,14 @@ class PlaceDrive:
         names = ("matched", "residual_m", "information")
         medians = {f"median_{name}": _median(getattr(placed, name)[fitted]) for name in names}
         clock = 1e3 * (time.process_time() - began) / max(len(placed), 1)
-        return Done(files=(path,), value=medians, clock=clock)
+        return UnitResult(files=(path,), value=medians, clock=clock)
 
 
 def _median(values: Float[np.ndarray, " n"]) -> float:
     return round(float(np.median(values)), 6) if len(values) else 0.0
 
 
-def _table(drive: Drive, placed: Placed, reference: str, *, backward: bool) -> PoseTable:
+def _table(drive: Drive, placed: DriveOdometry, reference: str, *, backward: bool) -> PoseTable:
     """The poses of a drive in the order of time, from its first sweep."""
     order = slice(None, None, -1 if backward else 1)
     poses = placed.world_T_sensor[order]
@@ -177,8 +177,8 @@ def odometry(
     settings: OdometrySettings | None = None,
     backward: bool = True,
     overwrite: bool = False,
-    bulk: Bulk = HERE,
-) -> list[Track]:
+    bulk: JobOptions = HERE,
+) -> list[OdometryTrack]:
     """Find the poses of a data set's sweeps from the sweeps alone, and write them beside it.
 
     Interrupted, it goes on where it stopped, within a drive too, to the same bytes.
@@ -206,8 +206,8 @@ def odometry(
         raise ConfigError(f"{data.root}: expected drives, but its frames stand in no order: no motion is between them")
     kinds = (FORWARD, BACKWARD) if backward else (FORWARD,)
     units = [_unit(data, drive, kind) for drive in drives for kind in kinds]
-    work = PlaceDrive(data, out, sweeps or SweepSettings(), settings or OdometrySettings())
-    journal = Journal(out / _JOURNAL, work.setting, overwrite=overwrite)
+    work = OdometryTask(data, out, sweeps or SweepSettings(), settings or OdometrySettings())
+    journal = JobJournal(out / _JOURNAL, work.setting, overwrite=overwrite)
     if bulk.workers == 0:  # units are long: each is worth a worker
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         bulk = replace(bulk, workers=min(cores, len(units)))
@@ -216,7 +216,7 @@ def odometry(
         (out / _SAVED).rmdir()
     facts: Sequence[Any] = list(journal.values(unit.name for unit in units))
     return [
-        Track(
+        OdometryTrack(
             drive.name,
             read_poses(out / FORWARD / file_name(drive.name)),
             read_poses(out / BACKWARD / file_name(drive.name)) if backward else None,

@@ -10,7 +10,7 @@ from farfield.datasets import Dataset
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Drive, Frame
 from farfield.geometry.poses import transform_points
-from farfield.timing.odometry import Sweep
+from farfield.timing.odometry import OdometrySweep
 
 Turning = Literal["no", "clockwise", "counterclockwise"]
 _OFFSETS = ("offset_ns", "time_ns")  # columns of clouds: since the frame's time
@@ -60,10 +60,10 @@ class DriveSweeps:
     def __len__(self) -> int:
         return len(self.order)
 
-    def __getitem__(self, index: int, /) -> Sweep:
+    def __getitem__(self, index: int, /) -> OdometrySweep:
         return self._sweep(self.order[index])
 
-    def _sweep(self, row: int) -> Sweep:
+    def _sweep(self, row: int) -> OdometrySweep:
         frame = self.data[int(self.drive.indices[row])]
         name = cloud_of(frame, self.settings.cloud)
         cloud, sensor = frame.cloud(name), frame.sensors.get(name)
@@ -76,7 +76,7 @@ class DriveSweeps:
                     f"odometry: where {name} stands on the car is not known (frame {frame.key}); take another --cloud"
                 )
             points = transform_points(sensor.frame_T_sensor, points)
-        return Sweep(points[finite], float(self.times_s[row]), None if offset is None else offset[finite])
+        return OdometrySweep(points[finite], float(self.times_s[row]), None if offset is None else offset[finite])
 
     def _offsets_s(self, cloud: Cloud, points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"] | None:
         if not self.settings.deskew:

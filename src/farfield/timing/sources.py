@@ -23,7 +23,7 @@ LOGS = (".txt", ".log")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Source:
+class StampSource:
     """One stream's stamps.
 
     Args:
@@ -40,7 +40,7 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Recording:
+class RecordedStreams:
     """Streams that ran at the same time.
 
     Args:
@@ -50,11 +50,11 @@ class Recording:
     """
 
     name: str
-    streams: Mapping[str, Source]
+    streams: Mapping[str, StampSource]
     logs: tuple[Path, ...] = field(default=())
 
 
-def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header") -> list[Recording]:
+def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header") -> list[RecordedStreams]:
     """Find the recordings in a folder: KITTI raw's drives, lists of stamps, or the drives of a data set.
 
     Args:
@@ -87,34 +87,35 @@ def _kind(path: Path) -> str:
     return "a file" if path.exists() else "nothing"
 
 
-def _kitti_raw(root: Path, unit: Unit) -> list[Recording]:
+def _kitti_raw(root: Path, unit: Unit) -> list[RecordedStreams]:
     """Drives with ``<stream>/timestamps.txt``; a lidar has the start, the middle and the end of its turns."""
     places = [path for depth in ("*", "*/*", "*/*/*") for path in root.glob(f"{depth}/timestamps*.txt")]
-    drives: dict[Path, dict[str, Source]] = {}
+    drives: dict[Path, dict[str, StampSource]] = {}
     for path in sorted(places):
         part = path.stem.removeprefix("timestamps").lstrip("_")
         name = path.parent.name + (f"/{part}" if part else "")
         if (known := recognise_stamps(path, unit=unit)) is not None:
             drives.setdefault(path.parent.parent, {})[name] = _source(known, path.parent / "data")
     return [
-        Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder)) for folder, streams in drives.items()
+        RecordedStreams(name=folder.resolve().name, streams=streams, logs=_logs(folder))
+        for folder, streams in drives.items()
     ]
 
 
-def _lists(root: Path, unit: Unit) -> list[Recording]:
+def _lists(root: Path, unit: Unit) -> list[RecordedStreams]:
     """Lists in the folder itself, or in each of its folders, one a stream; a recording has two or more."""
     for folders in ([root], sorted(path for path in root.iterdir() if path.is_dir())):
         found = [(folder, _lists_in(folder, unit)) for folder in folders]
         several = [(folder, streams) for folder, streams in found if len(streams) > 1]
         if several:
             return [
-                Recording(name=folder.resolve().name, streams=streams, logs=_logs(folder))
+                RecordedStreams(name=folder.resolve().name, streams=streams, logs=_logs(folder))
                 for folder, streams in several
             ]
     return []
 
 
-def _lists_in(folder: Path, unit: Unit) -> dict[str, Source]:
+def _lists_in(folder: Path, unit: Unit) -> dict[str, StampSource]:
     found = {}
     for path in sorted(folder.iterdir()):
         if path.suffix in LISTS and path.is_file():
@@ -124,7 +125,7 @@ def _lists_in(folder: Path, unit: Unit) -> dict[str, Source]:
     return found
 
 
-def _source(known: StampList, data: Path | None = None) -> Source:
+def _source(known: StampList, data: Path | None = None) -> StampSource:
     """A list as a stream; its messages are named as the files in ``data`` where there are as many as stamps."""
     labels: list[str] | None = None
     if known.form == "radiate":
@@ -134,7 +135,7 @@ def _source(known: StampList, data: Path | None = None) -> Source:
         labels = stems if len(stems) == sum(map(len, read_stamps(known))) else None
     said = f"unit taken as {known.unit}, by the size of the first number" if known.guessed else ""
     said = "local time without a zone, taken as UTC" if known.form == "date" else said
-    return Source(blocks=partial(read_stamps, known), labels=labels, said=said)
+    return StampSource(blocks=partial(read_stamps, known), labels=labels, said=said)
 
 
 def _logs(folder: Path) -> tuple[Path, ...]:
@@ -142,7 +143,7 @@ def _logs(folder: Path) -> tuple[Path, ...]:
     return tuple(path for path in paths if is_clock_log(path))
 
 
-def _of_bag(path: Path, stamp: Stamp) -> Recording:
+def _of_bag(path: Path, stamp: Stamp) -> RecordedStreams:
     """Topics whose messages have a stamp of their own; the others by the time of recording, which is said.
 
     Fixed transforms are no stream: they are said once, for all times.
@@ -158,21 +159,21 @@ def _of_bag(path: Path, stamp: Stamp) -> Recording:
             moved = int((np.diff(times) < 0).sum())
             said = "no stamp of its own: times of recording" if found.header_ns is None else ""
             said = f"{moved} stamps are earlier than the one recorded before; taken in order" if moved else said
-            streams[topic] = Source(
+            streams[topic] = StampSource(
                 blocks=partial(iter, [times[order]]),
                 labels=[str(place) for place in order] if moved else None,
                 said=said,
                 arrived_ns=None if times is found.log_ns else found.log_ns[order],
             )
-    return Recording(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
+    return RecordedStreams(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
 
 
-def _of_drive(data: Dataset, drive: Drive) -> Recording | None:
+def _of_drive(data: Dataset, drive: Drive) -> RecordedStreams | None:
     """Times of a drive's frames and of the sensors that are at hand for each of them."""
-    streams: dict[str, Source] = {}
+    streams: dict[str, StampSource] = {}
     if drive.times_ns is not None:
         labels = [key[1] for key in drive.keys]
-        streams["frames"] = Source(blocks=partial(iter, [drive.times_ns]), labels=labels)
+        streams["frames"] = StampSource(blocks=partial(iter, [drive.times_ns]), labels=labels)
     times: dict[str, list[int]] = {}
     labels_of: dict[str, list[str]] = {}
     for index, key in zip(drive.indices.tolist(), drive.keys, strict=True):
@@ -182,5 +183,5 @@ def _of_drive(data: Dataset, drive: Drive) -> Recording | None:
                 labels_of.setdefault(name, []).append(key[1])
     for name, stamps in times.items():
         blocks = partial(iter, [np.array(stamps, dtype=np.int64)])
-        streams[name] = Source(blocks=blocks, labels=labels_of[name])
-    return Recording(name=drive.name, streams=streams) if streams else None
+        streams[name] = StampSource(blocks=blocks, labels=labels_of[name])
+    return RecordedStreams(name=drive.name, streams=streams) if streams else None

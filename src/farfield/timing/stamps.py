@@ -18,7 +18,7 @@ Stamps = Int64[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Health:
+class StreamStats:
     """A stream by its stamps alone.
 
     Args:
@@ -60,8 +60,8 @@ class Health:
         }
 
 
-class Counting:
-    """Finds a stream's :class:`Health` block by block."""
+class StreamCounter:
+    """Finds a stream's :class:`StreamStats` block by block."""
 
     def __init__(self) -> None:
         self.count = self.duplicates = self.backwards = self.gaps = self.lost = self.longest = self.step = 0
@@ -106,10 +106,10 @@ class Counting:
         self.starts.append(starts[rows[:room]])
         self.lengths.append(steps[rows[:room]])
 
-    def result(self) -> Health:
+    def result(self) -> StreamStats:
         """What was found so far."""
         nothing = np.zeros(0, dtype=np.int64)
-        return Health(
+        return StreamStats(
             count=self.count,
             first_ns=self.first,
             last_ns=self.last,
@@ -126,9 +126,9 @@ class Counting:
         )
 
 
-def health(times_ns: Int64[np.ndarray, " n"]) -> Health:
+def health(times_ns: Int64[np.ndarray, " n"]) -> StreamStats:
     """Describe a stream by its stamps, in the order in which they were written."""
-    counting = Counting()
+    counting = StreamCounter()
     counting.add(times_ns)
     return counting.result()
 
@@ -150,7 +150,7 @@ def drives_in(times_ns: Int64[np.ndarray, " n"]) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise(edges)]
 
 
-def apart(streams: Mapping[str, Health], reference: str, tolerance_ns: int) -> dict[str, str]:
+def apart(streams: Mapping[str, StreamStats], reference: str, tolerance_ns: int) -> dict[str, str]:
     """Streams that share no time with the reference, and what to say of each.
 
     Args:

@@ -18,7 +18,7 @@ from farfield.timing.assignment import assign_in, windows
 
 
 @dataclass(frozen=True)
-class Group:
+class MatchedGroup:
     """A message of the reference and what belongs to it.
 
     Args:
@@ -33,7 +33,7 @@ class Group:
 
 
 @dataclass
-class _Waiting:
+class _StreamBuffer:
     """Messages of one stream that are not yet used up, in order of their stamps."""
 
     pending: list[tuple[int, int]] = field(default_factory=list)
@@ -96,10 +96,10 @@ class StreamMatcher:
         self.counts: Counter[tuple[str, str]] = Counter()
         self.needed_ns = lateness_ns
         self.warnings: list[str] = []
-        self._streams = {name: _Waiting() for name in names}
+        self._streams = {name: _StreamBuffer() for name in names}
         self._watermark: int | None = None
 
-    def push(self, stream: str, stamp_ns: int) -> list[Group]:
+    def push(self, stream: str, stamp_ns: int) -> list[MatchedGroup]:
         """Take one message; give the groups that are decided by it, in order."""
         own = self._streams[stream]
         place, own.arrived = own.arrived, own.arrived + 1
@@ -110,7 +110,7 @@ class StreamMatcher:
             return []
         return self._take(stream, own, (stamp_ns, place))
 
-    def close(self) -> list[Group]:
+    def close(self) -> list[MatchedGroup]:
         """Give the groups that are left; the matcher is then empty, and may be used again."""
         found = []
         for name, own in self._streams.items():
@@ -128,7 +128,7 @@ class StreamMatcher:
         """Messages that wait: what bounds the memory."""
         return sum(len(own.pending) + (own.doubtful is not None) for own in self._streams.values())
 
-    def _resolve(self, stream: str, own: _Waiting, message: tuple[int, int]) -> list[Group]:
+    def _resolve(self, stream: str, own: _StreamBuffer, message: tuple[int, int]) -> list[MatchedGroup]:
         """A stamp stood far from the ones before: the next one goes on from it, or from them."""
         held, own.doubtful = own.doubtful, None
         if held is None or own.latest is None:
@@ -141,7 +141,7 @@ class StreamMatcher:
         self.warnings.append(f"{stream}: its clock was set back by {(own.latest - held[0]) / 1e9:.3f} s")
         return self._begin_anew({stream: held}) + self._take(stream, own, message)
 
-    def _begin_anew(self, first: dict[str, tuple[int, int]]) -> list[Group]:
+    def _begin_anew(self, first: dict[str, tuple[int, int]]) -> list[MatchedGroup]:
         """End the recording so far; what other streams kept aside that lies before their latest comes after it."""
         for name, other in self._streams.items():
             if other.doubtful is not None and other.latest is not None and other.doubtful[0] < other.latest:
@@ -151,7 +151,7 @@ class StreamMatcher:
             found += self._take(name, self._streams[name], message)
         return found
 
-    def _take(self, stream: str, own: _Waiting, message: tuple[int, int]) -> list[Group]:
+    def _take(self, stream: str, own: _StreamBuffer, message: tuple[int, int]) -> list[MatchedGroup]:
         stamp = message[0]
         if self._watermark is not None and stamp < self._watermark:
             self.counts["late", stream] += 1
@@ -200,7 +200,7 @@ class StreamMatcher:
             since = "from the start" if latest is None else f"after {latest} ns"
             self.warnings.append(f"{name}: silent {since}; the others go on without it")
 
-    def _decided(self, mark: int | None) -> list[Group]:
+    def _decided(self, mark: int | None) -> list[MatchedGroup]:
         """References decided up to the watermark; all of them where there is none."""
         own = self._streams[self.reference]
         waiting = own.pending
@@ -233,12 +233,12 @@ class StreamMatcher:
         self._forget(mark)
         return groups
 
-    def _group(self, message: tuple[int, int], partners: list[int]) -> Group:
+    def _group(self, message: tuple[int, int], partners: list[int]) -> MatchedGroup:
         chosen = {
             name: None if place < 0 else self._streams[name].pending[place]
             for name, place in zip(self.others, partners, strict=True)
         }
-        return Group(message[0], message[1], chosen)
+        return MatchedGroup(message[0], message[1], chosen)
 
     def _forget(self, mark: int | None) -> None:
         """Drop what no reference can use any more."""

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
-from farfield.timing.blocks import Matched, match_blocks
-from farfield.timing.clocks import MAX_PAIRS, Clock, fit_clock
-from farfield.timing.exchange import Exchanged
-from farfield.timing.sources import Recording
-from farfield.timing.stamps import Counting, Health, apart
+from farfield.timing.blocks import MatchBlock, match_blocks
+from farfield.timing.clocks import MAX_PAIRS, ClockModel, fit_clock
+from farfield.timing.exchange import ExchangeClock
+from farfield.timing.sources import RecordedStreams
+from farfield.timing.stamps import StreamCounter, StreamStats, apart
 
 SPEED_M_S = 30.0
 """Residuals are also given as the way at this speed: that of a car that comes towards us."""
@@ -23,7 +23,7 @@ WHOLE_RATIO = 0.02
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pair:
+class StreamPair:
     """One stream against the reference.
 
     Args:
@@ -47,7 +47,7 @@ class Pair:
     worst_ns: int
     times_ns: Int64[np.ndarray, " k"]
     residual_ns: Int64[np.ndarray, " k"]
-    clock: Clock | None
+    clock: ClockModel | None
     untold: str
 
     def to_json(self) -> dict[str, Any]:
@@ -73,7 +73,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Synchronised:
+class SyncResult:
     """What was found in one recording.
 
     Args:
@@ -88,10 +88,10 @@ class Synchronised:
 
     name: str
     reference: str
-    streams: Mapping[str, Health]
-    pairs: Mapping[str, Pair]
-    exchanges: Mapping[str, Exchanged]
-    arrivals: Mapping[str, Clock]
+    streams: Mapping[str, StreamStats]
+    pairs: Mapping[str, StreamPair]
+    exchanges: Mapping[str, ExchangeClock]
+    arrivals: Mapping[str, ClockModel]
     findings: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -108,7 +108,7 @@ class Synchronised:
 
 
 @dataclass
-class _Gathered:
+class _PairAccumulator:
     """Pairs of one stream, as they come."""
 
     every: int
@@ -118,7 +118,7 @@ class _Gathered:
     times: list[np.ndarray] | None = None
     residuals: list[np.ndarray] | None = None
 
-    def add(self, rows: Matched, column: int, health: Health) -> None:
+    def add(self, rows: MatchBlock, column: int, health: StreamStats) -> None:
         paired = np.flatnonzero(rows.index[:, column] >= 0)
         residual = rows.residual_ns[paired, column]
         self.matched += len(paired)
@@ -131,18 +131,18 @@ class _Gathered:
         self.residuals = [*(self.residuals or []), rows.residual_ns[kept, column]]
 
 
-def describe(recording: Recording) -> dict[str, Health]:
+def describe(recording: RecordedStreams) -> dict[str, StreamStats]:
     """Each stream of a recording by its own stamps; reads all of them once."""
     found = {}
     for name, source in recording.streams.items():
-        counting = Counting()
+        counting = StreamCounter()
         for block in source.blocks():
             counting.add(block)
         found[name] = counting.result()
     return found
 
 
-def best_reference(streams: Mapping[str, Health]) -> str:
+def best_reference(streams: Mapping[str, StreamStats]) -> str:
     """The slowest stream with three stamps or more that shares time with most others: each of its messages finds one.
 
     Raises:
@@ -155,7 +155,7 @@ def best_reference(streams: Mapping[str, Health]) -> str:
     return max(usable, key=lambda name: (shared[name], streams[name].period_ns or 0))
 
 
-def reference_of(name: str, streams: Mapping[str, Health], to: str | None) -> str:
+def reference_of(name: str, streams: Mapping[str, StreamStats], to: str | None) -> str:
     """The stream to which the others of a recording are matched.
 
     Args:
@@ -174,13 +174,13 @@ def reference_of(name: str, streams: Mapping[str, Health], to: str | None) -> st
 
 
 def synchronise(
-    recording: Recording,
+    recording: RecordedStreams,
     *,
     to: str | None = None,
     tolerance_ns: int | None = None,
-    exchanges: Mapping[str, Exchanged] | None = None,
-    row: Callable[[Sequence[str], Matched], None] | None = None,
-) -> Synchronised:
+    exchanges: Mapping[str, ExchangeClock] | None = None,
+    row: Callable[[Sequence[str], MatchBlock], None] | None = None,
+) -> SyncResult:
     """Match a recording's streams to one of them.
 
     Args:
@@ -198,7 +198,7 @@ def synchronise(
     others = [name for name in streams if name != reference]
     tolerances = {name: _tolerance(streams[reference], streams[name], tolerance_ns) for name in others}
     every = -(-streams[reference].count // MAX_PAIRS)
-    gathered = {name: _Gathered(every) for name in others}
+    gathered = {name: _PairAccumulator(every) for name in others}
     ordered = {name: recording.streams[name].blocks() for name in streams}
     for rows in match_blocks(ordered, reference=reference, tolerance_ns=tolerances):
         for column, name in enumerate(others):
@@ -207,7 +207,7 @@ def synchronise(
             row(others, rows)
     pairs = {name: _pair(gathered[name], streams[reference], streams[name], tolerances[name]) for name in others}
     findings = _findings(recording, streams, reference, pairs, tolerances)
-    return Synchronised(
+    return SyncResult(
         name=recording.name,
         reference=reference,
         streams=streams,
@@ -218,20 +218,20 @@ def synchronise(
     )
 
 
-def _tolerance(own: Health, other: Health, given: int | None) -> int:
+def _tolerance(own: StreamStats, other: StreamStats, given: int | None) -> int:
     if given is not None:
         return given
     periods = [health.period_ns for health in (own, other) if health.period_ns]
     return -(-min(periods) // 2) if periods else 0
 
 
-def _pair(gathered: _Gathered, own: Health, other: Health, tolerance_ns: int) -> Pair:
+def _pair(gathered: _PairAccumulator, own: StreamStats, other: StreamStats, tolerance_ns: int) -> StreamPair:
     nothing = np.zeros(0, dtype=np.int64)
     times = np.concatenate([nothing, *(gathered.times or [])])
     residual = np.concatenate([nothing, *(gathered.residuals or [])])
     clock, untold = _clock(times, residual, own, other)
     rows = own.count - own.duplicates - own.backwards
-    return Pair(
+    return StreamPair(
         tolerance_ns=tolerance_ns,
         matched=gathered.matched,
         lost=max(rows - gathered.matched - gathered.outside, 0),
@@ -246,8 +246,8 @@ def _pair(gathered: _Gathered, own: Health, other: Health, tolerance_ns: int) ->
 
 
 def _clock(
-    times: Int64[np.ndarray, " k"], residual: Int64[np.ndarray, " k"], own: Health, other: Health
-) -> tuple[Clock | None, str]:
+    times: Int64[np.ndarray, " k"], residual: Int64[np.ndarray, " k"], own: StreamStats, other: StreamStats
+) -> tuple[ClockModel | None, str]:
     """Offset and drift of a stream where its rate and the reference's have a whole ratio, and what is left open."""
     if len(times) < FEWEST_PAIRS or not own.tick_ns or not other.tick_ns:
         return None, f"{len(times)} pairs: too few for an offset and a drift"
@@ -265,7 +265,7 @@ def _clock(
     )
 
 
-def _arrivals(recording: Recording) -> dict[str, Clock]:
+def _arrivals(recording: RecordedStreams) -> dict[str, ClockModel]:
     """One-way: what the offset includes of the delay stays unknown."""
     found = {}
     for name, source in recording.streams.items():
@@ -278,10 +278,10 @@ def _arrivals(recording: Recording) -> dict[str, Clock]:
 
 
 def _findings(
-    recording: Recording,
-    streams: Mapping[str, Health],
+    recording: RecordedStreams,
+    streams: Mapping[str, StreamStats],
     reference: str,
-    pairs: Mapping[str, Pair],
+    pairs: Mapping[str, StreamPair],
     tolerances: Mapping[str, int],
 ) -> list[str]:
     """What a user must know of a recording, worst first."""

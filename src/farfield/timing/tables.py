@@ -10,7 +10,7 @@ from jaxtyping import Int64
 
 from farfield.files.atomic import open_atomic
 from farfield.files.text_table import ROWS_AT_ONCE, Text, integers, join
-from farfield.timing.blocks import Matched
+from farfield.timing.blocks import MatchBlock
 
 
 class MatchTable:
@@ -26,7 +26,7 @@ class MatchTable:
         self.handle, self.reference, self.begun = handle, reference, False
         self.labels = {name: _texts(words) for name, words in labels.items()}
 
-    def add(self, others: Sequence[str], rows: Matched) -> None:
+    def add(self, others: Sequence[str], rows: MatchBlock) -> None:
         """Write some rows; the header comes before the first."""
         if not self.begun:
             heads = [f"{self.reference}_frame", f"{self.reference}_ns"]

@@ -16,7 +16,7 @@ _Pairs = tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Reach:
+class GateUncertainty:
     """How uncertain places are, for gates.
 
     Args:
@@ -49,7 +49,7 @@ def associate(
     seen_label: Int[np.ndarray, " m"],
     settings: TrackerSettings,
     gate: Float[np.ndarray, " labels"],
-    reach: Reach | None = None,
+    reach: GateUncertainty | None = None,
 ) -> _Pairs:
     """Pair tracks and detections of the same drive, each once.
 

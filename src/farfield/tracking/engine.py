@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.tracking.association import Reach, associate
+from farfield.tracking.association import GateUncertainty, associate
 from farfield.tracking.doppler import (
     narrow_births,
     polar_covariance,
@@ -24,7 +24,7 @@ _TICK_S = 1e-6  # sums of steps are no exact multiples
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Seen:
+class DetectionBatch:
     """Detections of one frame of each of several drives.
 
     Args:
@@ -50,12 +50,12 @@ class Seen:
     def __len__(self) -> int:
         return len(self.drive)
 
-    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Seen":
+    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "DetectionBatch":
         chosen: dict[str, Any] = {name: None if all_ is None else all_[rows] for name, all_ in vars(self).items()}
-        return Seen(**chosen)
+        return DetectionBatch(**chosen)
 
 
-class Engine:
+class TrackEngine:
     """Tracks of several drives, kept from frame to frame.
 
     Args:
@@ -83,7 +83,9 @@ class Engine:
         self.dt = np.zeros(drives)
         self.coupled = doppler and settings.doppler_sigma_m_s is not None
 
-    def step(self, seen: Seen, dt: Float[np.ndarray, " drives"], running: Bool[np.ndarray, " drives"]) -> Tracks:
+    def step(
+        self, seen: DetectionBatch, dt: Float[np.ndarray, " drives"], running: Bool[np.ndarray, " drives"]
+    ) -> Tracks:
         """Take one frame of each running drive.
 
         Args:
@@ -130,7 +132,7 @@ class Engine:
             return near
         return np.where(self.tracks.range_m >= self.settings.far_m, getattr(self.settings, f"far_{name}"), near)
 
-    def _forget(self, seen: Seen, running: Bool[np.ndarray, " drives"]) -> None:
+    def _forget(self, seen: DetectionBatch, running: Bool[np.ndarray, " drives"]) -> None:
         kept = running.copy()
         if self.settings.forget_when_empty:
             kept &= np.bincount(seen.drive, minlength=len(kept)) > 0
@@ -138,7 +140,7 @@ class Engine:
             self.tracks = self.tracks[kept[self.tracks.drive]]
 
     def _take(
-        self, seen: Seen, waiting: Bool[np.ndarray, " n"], gate: Float[np.ndarray, " labels"], *, weak: bool
+        self, seen: DetectionBatch, waiting: Bool[np.ndarray, " n"], gate: Float[np.ndarray, " labels"], *, weak: bool
     ) -> Bool[np.ndarray, " m"]:
         """Continue waiting tracks; returns the detections that are left."""
         free = np.ones(len(seen), dtype=bool)
@@ -169,7 +171,7 @@ class Engine:
             t.speed[a, :2] = seen.velocity_m_s[b]
         return free
 
-    def _update(self, rows: Int[np.ndarray, " k"], seen: Seen) -> None:
+    def _update(self, rows: Int[np.ndarray, " k"], seen: DetectionBatch) -> None:
         variance = self._variance(seen.ray_m)
         if not self.coupled:
             update(self.tracks, rows, seen.rows, variance, self.settings)
@@ -182,12 +184,12 @@ class Engine:
         update_coupled(self.tracks, rows, seen.rows[:, :2], noise)
         self._doppler(self.tracks, rows, seen)
 
-    def _doppler(self, tracks: Tracks, rows: Int[np.ndarray, " k"], seen: Seen) -> None:
+    def _doppler(self, tracks: Tracks, rows: Int[np.ndarray, " k"], seen: DetectionBatch) -> None:
         sigma, span = self.settings.doppler_sigma_m_s, self.settings.doppler_span_m_s
         if seen.radial is not None and sigma is not None:
             update_doppler(tracks, rows, seen.radial, np.hypot(*seen.ray_m.T), sigma_m_s=sigma, span_m_s=span)
 
-    def _reach(self, tracks: Tracks, seen: Seen) -> Reach | None:
+    def _reach(self, tracks: Tracks, seen: DetectionBatch) -> GateUncertainty | None:
         s = self.settings
         if s.gate_sigmas is None and not s.gate_speed_m_s:
             return None
@@ -195,7 +197,7 @@ class Engine:
         if self.coupled and seen.radial is not None and s.doppler_sigma_m_s is not None:
             sigma, span = s.doppler_sigma_m_s, s.doppler_span_m_s
             radial = partial(radial_gaps, tracks, seen.radial, sigma_m_s=sigma, span_m_s=span)
-        return Reach(
+        return GateUncertainty(
             wider_m=s.gate_speed_m_s * tracks.unseen_s,
             tracks_m2=tracks.pp[:, :2],
             seen_m2=self._variance(seen.ray_m)[:, :2],
@@ -213,7 +215,7 @@ class Engine:
             variance[:, :2] = s.range_sigma_m**2 * unit2 + across[:, None] * unit2[:, ::-1]
         return variance
 
-    def _born(self, seen: Seen) -> Tracks:
+    def _born(self, seen: DetectionBatch) -> Tracks:
         n, s = len(seen), self.settings
         rank = np.arange(n) - np.searchsorted(seen.drive, seen.drive)
         name = self.names[seen.drive] + rank

@@ -23,7 +23,7 @@ _NOT = 2.0  # worth of pairs that are no pair: above the 1 of the worst that is 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joining:
+class JoinSettings:
     """What two tracks of one object may differ by.
 
     Args:
@@ -51,17 +51,17 @@ class Joining:
             raise ConfigError(f"joining: expected speed_m_s of 0 or more and 1 box or more, got {self}")
 
 
-ANNOTATED = Joining(longest_s=30.0, near_m=8.0, size=0.001, size_boxes=8)
+ANNOTATED = JoinSettings(longest_s=30.0, near_m=8.0, size=0.001, size_boxes=8)
 """For boxes that people drew: an object that comes back is as long, wide and high as before, to the last digit, so that
 its place may be less sure. Chosen on the odd ones of K-Radar's sequences."""
 
 
-def joining_of(preset: str) -> Joining:
+def joining_of(preset: str) -> JoinSettings:
     """What may be joined of a tracker's tracks, by the name of its preset."""
-    return ANNOTATED if preset == "annotated" else Joining()
+    return ANNOTATED if preset == "annotated" else JoinSettings()
 
 
-def joined(tracks: Detections, chosen: Joining | None = None, *, step_s: float = 0.1) -> Detections:
+def joined(tracks: Detections, chosen: JoinSettings | None = None, *, step_s: float = 0.1) -> Detections:
     """Join tracks, looking ahead; boxes stay as they are, and no two boxes of a frame become one object's.
 
     Args:
@@ -76,7 +76,7 @@ def joined(tracks: Detections, chosen: Joining | None = None, *, step_s: float =
     for drive in timelines(tracks, step_s=step_s):
         found = tracks_of(tracks, drive)
         times_s = np.cumsum(drive.step_s)
-        after = _pairs(found, times_s, chosen or Joining())
+        after = _pairs(found, times_s, chosen or JoinSettings())
         for row, each in enumerate(found):
             first = row
             while first in after:
@@ -94,7 +94,7 @@ def _renamed(key: Key, part: Boxes, names: dict[tuple[str, int], int]) -> Boxes:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ends:
+class _TrackEnds:
     """One end of each track: when and where it is, how fast the object moves there (0 for a single box), what it is.
 
     Args:
@@ -113,8 +113,8 @@ class _Ends:
 
     @classmethod
     def of(
-        cls, tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], settings: Joining, *, last: bool
-    ) -> "_Ends":
+        cls, tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], settings: JoinSettings, *, last: bool
+    ) -> "_TrackEnds":
         rows, end = [], -1 if last else 0
         for each in tracks:
             chosen = _at(settings.boxes, last=last)
@@ -127,7 +127,7 @@ class _Ends:
         label = np.array([str(each.boxes.label[end]) for each in tracks])
         return cls(table[:, 0], table[:, 1:3], table[:, 3:5], table[:, 5:], label)
 
-    def alike(self, others: "_Ends", most: float) -> Bool[np.ndarray, "n m"]:
+    def alike(self, others: "_TrackEnds", most: float) -> Bool[np.ndarray, "n m"]:
         """Which of these and those are of one class and of sizes that differ by at most a share."""
         near = np.abs(self.log_size[:, None] - others.log_size[None]).max(axis=2) <= np.log1p(most)
         return np.asarray(near & (self.label[:, None] == others.label[None]))
@@ -137,17 +137,17 @@ def _at(boxes: int, *, last: bool) -> slice:
     return slice(-boxes, None) if last else slice(None, boxes)
 
 
-def _log_size(boxes: Boxes, settings: Joining, *, last: bool) -> Float[np.ndarray, " 3"]:
+def _log_size(boxes: Boxes, settings: JoinSettings, *, last: bool) -> Float[np.ndarray, " 3"]:
     if settings.size_boxes is None:
         return np.asarray(np.log(boxes.size_m.mean(axis=0)))
     return np.asarray(np.log(np.median(boxes.size_m[_at(settings.size_boxes, last=last)], axis=0)))
 
 
-def _pairs(tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], chosen: Joining) -> dict[int, int]:
+def _pairs(tracks: list[TrackRows], times_s: Float[np.ndarray, " frames"], chosen: JoinSettings) -> dict[int, int]:
     """For each track that goes on another: the number of that one."""
     if len(tracks) < 2:
         return {}
-    ends, begins = (_Ends.of(tracks, times_s, chosen, last=last) for last in (True, False))
+    ends, begins = (_TrackEnds.of(tracks, times_s, chosen, last=last) for last in (True, False))
     gap_s = begins.time_s[None] - ends.time_s[:, None]
     may = (gap_s > 0) & (gap_s <= chosen.longest_s) & ends.alike(begins, chosen.size)
     way = begins.place_m[None] - ends.place_m[:, None]

@@ -13,7 +13,7 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.metrics.detections import Detections
-from farfield.tracking.engine import Engine, Seen
+from farfield.tracking.engine import DetectionBatch, TrackEngine
 from farfield.tracking.kalman import Tracks
 from farfield.tracking.presets import preset
 from farfield.tracking.settings import TrackerSettings
@@ -45,9 +45,9 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
     drives = timelines(found, step_s=chosen.step_s, ego_motion=chosen.ego_motion)
     notes = assumed(drives, seconds=chosen.time == "seconds", ego_motion=chosen.ego_motion, step_s=chosen.step_s)
     labels = sorted({str(name) for boxes in found.boxes.values() for name in np.unique(boxes.label)})
-    table = _Table(found, drives, labels, chosen)
+    table = _DetectionTable(found, drives, labels, chosen)
     radial = any("doppler_m_s" in details for details in found.prediction_details.values())
-    engine = Engine(chosen, drives=len(drives), labels=labels, logits=_are_logits(found), doppler=radial)
+    engine = TrackEngine(chosen, drives=len(drives), labels=labels, logits=_are_logits(found), doppler=radial)
     shown: list[tuple[int, Tracks]] = []
     for number in range(max((len(drive.keys) for drive in drives), default=0)):
         running = np.array([number < len(drive.keys) for drive in drives])
@@ -78,7 +78,7 @@ def _with_filled(annotations: Mapping[Key, Annotation], boxes: Mapping[Key, Boxe
     return {**annotations} | {key: Annotation(boxes=Boxes.empty()) for key in missing}
 
 
-class _Table:
+class _DetectionTable:
     """All detections as rows by frame number, then drive, then falling score."""
 
     def __init__(
@@ -104,9 +104,9 @@ class _Table:
         most = max((len(drive.keys) for drive in drives), default=0)
         self.start = np.searchsorted(self.columns["number"], np.arange(most + 1))
         fields = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label", "radial")
-        self.seen = Seen(**{name: self.columns[name] for name in fields}, source=np.arange(len(order)))
+        self.seen = DetectionBatch(**{name: self.columns[name] for name in fields}, source=np.arange(len(order)))
 
-    def frame(self, number: int) -> Seen:
+    def frame(self, number: int) -> DetectionBatch:
         """Detections of the frame of this number of all drives."""
         return self.seen[slice(self.start[number], self.start[number + 1])]
 

@@ -23,7 +23,7 @@ _NOWHERE_M = 1e12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Facts:
+class _BoxBounds:
     """What the bounds take of each box: centre, half the diagonal, area from above, shorter side, height, volume."""
 
     x: np.ndarray
@@ -35,7 +35,7 @@ class _Facts:
     solid: np.ndarray
 
     @classmethod
-    def of(cls, rows: Float[np.ndarray, "n 7"]) -> "_Facts":
+    def of(cls, rows: Float[np.ndarray, "n 7"]) -> "_BoxBounds":
         length, width, high = rows[:, 3], rows[:, 4], rows[:, 5]
         flat = length * width
         return cls(
@@ -48,20 +48,20 @@ class _Facts:
             solid=flat * high,
         )
 
-    def padded(self, places: Int[np.ndarray, " n"], shape: tuple[int, int]) -> "_Facts":
+    def padded(self, places: Int[np.ndarray, " n"], shape: tuple[int, int]) -> "_BoxBounds":
         """The same with a row a drive; what fills the rows up is far away from all boxes."""
         parts = {}
         for name, values in vars(self).items():
             rows = np.full(shape[0] * shape[1], {"x": _NOWHERE_M, "solid": 0.0, "reach": 0.0}.get(name, 1.0))
             rows[places] = values
             parts[name] = rows.reshape(shape)
-        return _Facts(**parts)
+        return _BoxBounds(**parts)
 
-    def __getitem__(self, index: Any) -> "_Facts":
-        return _Facts(**{name: values[index] for name, values in vars(self).items()})
+    def __getitem__(self, index: Any) -> "_BoxBounds":
+        return _BoxBounds(**{name: values[index] for name, values in vars(self).items()})
 
 
-def _bounds(a: _Facts, b: _Facts) -> tuple[np.ndarray, Bool[np.ndarray, "..."]]:
+def _bounds(a: _BoxBounds, b: _BoxBounds) -> tuple[np.ndarray, Bool[np.ndarray, "..."]]:
     """What pairs that are apart are worth at most, and which pairs may meet."""
     gap_x, gap_y = a.x - b.x, a.y - b.y
     gap_m = np.sqrt(gap_x * gap_x + gap_y * gap_y)
@@ -101,7 +101,7 @@ def best_whole(
     return np.concatenate([none, *(a for a, _ in found)]), np.concatenate([none, *(b for _, b in found)])
 
 
-class _Part:
+class _DriveAssignment:
     """Tracks and detections of one drive: what each pair is worth at most, and whether exactly.
 
     Args:
@@ -152,7 +152,7 @@ def _of_drives(
     plain = _are_best(most, (drive, row, column), least, counts)
     of_plain = plain[drive]
     parts = [
-        _Part(
+        _DriveAssignment(
             (int(starts[0][d]), int(starts[1][d])),
             most[d, : counts[0][d], : counts[1][d]],
             shared[d, : counts[0][d], : counts[1][d]],
@@ -213,7 +213,7 @@ def _grid(
         shape = (len(count), max(int(count.max(initial=0)), 1))
         before.append(np.arange(len(count)) * shape[1] - start[:-1])
         places = np.arange(start[0], start[-1]) + np.repeat(before[-1], count)
-        padded.append(_Facts.of(rows[start[0] : start[-1]]).padded(places, shape))
+        padded.append(_BoxBounds.of(rows[start[0] : start[-1]]).padded(places, shape))
     most, near = _bounds(padded[0][:, :, None], padded[1][:, None, :])
     at = np.nonzero(near)
     shared = np.zeros(most.shape)
@@ -224,14 +224,16 @@ def _grid(
     return most, shared
 
 
-def _rows(parts: Sequence[_Part]) -> tuple[_Rows, _Rows]:
+def _rows(parts: Sequence[_DriveAssignment]) -> tuple[_Rows, _Rows]:
     """Rows of the tracks and of the detections that are chosen."""
     none = np.zeros(0, dtype=np.int64)
     a, b = (np.concatenate([none, *(part.chosen[side] + part.first[side] for part in parts)]) for side in (0, 1))
     return a, b
 
 
-def _finish(parts: Sequence[_Part], tracks: Float[np.ndarray, "n 7"], seen: Float[np.ndarray, "m 7"]) -> None:
+def _finish(
+    parts: Sequence[_DriveAssignment], tracks: Float[np.ndarray, "n 7"], seen: Float[np.ndarray, "m 7"]
+) -> None:
     """Assign each part, working out what its assignment needs."""
     active = list(parts)
     while active:

@@ -13,7 +13,7 @@ from farfield.training.config import AugmentationConfig, SparseNear
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Change:
+class Augmentation:
     """One draw of a frame's random motion, to be applied alike to all that the frame holds.
 
     Args:
@@ -55,9 +55,9 @@ class Change:
         )
 
 
-def draw_change(config: AugmentationConfig, rng: np.random.Generator) -> Change:
+def draw_change(config: AugmentationConfig, rng: np.random.Generator) -> Augmentation:
     """Draw the motion of one frame."""
-    return Change(
+    return Augmentation(
         mirror=bool(rng.random() < config.flip_probability),
         turn_rad=rng.uniform(-config.rotation_rad, config.rotation_rad),
         factor=rng.uniform(1 - config.scale, 1 + config.scale),

@@ -46,7 +46,7 @@ STEPS = "training.steps"
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainingState:
     """The state of a running training.
 
     Args:
@@ -77,7 +77,7 @@ class Run:
         }
 
 
-def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) -> Run | None:
+def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) -> TrainingState | None:
     """Read the state of a training that is to go on; None where there is no checkpoint.
 
     Checkpoints of the first form, with the key ``network``, are read as those of the module ``detector``.
@@ -101,7 +101,7 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         average = {f"detector.{name}": value for name, value in average.items()}
     if set(kept) != set(modules.state_dict()):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
-    return Run(step, kept, optimizer, average, theirs)
+    return TrainingState(step, kept, optimizer, average, theirs)
 
 
 def _check_same(path: Path, theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> None:

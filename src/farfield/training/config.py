@@ -118,7 +118,7 @@ UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0
 """No random change."""
 
 
-class TakingConfig(_Settings):
+class InitConfig(_Settings):
     """What of other weights a network takes; :mod:`farfield.training.starting` has the rules in their order."""
 
     rename: dict[str, str] = Field(
@@ -140,7 +140,7 @@ class StatisticsConfig(_Settings):
     )
 
 
-class StartConfig(TakingConfig):
+class StartConfig(InitConfig):
     """Where a training starts instead of at random."""
 
     weights: str = Field(min_length=1, description="a bundled detector's name, a run's folder or a weights file")

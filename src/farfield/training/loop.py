@@ -18,17 +18,17 @@ from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
 from farfield.training.averaging import averaged, follow, state_of, take_over
-from farfield.training.checkpoints import Run, load_run, prolonged, save_checkpoint
+from farfield.training.checkpoints import TrainingState, load_run, prolonged, save_checkpoint
 from farfield.training.config import TrainingConfig
 from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
 from farfield.training.freezing import frozen_now, hold
 from farfield.training.launching import launch, precision_of
-from farfield.training.method import DETECTOR, Method, Pace, total_of
+from farfield.training.method import DETECTOR, Method, ParamGroup, total_of
 from farfield.training.rates import always_frozen, groups_of, one_cycle, rates_of, set_rates
 from farfield.training.reestimating import keep_reestimated, reestimate
-from farfield.training.report import Report
-from farfield.training.samples import Sample, TrainingSamples
-from farfield.training.stopping import Stop, stopping
+from farfield.training.report import TrainingReport
+from farfield.training.samples import TrainingSample, TrainingSamples
+from farfield.training.stopping import StopSignal, stopping
 from farfield.training.streams import batch_of, batch_shares, batches
 from farfield.training.validating import Best, Validation, best_of, forget
 
@@ -89,7 +89,7 @@ class Training:
         """All that is saved, averaged, spread and synchronised."""
         return self.method.modules
 
-    def run(self, report: Report | None = None) -> Path:
+    def run(self, report: TrainingReport | None = None) -> Path:
         """Train to the last step and write the weights.
 
         Args:
@@ -99,7 +99,7 @@ class Training:
             The path of the weights: an exponential average over the last steps.
         """
         fabric = self._begin()
-        report = report if report is not None and fabric.is_global_zero else Report()
+        report = report if report is not None and fabric.is_global_zero else TrainingReport()
         units = {name: samples.together for name, samples in self.samples.items()}
         counts = batch_shares(self.config.batch_size, self.method.streams, fabric.world_size, units)
         optimizer = self._optimizer()
@@ -128,8 +128,8 @@ class Training:
         counts: Mapping[str, int],
         optimizer: torch.optim.Optimizer,
         average: dict[str, Tensor],
-        report: Report,
-        stop: Stop,
+        report: TrainingReport,
+        stop: StopSignal,
     ) -> None:
         """The steps that are left; asked to stop, it keeps what is done and ends."""
         saved_at = time.monotonic()
@@ -199,7 +199,7 @@ class Training:
         hold(self.modules[DETECTOR], self._held_now)
 
     def _take_statistics(
-        self, counts: Mapping[str, int], fabric: Fabric, average: dict[str, Tensor], report: Report
+        self, counts: Mapping[str, int], fabric: Fabric, average: dict[str, Tensor], report: TrainingReport
     ) -> None:
         """Before the first step, batch statistics of the frames that are learnt from, if asked for."""
         wanted = self.config.start.statistics if self.config.start is not None else None
@@ -232,11 +232,11 @@ class Training:
             groups += groups_of(trained, own, weight_decay=self.config.weight_decay, rate=pace.rate)
         return torch.optim.AdamW(groups, lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True)
 
-    def _parties(self, names: Collection[str]) -> list[tuple[list[nn.Parameter], Pace]]:
+    def _parties(self, names: Collection[str]) -> list[tuple[list[nn.Parameter], ParamGroup]]:
         """The parameters of the named modules that gradients train: those with a pace of their own stand apart."""
         frozen, own = set(self.method.frozen()), self.method.paces()
         chosen = [name for name in self.modules if name in names and name not in frozen]
-        together = Pace(clip=self.config.gradient_clip)
+        together = ParamGroup(clip=self.config.gradient_clip)
         parties = [([name for name in chosen if name not in own], together)]
         parties += [([name], own[name]) for name in chosen if name in own]
         return [(self._parameters(party), pace) for party, pace in parties if party]
@@ -248,7 +248,7 @@ class Training:
 
     def _batches(
         self, counts: Mapping[str, int], fabric: Fabric, steps: int | None = None
-    ) -> Iterable[dict[str, list[Sample]]]:
+    ) -> Iterable[dict[str, list[TrainingSample]]]:
         return batches(
             self.samples,
             counts,
@@ -260,7 +260,7 @@ class Training:
             pinned=fabric.device.type == "cuda",
         )
 
-    def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[Sample]]) -> dict[str, float]:
+    def _update(self, fabric: Fabric, optimizer: Any, samples: Mapping[str, list[TrainingSample]]) -> dict[str, float]:
         set_rates(optimizer, one_cycle(self.step, self.config))
         self._seed_torch(fabric.global_rank)
         batch = {name: batch_of(each, fabric) for name, each in samples.items()}
@@ -336,10 +336,10 @@ class Training:
         self.step = run.step
 
     def _save(self, optimizer: Any, average: dict[str, Tensor]) -> None:
-        run = Run(self.step, self.modules.state_dict(), optimizer.state_dict(), average, self.provenance)
+        run = TrainingState(self.step, self.modules.state_dict(), optimizer.state_dict(), average, self.provenance)
         save_checkpoint(self.checkpoint_path, run.state())
 
-    def _validated(self, average: Mapping[str, Tensor], report: Report) -> dict[str, float]:
+    def _validated(self, average: Mapping[str, Tensor], report: TrainingReport) -> dict[str, float]:
         """The averaged weights' score on held-out frames where it is due; the best weights are written."""
         if self.validation is None or not self.validation.due(self.step, self.config.steps):
             return {}
@@ -363,11 +363,11 @@ class Training:
             return self.method.inspect({name: batch_of(each, fabric) for name, each in self._held.items()})
 
     @cached_property
-    def _held(self) -> dict[str, list[Sample]]:
+    def _held(self) -> dict[str, list[TrainingSample]]:
         """The held-out samples, read once."""
         return {name: [samples[number] for number in range(len(samples))] for name, samples in self.held.items()}
 
-    def _note(self, losses: dict[str, float], held: Mapping[str, float], report: Report) -> None:
+    def _note(self, losses: dict[str, float], held: Mapping[str, float], report: TrainingReport) -> None:
         """Every step's losses are logged; what the method says besides at some steps, and TensorBoard then too."""
         shown = self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or bool(held)
         self._log({**losses, **(self.method.figures() if shown else {}), **held}, board=shown)

@@ -49,7 +49,7 @@ class Stream:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pace:
+class ParamGroup:
     """How a module is trained where it is not trained as the others are.
 
     Args:
@@ -115,7 +115,7 @@ class Method(ABC):
             seed: Its seed: what the method draws at random is to be a function of it and of the step.
         """
 
-    def paces(self) -> Mapping[str, Pace]:
+    def paces(self) -> Mapping[str, ParamGroup]:
         """Modules with a learning rate and a limit of the gradient of their own, such as a discriminator."""
         return {}
 
@@ -190,7 +190,7 @@ METHODS: Registry[Callable[..., Method]] = Registry(
     "training method",
     {
         "supervised": "farfield.training.method:Supervised",
-        "continued": "farfield.adaptation.continued:Continued",
+        "continued": "farfield.adaptation.continued:ContinuedTraining",
         "range": "farfield.adaptation.range:RangeAdaptation",
         "device": "farfield.adaptation.device:DeviceAdaptation",
         "pattern": "farfield.adaptation.pattern:PatternAdaptation",

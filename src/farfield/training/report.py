@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 
-class Report:
+class TrainingReport:
     """Receives the course of a training, in the first process only; a subclass shows what it likes."""
 
     def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:

@@ -27,7 +27,7 @@ from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Stream
-from farfield.training.weather import Laying, check_weather, draw_laid, read_with
+from farfield.training.weather import WeatherOverlay, check_weather, draw_laid, read_with
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # words of the generators; 4 and 5 are the loop's and the methods'
 _LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
@@ -37,7 +37,7 @@ Binding = Mapping[str, str]
 """Which of a frame's clouds each of the network's inputs reads."""
 
 
-class Sample(NamedTuple):
+class TrainingSample(NamedTuple):
     """One frame as the network takes it."""
 
     inputs: dict[str, Tensor]
@@ -74,7 +74,7 @@ def bindings(
     return tuple({name: names[i % len(names)] for name, names in clouds.items()} for i in range(count))
 
 
-class TrainingSamples(TorchDataset[Sample]):
+class TrainingSamples(TorchDataset[TrainingSample]):
     """Samples of one stream by their position in the endless stream of epochs.
 
     Args:
@@ -288,7 +288,7 @@ class TrainingSamples(TorchDataset[Sample]):
     def __len__(self) -> int:
         return self.epoch_length
 
-    def __getitem__(self, position: int) -> Sample:
+    def __getitem__(self, position: int) -> TrainingSample:
         """The sample at a position of the stream; position // epoch_length is its epoch."""
         if self._joint:
             unit, member = divmod(position, self.together)
@@ -301,7 +301,7 @@ class TrainingSamples(TorchDataset[Sample]):
         inputs = self._split(points)
         targets = self.assigner(boxes, inputs) if self.labelled else None
         wanted = boxes.replace(point_count=_count(points, boxes)) if self.stream.boxes else None
-        return Sample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, wanted)
+        return TrainingSample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, wanted)
 
     def _changed(self, unit: int) -> tuple[Points, Boxes]:
         """Points and boxes at a position, or of a pair, after the random changes."""
@@ -310,14 +310,14 @@ class TrainingSamples(TorchDataset[Sample]):
         bank = None if self._bank is None else self._bank.at(unit * self.together if self._joint else unit)
         return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, self._laying(unit))
 
-    def _laying(self, unit: int) -> Laying | None:
+    def _laying(self, unit: int) -> WeatherOverlay | None:
         """What lays weather over the frame at a position, or over a pair; None where it stays as it is."""
         config = self.augmentation.weather
         if config is None:
             return None
         rng = self._generator(_WEATHER, unit)
         laid = draw_laid(config, rng)
-        return None if laid is None else Laying(config, self.columns, tuple(self.read.values()), laid, rng)
+        return None if laid is None else WeatherOverlay(config, self.columns, tuple(self.read.values()), laid, rng)
 
     def _split(self, points: Points) -> dict[str, Points]:
         """The table of :meth:`load` as the network's inputs, each with just its own columns."""

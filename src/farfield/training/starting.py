@@ -19,10 +19,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.contract import ClassRows, InputColumns, Network, OfAnchor
+from farfield.detectors.contract import AnchorRow, ClassRows, InputColumns, Network
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
-from farfield.training.config import TakingConfig
+from farfield.training.config import InitConfig
 from farfield.training.freezing import is_within
 from farfield.training.tensors import by_average, by_columns, by_kernel
 
@@ -96,7 +96,7 @@ class TransferReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Theirs:
+class _SourceWeights:
     """Tensors to take from, under the names that they have here, and what is known of them."""
 
     weights: str
@@ -109,7 +109,7 @@ class _Theirs:
 
 
 @dataclass
-class _Tally:
+class _TransferTally:
     """What was done with each tensor so far."""
 
     taken: list[str] = field(default_factory=list)
@@ -121,7 +121,7 @@ class _Tally:
 
 @torch.no_grad()
 def start_network(
-    network: Network, weights: str | Mapping[str, Tensor], settings: TakingConfig | None = None
+    network: Network, weights: str | Mapping[str, Tensor], settings: InitConfig | None = None
 ) -> TransferReport:
     """Give a network what fits of a trained detector's weights; the module's text says by which rules.
 
@@ -135,12 +135,12 @@ def start_network(
         FarfieldError: If there are no such weights.
         ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
     """
-    chosen = settings or TakingConfig()
+    chosen = settings or InitConfig()
     theirs = _theirs(weights, chosen.rename)
     if theirs.network is not None:
         _check_kind(network, theirs.network, theirs.weights)
     _check_finite(theirs)
-    own, tally = network.state_dict(), _Tally()
+    own, tally = network.state_dict(), _TransferTally()
     parameters = {name for name, _ in network.named_parameters()}
     unsaid = _unsaid(network, theirs.network)
     for name, tensor in own.items():
@@ -159,7 +159,7 @@ def start_network(
     return _report(network, theirs, tally, total)
 
 
-def _report(network: Network, theirs: _Theirs, tally: _Tally, total: int) -> TransferReport:
+def _report(network: Network, theirs: _SourceWeights, tally: _TransferTally, total: int) -> TransferReport:
     own, unused = network.state_dict(), sorted(set(theirs.tensors) - set(network.state_dict()))
     share = sum(tally.counts.values()) / total
     trained = theirs.network.config if theirs.network is not None else None
@@ -185,14 +185,14 @@ def _report(network: Network, theirs: _Theirs, tally: _Tally, total: int) -> Tra
     )
 
 
-def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _Theirs:
+def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _SourceWeights:
     """The weights' tensors under the names that they have here."""
     if not isinstance(weights, str):
-        return _Theirs(weights="tensors in memory", sha256="", tensors=_renamed(weights, rename))
+        return _SourceWeights(weights="tensors in memory", sha256="", tensors=_renamed(weights, rename))
     path = resolve_weights(weights)
     with torch.random.fork_rng(devices=[]):  # what is drawn afterwards does not depend on what was loaded
         trained, _ = load_weights(path)
-    return _Theirs(
+    return _SourceWeights(
         weights=weights,
         sha256=hashlib.sha256(Path(path).read_bytes()).hexdigest(),
         tensors=_renamed(trained.state_dict(), rename),
@@ -214,7 +214,7 @@ def _renamed(tree: Mapping[str, Any], rename: Mapping[str, str]) -> dict[str, An
 
 
 def _fit(
-    name: str, own: Tensor, theirs: _Theirs, network: Network, chosen: TakingConfig, other_classes: bool
+    name: str, own: Tensor, theirs: _SourceWeights, network: Network, chosen: InitConfig, other_classes: bool
 ) -> tuple[str, int, str] | str:
     """Change a tensor in place: what was done, how many values were taken, in words; or why it stays fresh."""
     other, rows, columns = theirs.tensors.get(name), network.class_rows(), network.input_columns()
@@ -246,7 +246,7 @@ def _fit(
 
 
 def _made_to_fit(
-    name: str, own: Tensor, other: Tensor, theirs: _Theirs, columns: InputColumns, chosen: TakingConfig
+    name: str, own: Tensor, other: Tensor, theirs: _SourceWeights, columns: InputColumns, chosen: InitConfig
 ) -> tuple[Tensor, int, str] | None:
     """A tensor of other columns or another kernel; None where there is no rule."""
     reads = name in columns if columns else name == next((n for n, t in theirs.tensors.items() if t.ndim > 1), None)
@@ -260,7 +260,7 @@ def _made_to_fit(
     return found if found is not None else by_kernel(own, other)
 
 
-def _check_finite(theirs: _Theirs) -> None:
+def _check_finite(theirs: _SourceWeights) -> None:
     """Refuse weights of a training that went astray."""
     for name, tensor in theirs.tensors.items():
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
@@ -271,7 +271,7 @@ def _check_finite(theirs: _Theirs) -> None:
 
 
 def _check_enough(
-    share: float, own: Mapping[str, Tensor], theirs: _Theirs, tally: _Tally, chosen: TakingConfig
+    share: float, own: Mapping[str, Tensor], theirs: _SourceWeights, tally: _TransferTally, chosen: InitConfig
 ) -> None:
     """Refuse weights of which too little fits, with the names that are nearest to what was looked for."""
     if share > 0 and share >= chosen.least_taken:
@@ -334,7 +334,7 @@ def _pairs(
         return shapes
     place, pairs, sized = {name: row for row, name in enumerate(others)}, list[tuple[int, int]](), dict[str, str]()
     for row, name in enumerate(names):
-        if name not in place and isinstance(name, OfAnchor) and name.label in like:
+        if name not in place and isinstance(name, AnchorRow) and name.label in like:
             sized[name.label] = like[name.label]
             name = name._replace(label=like[name.label])
         if name in place:

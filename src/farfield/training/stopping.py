@@ -14,7 +14,7 @@ from farfield.training.distributed import average_values
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
-class Stop:
+class StopSignal:
     """Whether a signal asked to stop. A second one ends at once, as it would have without."""
 
     def __init__(self) -> None:
@@ -46,9 +46,9 @@ class Stop:
 
 
 @contextmanager
-def stopping() -> Iterator[Stop]:
+def stopping() -> Iterator[StopSignal]:
     """Let Ctrl-C and SIGTERM wait for the end of a step; outside the main thread they stay as they are."""
-    stop = Stop()
+    stop = StopSignal()
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return

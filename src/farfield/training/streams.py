@@ -12,13 +12,13 @@ from torch.utils.data import Dataset as TorchDataset
 from farfield.detectors.inputs import Inputs
 from farfield.errors import ConfigError
 from farfield.training.method import Batch, Stream
-from farfield.training.samples import Sample, TrainingSamples
+from farfield.training.samples import TrainingSample, TrainingSamples
 
 Place = tuple[str, int]
 """Name of a stream and a position in it."""
 
 
-class StreamSamples(TorchDataset[Sample]):
+class StreamSamples(TorchDataset[TrainingSample]):
     """The samples of several streams, by stream and position: one loader's workers serve them all."""
 
     def __init__(self, streams: Mapping[str, TrainingSamples]) -> None:
@@ -27,7 +27,7 @@ class StreamSamples(TorchDataset[Sample]):
     def __len__(self) -> int:
         return sum(map(len, self.streams.values()))
 
-    def __getitem__(self, place: Place) -> Sample:
+    def __getitem__(self, place: Place) -> TrainingSample:
         """The sample at a position of a stream."""
         name, position = place
         return self.streams[name][position]
@@ -78,7 +78,7 @@ def batches(
     rank: int = 0,
     world: int = 1,
     pinned: bool = False,
-) -> Iterator[dict[str, list[Sample]]]:
+) -> Iterator[dict[str, list[TrainingSample]]]:
     """Batches from ``first_step`` on, by stream; with several processes each takes every ``world``-th sample.
 
     Samples that stay together, such as pairs, go to one process.
@@ -101,7 +101,7 @@ def batches(
         ]
         for step in range(first_step, steps)
     ]
-    loader: DataLoader[Sample] = DataLoader(
+    loader: DataLoader[TrainingSample] = DataLoader(
         StreamSamples(streams),
         batch_sampler=places,
         num_workers=workers,
@@ -119,7 +119,7 @@ def _positions(step: int, count: int, together: int, rank: int, world: int) -> l
     return [unit * together + member for unit in units for member in range(together)]
 
 
-def _by_stream(counts: Mapping[str, int], samples: Iterable[Sample]) -> dict[str, list[Sample]]:
+def _by_stream(counts: Mapping[str, int], samples: Iterable[TrainingSample]) -> dict[str, list[TrainingSample]]:
     left = iter(samples)
     return {name: [next(left) for _ in range(count)] for name, count in counts.items()}
 
@@ -129,7 +129,7 @@ def _one_thread(_: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the training's, which ends its workers
 
 
-def batch_of(samples: list[Sample], fabric: Fabric) -> Batch:
+def batch_of(samples: list[TrainingSample], fabric: Fabric) -> Batch:
     """Samples as a batch on the process' device."""
     names = samples[0].inputs
     inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})

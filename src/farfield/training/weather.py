@@ -20,7 +20,7 @@ from farfield.simulation.radar.laid import overlay_cells
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.icing import BLOCKED_TRANSMISSION, WIDTHS_DEG
-from farfield.simulation.weather.laid import Laid, preset_bounds
+from farfield.simulation.weather.laid import OverlaidWeather, preset_bounds
 from farfield.training.bank import Points
 from farfield.training.config import WeatherConfig
 
@@ -31,7 +31,7 @@ _STEPS = 8  # rates are drawn from so many, so that the tables of drops and flak
 _RATES = ("rain_mm_h", "snow_mm_h", "fog_m", "coverage", "film_mm")
 
 
-def draw_laid(config: WeatherConfig, rng: np.random.Generator) -> Laid | None:
+def draw_laid(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWeather | None:
     """Draw what is laid over a frame; None for the frames that stay as they are."""
     if rng.random() >= config.probability:
         return None
@@ -58,7 +58,7 @@ def draw_laid(config: WeatherConfig, rng: np.random.Generator) -> Laid | None:
     )
     seed = np.random.SeedSequence(int(rng.integers(1 << 62)))
     drops = "drop" if kind == "rain" else "ice"
-    return Laid(weather, seed, drops, (float(across), float(up)), float(through), float(rise_db))
+    return OverlaidWeather(weather, seed, drops, (float(across), float(up)), float(through), float(rise_db))
 
 
 def _drawn(span: tuple[float, float], rng: np.random.Generator) -> float:
@@ -111,7 +111,7 @@ def read_with(cloud: CloudInput, config: WeatherConfig | None) -> tuple[str, ...
 
 
 def lay_over(
-    points: Points, columns: Sequence[str], config: WeatherConfig, laid: Laid, rng: np.random.Generator
+    points: Points, columns: Sequence[str], config: WeatherConfig, laid: OverlaidWeather, rng: np.random.Generator
 ) -> tuple[Points, Bool[np.ndarray, " n"]]:
     """Lay weather over one cloud.
 
@@ -146,7 +146,7 @@ def lay_over(
 
 
 @dataclass(frozen=True, eq=False)
-class Laying:
+class WeatherOverlay:
     """Lays the weather of one frame over the table of all its clouds.
 
     Args:
@@ -160,7 +160,7 @@ class Laying:
     config: WeatherConfig
     columns: tuple[str, ...]
     inputs: tuple[tuple[str, ...], ...]
-    laid: Laid
+    laid: OverlaidWeather
     rng: np.random.Generator
 
     def __call__(self, points: Points, boxes: Boxes) -> tuple[Points, Boxes]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from farfield.datasets.edits import Change, Record, State, box_cell, decode, encode, journal_folder, read_journal
+from farfield.datasets.edits import CellEdit, EditState, Record, box_cell, decode, encode, journal_folder, read_journal
 from farfield.datasets.edits.places import user_folder
 from farfield.errors import DatasetError, FileFormatError
 
@@ -15,7 +15,7 @@ CELL = box_cell(("a", "0001"), "4")
 
 
 def _edit(seq: int, old: int | None, new: int | None, **more: object) -> Record:
-    return Record(seq, f"w-{seq}", 5, "ann", "w", "box.set", (Change(CELL, 0, old, new),))._replace(**more)
+    return Record(seq, f"w-{seq}", 5, "ann", "w", "box.set", (CellEdit(CELL, 0, old, new),))._replace(**more)
 
 
 def _written(path: Path, records: list[Record]) -> bytes:
@@ -90,7 +90,7 @@ def test_a_last_line_with_a_wrong_checksum_is_left_out(tmp_path: Path) -> None:
 def test_edits_that_do_not_follow_are_found(tmp_path: Path, records: list[Record], message: str) -> None:
     _written(tmp_path / "edits.jsonl", records)
     with pytest.raises(FileFormatError, match=message):
-        read_journal(tmp_path / "edits.jsonl", State().apply)
+        read_journal(tmp_path / "edits.jsonl", EditState().apply)
 
 
 def test_a_bad_line_in_the_middle_stops_with_its_number(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_a_bad_line_in_the_middle_stops_with_its_number(tmp_path: Path) -> None:
 
 
 def test_state_knows_version_and_birth() -> None:
-    state = State()
+    state = EditState()
     for record in (_edit(1, 2, 3), _edit(2, 3, None, by="eve")):
         state.apply(record)
     standing = state.get(CELL)

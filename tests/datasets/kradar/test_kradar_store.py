@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drive import frame
 
-from farfield.bulk import Bulk, Outcome
+from farfield.bulk import JobOptions, Outcome
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
@@ -133,7 +133,7 @@ def test_conversion_goes_on_mends_and_verifies(tree: Path, store: Path, tmp_path
     broken.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert verify_store(data, target, NARROW) == ["1/00034: damaged or missing: radar_cells/1/cells_00034.h5"]
     left: list[int] = []
-    watched = Bulk(progress=lambda numbers: (left.append(number) or number for number in numbers))
+    watched = JobOptions(progress=lambda numbers: (left.append(number) or number for number in numbers))
     assert counts(convert_to_store(data, target, NARROW, bulk=watched)) == (1, 2)
     assert left == [0]
     assert broken.read_bytes() == whole

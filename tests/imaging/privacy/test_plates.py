@@ -10,9 +10,9 @@ torch = pytest.importorskip("torch")
 safetensors = pytest.importorskip("safetensors.torch")
 
 from farfield.errors import FarfieldError, FileFormatError
-from farfield.imaging.privacy import Anonymising, plates
+from farfield.imaging.privacy import AnonymizeOptions, plates
 from farfield.imaging.privacy.covering import covered, mask_of
-from farfield.imaging.privacy.hits import Hits, covered_share
+from farfield.imaging.privacy.hits import ImageBoxes, covered_share
 from farfield.imaging.privacy.plate_network import MAX_BYTES, PlateNetwork, load_network, save_network
 from farfield.imaging.privacy.plates import PlateDetector, decoded, gathered
 
@@ -77,10 +77,10 @@ def test_a_plate_seen_at_two_sizes_is_one(monkeypatch) -> None:
 
 def test_parts_of_a_plate_become_one_box_and_others_stay_apart() -> None:
     boxes = np.array([[0.0, 0, 40, 10], [25, 0, 60, 10], [36, 0, 76, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
-    hits = gathered(Hits.of("plate", boxes, np.array([0.9, 0.2, 0.15, 0.3, 0.12])))
+    hits = gathered(ImageBoxes.of("plate", boxes, np.array([0.9, 0.2, 0.15, 0.3, 0.12])))
     np.testing.assert_allclose(hits.box_px, [[0, 0, 60, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
     np.testing.assert_allclose(hits.score, [0.9, 0.3, 0.12])
-    assert len(gathered(Hits())) == 0
+    assert len(gathered(ImageBoxes())) == 0
 
 
 def test_weights_come_back_in_half_precision(tmp_path: Path) -> None:
@@ -121,8 +121,8 @@ def test_missing_weights_are_said_in_words(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(FarfieldError, match=r"expected the plate network's weights"):
         PlateDetector(weights=tmp_path / "none.safetensors")
     monkeypatch.setattr(plates, "_WEIGHTS", tmp_path / "none.safetensors")
-    assert "which this installation lacks" in Anonymising().without_plates()
-    assert not Anonymising(plates=False).without_plates()
+    assert "which this installation lacks" in AnonymizeOptions().without_plates()
+    assert not AnonymizeOptions(plates=False).without_plates()
 
 
 def car_with_plate(text: str = "AB 123 CD") -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +174,7 @@ def test_a_covered_plate_cannot_be_read_by_trying_strings(rng, how) -> None:
         drawn = Image.new("RGB", (140, 34), (236, 236, 230))
         ImageDraw.Draw(drawn).text((70, 17), word, fill=(16, 16, 20), font=font(24), anchor="mm")
         plates_drawn.append(np.array(drawn))
-    hits = Hits.of("plate", np.array([[0.0, 0.0, 140.0, 34.0]]), np.ones(1))
+    hits = ImageBoxes.of("plate", np.array([[0.0, 0.0, 140.0, 34.0]]), np.ones(1))
     clear, rough = np.stack(plates_drawn).astype(float), (slice(None), slice(None, None, 8), slice(None, None, 7))
     before = after = 0
     model = np.stack([covered(each, hits, how, np.random.default_rng(0)) for each in plates_drawn]).astype(float)

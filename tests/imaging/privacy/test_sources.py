@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError, DatasetError
-from farfield.imaging.privacy.hits import Hits
+from farfield.imaging.privacy.hits import ImageBoxes
 from farfield.imaging.privacy.partners import partners
 from farfield.imaging.privacy.sources import pairs_of, sources_of
 
@@ -76,14 +76,14 @@ def test_the_partner_is_found_by_its_looks(rng) -> None:
     left = cv2.GaussianBlur(rng.integers(0, 256, (120, 200, 3), dtype=np.uint8), (0, 0), 2)
     right = np.roll(left, -17, axis=1)
     box = np.array([[80.0, 40.0, 110.0, 75.0]])
-    hits = Hits.of("face", box, np.array([0.9]))
-    found = partners(left, hits, right, Hits())
+    hits = ImageBoxes.of("face", box, np.array([0.9]))
+    found = partners(left, hits, right, ImageBoxes())
     np.testing.assert_allclose(found.hits.box_px, box - [17, 0, 17, 0], atol=1)
     assert not len(found.lost)
-    known = partners(left, hits, right, Hits.of("face", box - [16, 0, 16, 0], np.array([0.8])))
+    known = partners(left, hits, right, ImageBoxes.of("face", box - [16, 0, 16, 0], np.array([0.8])))
     assert not len(known.hits)
     assert not len(known.lost)
     hidden = right.copy()
     hidden[:, 55:105] = 90
-    assert len(partners(left, hits, hidden, Hits()).lost) == 1
-    assert len(partners(left, Hits(), right, Hits()).hits) == 0
+    assert len(partners(left, hits, hidden, ImageBoxes()).lost) == 1
+    assert len(partners(left, ImageBoxes(), right, ImageBoxes()).hits) == 0

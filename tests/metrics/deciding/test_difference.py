@@ -9,7 +9,16 @@ from scipy import stats
 from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.metrics import Detections
-from farfield.metrics.deciding import Difference, Sample, Spread, difference, difference_of, figure, measured, pooled
+from farfield.metrics.deciding import (
+    Difference,
+    ScoreSample,
+    Spread,
+    difference,
+    difference_of,
+    figure,
+    measured,
+    pooled,
+)
 from metrics.scenes import random_scene
 
 
@@ -32,8 +41,8 @@ def of(*by_seed: float, s_seq: float | None = 0.0, **facts: object) -> Differenc
     return Difference(by_seed=by_seed, s_seq=s_seq, groups=12, **facts)
 
 
-def as_sample(value: float | None, draws: np.ndarray, drawn: str = "x") -> Sample:
-    return Sample(value=value, draws=draws, drawn=drawn, grouped_by="sequences", groups=9)
+def as_sample(value: float | None, draws: np.ndarray, drawn: str = "x") -> ScoreSample:
+    return ScoreSample(value=value, draws=draws, drawn=drawn, grouped_by="sequences", groups=9)
 
 
 def test_a_row_does_not_differ_from_itself() -> None:

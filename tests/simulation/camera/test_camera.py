@@ -18,7 +18,7 @@ from farfield.simulation.camera.rig import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_B
 from farfield.simulation.camera.sky import make_sky, visible_extinction
 from farfield.simulation.stage import on_asphalt, painted
 from farfield.simulation.weather.conditions import Weather, draw_weather
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 from farfield.vocabulary.conditions import WEATHERS
 
 HEIGHT_M = 1.45
@@ -32,7 +32,7 @@ def at(x_m: float, y_m: float, yaw_rad: float = 0.0) -> np.ndarray:
     return pose_from_yaw(yaw_rad, np.array([x_m, y_m, 0.0]))
 
 
-def pixels_of(window: Window, camera: Camera, body: int) -> np.ndarray:
+def pixels_of(window: SceneWindow, camera: Camera, body: int) -> np.ndarray:
     """Pixels (u, v) that see a body."""
     placed = place(window)
     picture = take_picture(placed, ray_grid(camera), invert(camera.camera_T_lidar))

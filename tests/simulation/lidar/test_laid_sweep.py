@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from farfield.simulation.lidar.air import SURFACE, beam_of
-from farfield.simulation.lidar.laid import LIDARS, LaidWindow, empty_shots, overlay
+from farfield.simulation.lidar.laid import LIDARS, WindowEffect, empty_shots, overlay
 from farfield.simulation.lidar.model import HDL_64E, OS2_64, LidarModel, detection_probability
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
 from farfield.simulation.stage import HERE, fleet
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.laid import Laid
+from farfield.simulation.weather.laid import OverlaidWeather
 from farfield.simulation.weather.precipitation import rain_drops, snow_flakes, strongest_particle
 
 ICY = {"icing_age_s": float("inf"), "temperature_c": -3.0}
 
 
-def laid_of(seed: int = 3, patches_deg=(15.0, 8.0), transmission=0.2, **weather) -> Laid:
-    return Laid(Weather(**weather), np.random.SeedSequence(seed), "ice", patches_deg, transmission)
+def laid_of(seed: int = 3, patches_deg=(15.0, 8.0), transmission=0.2, **weather) -> OverlaidWeather:
+    return OverlaidWeather(Weather(**weather), np.random.SeedSequence(seed), "ice", patches_deg, transmission)
 
 
 def wall_at(distance_m: float, count: int = 4000) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_rain_in_the_way_of_a_wall_takes_points_and_leaves_drops(rng):
 
 @pytest.mark.parametrize("share", [0.1, 0.35])
 def test_ice_blocks_that_share_of_the_windows_front(share):
-    window = LaidWindow.draw(OS2_64, laid_of(icing=share, **ICY))
+    window = WindowEffect.draw(OS2_64, laid_of(icing=share, **ICY))
     azimuth, elevation = np.meshgrid(np.radians(np.arange(-179.75, 180, 0.5)), np.radians(np.arange(-10.8, 10.6, 0.25)))
     seen = np.column_stack([azimuth.ravel(), elevation.ravel()]).astype(np.float32)
     gain = window.gain(seen)
@@ -91,8 +91,8 @@ def test_ice_blocks_that_share_of_the_windows_front(share):
     assert (gain[~front] == 1).all()
     ahead = (gain[front] < 1).reshape(azimuth.shape[0], -1).any(axis=0)
     assert ahead.mean() < 0.9  # whole sectors, not specks everywhere
-    assert (gain == LaidWindow.draw(OS2_64, laid_of(icing=share, **ICY)).gain(seen)).all()
-    assert (gain != LaidWindow.draw(OS2_64, laid_of(4, icing=share, **ICY)).gain(seen)).any()
+    assert (gain == WindowEffect.draw(OS2_64, laid_of(icing=share, **ICY)).gain(seen)).all()
+    assert (gain != WindowEffect.draw(OS2_64, laid_of(4, icing=share, **ICY)).gain(seen)).any()
 
 
 def test_opaque_ice_takes_what_is_behind_it_and_nothing_else(rng):
@@ -100,7 +100,7 @@ def test_opaque_ice_takes_what_is_behind_it_and_nothing_else(rng):
     laid = laid_of(transmission=1e-6, icing=0.3, **ICY)
     over = overlay(points, np.full(4000, 0.9, dtype=np.float32), OS2_64, laid, rng)
     offset = np.column_stack([np.arctan2(points[:, 1], points[:, 0]), np.zeros(4000)]).astype(np.float32)
-    blocked = LaidWindow.draw(OS2_64, laid).gain(offset) < 1
+    blocked = WindowEffect.draw(OS2_64, laid).gain(offset) < 1
     assert 0 < blocked.mean() < 1
     np.testing.assert_array_equal(over.kept, ~blocked)
     np.testing.assert_allclose(over.gain[~blocked], 1, rtol=1e-6)
@@ -171,7 +171,7 @@ def test_a_clear_sweep_in_laid_weather_is_like_one_that_was_simulated_in_it(rng,
         sweep(scan, OS2_64, window, HERE, np.random.default_rng(3), weather=each, window_seed=seed)
         for each in (Weather(), weather)
     )
-    laid = Laid(weather, seed, "ice" if weather.snow_mm_h else "drop", (8.0, 4.0), 0.05)
+    laid = OverlaidWeather(weather, seed, "ice" if weather.snow_mm_h else "drop", (8.0, 4.0), 0.05)
     over = overlay(clear.cloud.points_m, clear.cloud.intensity, OS2_64, laid, rng)
     assert (clear.actor[over.kept] >= 0).sum() == pytest.approx((there.actor >= 0).sum(), rel=0.03)
     assert len(over.points_m) == pytest.approx((there.kind != SURFACE).sum(), rel=0.03)

@@ -7,7 +7,7 @@ from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.lidar.echoes import strongest
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
 from farfield.simulation.stage import HERE, body, frozen, moving, plate, quiet
 from farfield.simulation.trace import Body, Tracer
 
@@ -15,7 +15,7 @@ KNOTS_S = np.linspace(-0.06, 0.06, 9)
 SPEED_M_S = 20.0
 
 
-def wall_seen(*, compensated: bool) -> Sweep:
+def wall_seen(*, compensated: bool) -> SimulatedSweep:
     """A wall 30 m ahead, seen by an OS2 that drives at it."""
     model = quiet(OS2_64, compensated=compensated, sub_rays=1)
     wall = body(plate(0.8, width_m=60, height_m=30), 30, 0, 0, knots=9)

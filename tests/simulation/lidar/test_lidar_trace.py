@@ -10,7 +10,7 @@ from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64, LidarModel
-from farfield.simulation.lidar.rays import Path, block_towards
+from farfield.simulation.lidar.rays import SensorPath, block_towards
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
 from farfield.simulation.stage import HERE, body, coloured, frozen, quiet
@@ -89,7 +89,7 @@ def test_no_shot_at_a_body_is_left_out(model: LidarModel, rng: np.random.Generat
         inverse = invert(target.world_T_body[0]) @ tilt
         rays = np.moveaxis(scan.rays, 0, -1).reshape(-1, 3) @ inverse[:3, :3].T.astype(np.float32)
         hits = target.tracer.cast(inverse[:3, 3], rays)
-        block = block_towards(scan, target, Path.towards(target, tilt[None], np.zeros(1)))
+        block = block_towards(scan, target, SensorPath.towards(target, tilt[None], np.zeros(1)))
         struck = np.unique(np.flatnonzero(hits.face >= 0) % (scan.shape[0] * scan.shape[1]))
         assert set(struck) <= set(block.shots())
         assert struck.size == 0 or block.nearest_m <= hits.range_m.min() + 1e-3

@@ -11,13 +11,13 @@ from farfield.simulation.bodies.mesh import quads
 from farfield.simulation.lidar.air import FOG, PRECIPITATION, SPRAY, SURFACE, spray
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
 from farfield.simulation.stage import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.ground import snow_grades
 from farfield.simulation.weather.optics import extinction_per_m
 from farfield.simulation.weather.spray import Plume
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 SEED = np.random.SeedSequence(9)
 WEATHERS = {
@@ -32,7 +32,7 @@ WEATHERS = {
 }
 
 
-def drive(model: object, window: Window, weather: Weather | None, **seeds: object) -> Sweep:
+def drive(model: object, window: SceneWindow, weather: Weather | None, **seeds: object) -> SimulatedSweep:
     rng = np.random.default_rng(3)
     scan = Scan.draw(model, rng, pattern="uniform")  # type: ignore[arg-type]
     return sweep(scan, model, window, HERE, rng, weather=weather, **seeds)  # type: ignore[arg-type]

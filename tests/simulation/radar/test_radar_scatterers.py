@@ -11,7 +11,7 @@ from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
 from farfield.simulation.radar.casting import cast_rays
-from farfield.simulation.radar.echoes import Kind, Scatterers, cell_snr
+from farfield.simulation.radar.echoes import ScattererKind, Scatterers, cell_snr
 from farfield.simulation.radar.frame import measure
 from farfield.simulation.radar.mirrors import find_mirrors
 from farfield.simulation.radar.model import RadarModel, radar_mount
@@ -20,7 +20,7 @@ from farfield.simulation.radar.scatterers import radar_velocity_m_s, scatterers
 from farfield.simulation.radar.visibility import availability, masked_db, object_snr_db
 from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 MODEL = RadarModel()
 HEIGHT_M = 0.9
@@ -40,7 +40,7 @@ def body_at(x_m: float, y_m: float, size: tuple[float, float, float], row: int, 
     return Body(Tracer(shape.painted(np.random.default_rng(0))), pose_from_yaw(0.0, (x_m, y_m, 0.0))[None], row)
 
 
-def scene(places, *furniture, kinds=None, velocity=None) -> Window:
+def scene(places, *furniture, kinds=None, velocity=None) -> SceneWindow:
     """Boxes on a road, the radar 0.9 m above the origin, driving ahead at 20 m/s."""
     kinds = kinds or ["sedan"] * len(places)
     sizes = [(0.6, 0.6, 1.75) if kind == "pedestrian" else CAR for kind in kinds]
@@ -50,7 +50,7 @@ def scene(places, *furniture, kinds=None, velocity=None) -> Window:
     ]
     n = len(places)
     speeds = np.tile(EGO_M_S, (n, 1)) if velocity is None else np.asarray(velocity, dtype=float)
-    return Window(
+    return SceneWindow(
         0.0, np.zeros(1), np.eye(4)[None], [road(*furniture), *bodies], actors,
         np.array([[x, y, 0.0] for x, y in places]).reshape(n, 3), np.zeros(n), speeds, EGO_M_S,
     )  # fmt: skip
@@ -59,7 +59,7 @@ def scene(places, *furniture, kinds=None, velocity=None) -> Window:
 POSE = pose(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
 
 
-def see(window: Window, seed: int = 0, weather: Weather | None = None) -> Scatterers:
+def see(window: SceneWindow, seed: int = 0, weather: Weather | None = None) -> Scatterers:
     return scatterers(window, MODEL, POSE, weather or Weather(), np.random.default_rng(seed))
 
 
@@ -77,8 +77,8 @@ def test_a_car_gives_its_cross_section_where_it_stands():
 def test_hidden_cars_show_under_their_leader_only():
     seen = see(scene([(25.0, 0.0), (40.0, 0.0)]))
     front, behind = (seen.take(seen.actor == row) for row in (0, 1))
-    assert set(front.kind) == {int(Kind.OBJECT)}
-    assert set(behind.kind) == {int(Kind.BOUNCE)}
+    assert set(front.kind) == {int(ScattererKind.OBJECT)}
+    assert set(behind.kind) == {int(ScattererKind.BOUNCE)}
     assert behind.position_m[:, 2].max() < -HEIGHT_M  # seen as an image under the road
     alone = see(scene([(25.0, 30.0), (40.0, 0.0)]))
     lost = 10 * np.log10(behind.rcs_m2.sum() / alone.take(alone.actor == 1).rcs_m2.sum())
@@ -95,12 +95,12 @@ def test_a_vehicle_that_begins_beside_the_radar_is_seen():
 def test_walls_leave_no_way_under_them():
     wall = box([0.3, 8.0, 3.0], [25.0, 0.0, 1.5], int(Material.CONCRETE))
     seen = see(scene([(40.0, 0.0)], wall))
-    assert not np.any((seen.actor == 0) & (seen.kind != Kind.GHOST))
+    assert not np.any((seen.actor == 0) & (seen.kind != ScattererKind.GHOST))
 
 
 def test_the_static_world_approaches_by_the_cosine():
     seen = see(scene([]))
-    static = seen.take(seen.kind == Kind.SURFACE)
+    static = seen.take(seen.kind == ScattererKind.SURFACE)
     want = -20.0 * static.position_m[:, 0] / static.range_m
     assert static.velocity_m_s == pytest.approx(want, abs=0.02)
     assert np.all(static.position_m[:, 2] == pytest.approx(-HEIGHT_M, abs=0.02))
@@ -122,12 +122,12 @@ def test_a_wall_beside_the_road_mirrors_cars():
     mirrors = find_mirrors(cast_rays(window, POSE, 118.0, np.random.default_rng(0)))
     flank = [mirror for mirror in mirrors if abs(mirror.normal[1]) > 0.99]
     assert flank[0].distance_m == pytest.approx(8.0, abs=0.05)
-    ghosts = [seen.take(seen.kind == Kind.GHOST) for seen in (see(window, seed) for seed in range(8))]
+    ghosts = [seen.take(seen.kind == ScattererKind.GHOST) for seen in (see(window, seed) for seed in range(8))]
     place = np.concatenate([ghost.position_m for ghost in ghosts])
     assert len(place) > 10
     assert np.all((place[:, 1] > 11.5) & (place[:, 1] < 14.6))  # the car's 2.05 ... 3.95 m seen behind a wall at 8 m
     ratio = np.mean([ghost.rcs_m2.sum() for ghost in ghosts]) / np.mean(
-        [seen.rcs_m2[seen.kind == Kind.OBJECT].sum() for seen in (see(window, seed) for seed in range(8))]
+        [seen.rcs_m2[seen.kind == ScattererKind.OBJECT].sum() for seen in (see(window, seed) for seed in range(8))]
     )
     assert 10 * np.log10(ratio) == pytest.approx(MODEL.ghost_db, abs=2.5)
     direction = place / np.linalg.norm(place, axis=1, keepdims=True)
@@ -138,7 +138,7 @@ def test_a_wall_beside_the_road_mirrors_cars():
 def test_rails_show_their_posts():
     rail = box([80.0, 0.06, 0.3], [45.0, -5.0, 0.6], int(Material.METAL))
     seen = see(scene([], rail))
-    post = seen.take(seen.kind == Kind.POST)
+    post = seen.take(seen.kind == ScattererKind.POST)
     assert len(post) >= 5
     assert post.position_m[:, 1] == pytest.approx(-4.97, abs=0.1)
     assert np.diff(np.sort(post.position_m[:, 0])) % 4.0 == pytest.approx(0.0, abs=0.05)
@@ -150,7 +150,7 @@ def test_walkers_limbs_swing_about_their_speed():
     for time_s in np.linspace(0.0, 1.0, 12):
         seen = see(replace(window, time_s=float(time_s)))
         limbs = seen.take(seen.actor == 0)
-        assert set(limbs.kind) == {int(Kind.LIMB)}
+        assert set(limbs.kind) == {int(ScattererKind.LIMB)}
         speeds.append(limbs.velocity_m_s + 20.0)
     speeds = np.concatenate(speeds)
     assert np.median(speeds) == pytest.approx(1.4, abs=0.2)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from farfield.simulation.world.motion import STEP_S
-from farfield.simulation.world.traffic import Drivers, Signal, drive
+from farfield.simulation.world.traffic import DriverSet, Signal, drive
 
 ALONE = np.full((2, 1), -1)
 
 
-def _drivers(progress: list[float], desired: list[float], lane: list[int], length: float = 4.5) -> Drivers:
+def _drivers(progress: list[float], desired: list[float], lane: list[int], length: float = 4.5) -> DriverSet:
     n = len(progress)
-    return Drivers(
+    return DriverSet(
         progress_m=np.array(progress, dtype=float),
         lane=np.array(lane),
         length_m=np.full(n, length),

@@ -11,16 +11,16 @@ from farfield.datasets import open_dataset
 from farfield.errors import ConfigError
 from farfield.recording import record
 from farfield.simulation import find_preset
-from farfield.simulation.world.scene import ROADS, Scene
+from farfield.simulation.world.scene import ROADS, WorldScene
 
 WITHOUT_LANES = {"parking_lot"}
 
 
-def scene(road: str, side: str) -> Scene:
-    return Scene(road, np.random.SeedSequence(4), duration_s=6.0, traffic=side)
+def scene(road: str, side: str) -> WorldScene:
+    return WorldScene(road, np.random.SeedSequence(4), duration_s=6.0, traffic=side)
 
 
-def oncoming_m(world: Scene) -> list[float]:
+def oncoming_m(world: WorldScene) -> list[float]:
     """How far to the left of the ego vehicle's course those pass that come towards it."""
     window = world.window(3.0, reach_m=200.0)
     here = window.world_T_ego_now
@@ -97,6 +97,6 @@ def test_another_side_is_refused_and_the_right_says_nothing_new() -> None:
     with pytest.raises(ConfigError, match=r"right, left.*middle"):
         find_preset("cirrus-sim", traffic="middle")
     with pytest.raises(ConfigError, match="middle"):
-        Scene("urban", np.random.SeedSequence(1), duration_s=5.0, traffic="middle")
+        WorldScene("urban", np.random.SeedSequence(1), duration_s=5.0, traffic="middle")
     assert "traffic" not in find_preset("cirrus-sim").said()
     assert find_preset("cirrus-sim", traffic="left").said()["traffic"] == "left"

@@ -11,7 +11,7 @@ from farfield.frame import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.simulation.bodies.gait import PHASES
 from farfield.simulation.world.roads import alleyway, highway, mountain, parking_lot, suburban, university, urban
-from farfield.simulation.world.scene import ROADS, Scene
+from farfield.simulation.world.scene import ROADS, WorldScene
 
 DURATION_S = 9.0
 BOUNDS = {  # curvature, grade
@@ -26,12 +26,12 @@ BOUNDS = {  # curvature, grade
 }
 
 
-_SCENES: dict[tuple[str, int], Scene] = {}
+_SCENES: dict[tuple[str, int], WorldScene] = {}
 
 
-def _scene(road: str, seed: int) -> Scene:
+def _scene(road: str, seed: int) -> WorldScene:
     if (road, seed) not in _SCENES:
-        _SCENES[road, seed] = Scene(road, np.random.SeedSequence(seed), duration_s=DURATION_S)
+        _SCENES[road, seed] = WorldScene(road, np.random.SeedSequence(seed), duration_s=DURATION_S)
     return _SCENES[road, seed]
 
 
@@ -45,9 +45,9 @@ def _forget_tracers() -> Iterator[None]:
 def test_the_roads_are_those_of_kradar() -> None:
     assert set(ROADS) == set(BOUNDS)
     with pytest.raises(ConfigError, match="road: expected one of urban"):
-        Scene("moon", np.random.SeedSequence(0), duration_s=1.0)
+        WorldScene("moon", np.random.SeedSequence(0), duration_s=1.0)
     with pytest.raises(ConfigError, match="sizes: expected one of us"):
-        Scene("urban", np.random.SeedSequence(0), duration_s=1.0, sizes="mars")
+        WorldScene("urban", np.random.SeedSequence(0), duration_s=1.0, sizes="mars")
 
 
 @pytest.mark.parametrize("road", ROADS)
@@ -159,14 +159,14 @@ def test_vehicles_in_lanes_stay_on_the_carriageway(road: str) -> None:
 
 
 def test_the_same_seed_gives_the_same_world_whoever_looks() -> None:
-    first, second = (Scene("urban", np.random.SeedSequence(9), duration_s=8.0) for _ in range(2))
+    first, second = (WorldScene("urban", np.random.SeedSequence(9), duration_s=8.0) for _ in range(2))
     for time_s in (0.0, 2.0, 5.0):
         first.window(time_s, half_span_s=0.06, behind_m=240.0)
     ones, others = first.window(6.0, behind_m=30.0), second.window(6.0, behind_m=30.0)
     assert [a.track_id for a in ones.actors] == [a.track_id for a in others.actors]
     np.testing.assert_array_equal(ones.bottom_m, others.bottom_m)
     np.testing.assert_array_equal(ones.bodies[0].tracer.mesh.vertices_m, others.bodies[0].tracer.mesh.vertices_m)
-    other = Scene("urban", np.random.SeedSequence(10), duration_s=8.0)
+    other = WorldScene("urban", np.random.SeedSequence(10), duration_s=8.0)
     assert len(other.actors) != len(first.actors) or not np.array_equal(
         other.motion.position_m[1], first.motion.position_m[1]
     )
@@ -207,7 +207,7 @@ def test_a_prior_changes_the_sizes_of_the_traffic() -> None:
         name: np.mean(
             [
                 actor.size_m[0]
-                for actor in Scene("parking_lot", np.random.SeedSequence(3), duration_s=3.0, sizes=name).actors
+                for actor in WorldScene("parking_lot", np.random.SeedSequence(3), duration_s=3.0, sizes=name).actors
                 if actor.label == "vehicle"
             ]
         )

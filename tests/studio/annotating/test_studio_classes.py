@@ -9,13 +9,13 @@ import pytest
 
 from farfield.datasets import open_dataset
 from farfield.errors import ConfigError
-from farfield.studio.annotating.annotation import Annotating
+from farfield.studio.annotating.annotation import AnnotationService
 from farfield.studio.annotating.opening import offered_classes
 from farfield.studio.editing.box_edits import add_box
 from farfield.studio.editing.errors import RefusedError
 from farfield.studio.editing.store import Author
 from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.opened import OpenedDataset
 
 TANK = (7.0, 3.0, 2.5)
 
@@ -33,8 +33,10 @@ def sweeps(folder: Path, frames: int, tanks: int = 1) -> Path:
     return folder
 
 
-def annotated(folder: Path, **settings) -> Annotating:
-    return Annotating(Opened(open_dataset(folder)), StudioSettings(mode="annotate", extent="full", **settings))
+def annotated(folder: Path, **settings) -> AnnotationService:
+    return AnnotationService(
+        OpenedDataset(open_dataset(folder)), StudioSettings(mode="annotate", extent="full", **settings)
+    )
 
 
 def test_classes_that_boxes_bear_are_offered_with_their_size(tmp_path: Path):

@@ -16,7 +16,7 @@ from farfield.calibration.edges import difference
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
-from farfield.studio.calibrating.calibrating import Calibrating
+from farfield.studio.calibrating.calibrating import CalibrationService
 from farfield.studio.calibrating.values import camera_of, camera_values
 from farfield.studio.messages.checking import read_request
 from farfield.studio.settings import CalibrationSettings
@@ -217,6 +217,6 @@ def test_a_job_is_stopped_and_changes_nothing(live: Live):
 
 def test_a_data_set_without_the_sensors_is_refused(root: Path):
     with pytest.raises(ConfigError, match="expected a K-Radar"):
-        Calibrating(open_dataset(root), CalibrationSettings(kind="radar-lidar", frames=1))
+        CalibrationService(open_dataset(root), CalibrationSettings(kind="radar-lidar", frames=1))
     with pytest.raises(ConfigError, match="expected one of camera; got nose"):
-        Calibrating(open_dataset(root), CalibrationSettings(kind="lidar-camera", frames=1, camera="nose"))
+        CalibrationService(open_dataset(root), CalibrationSettings(kind="lidar-camera", frames=1, camera="nose"))

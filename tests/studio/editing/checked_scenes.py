@@ -8,8 +8,16 @@ from edited_drives import pose
 
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.studio.editing.angles import wrapped
-from farfield.studio.editing.checking import CheckSettings, Course, Detected, Scene, SizeRange, Step, Surroundings
-from farfield.studio.editing.motion import Moment, from_world, to_world
+from farfield.studio.editing.checking import (
+    CheckedFrame,
+    CheckSettings,
+    DetectorBox,
+    NearbyTrack,
+    SizeRange,
+    Surroundings,
+    TrackStep,
+)
+from farfield.studio.editing.motion import TrackFrame, from_world, to_world
 
 FRAMES, LIDAR_M = 12, 1.8
 CLASSES = {
@@ -44,7 +52,7 @@ class CheckedDrive:
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         self.world = self._objects()
-        self.moments = [Moment(("a", f"{row:04d}"), row / 10, pose(row)) for row in range(FRAMES)]
+        self.moments = [TrackFrame(("a", f"{row:04d}"), row / 10, pose(row)) for row in range(FRAMES)]
         self.true: Drawn = {row: self._labels(row) for row in range(FRAMES)}
         self.drawn: Drawn = {row: {t: self._by_hand(b) for t, b in self.true[row].items()} for row in range(FRAMES)}
         self._around: dict[int, Surroundings] = {}
@@ -90,19 +98,19 @@ class CheckedDrive:
             ground = ground[~_inside(ground, box)]
         return np.concatenate([ground, *(_faces(box, rng) for box in labels)]).astype(np.float32)
 
-    def scene(self, row: int, detections: tuple[Detected, ...] = ()) -> Scene:
+    def scene(self, row: int, detections: tuple[DetectorBox, ...] = ()) -> CheckedFrame:
         if row not in self._around:
             self._around[row] = Surroundings(self.points(row))
-        return Scene(key=self.moments[row].key, row=row, around=self._around[row], detections=detections)
+        return CheckedFrame(key=self.moments[row].key, row=row, around=self._around[row], detections=detections)
 
 
-def courses_of(drive: CheckedDrive, drawn: Drawn) -> dict[str, Course]:
-    tracks: dict[str, list[Step]] = {}
+def courses_of(drive: CheckedDrive, drawn: Drawn) -> dict[str, NearbyTrack]:
+    tracks: dict[str, list[TrackStep]] = {}
     for row, labels in drawn.items():
         for track, label in labels.items():
             box = to_world(label.box, drive.moments[row])
-            tracks.setdefault(track, []).append(Step(row, drive.moments[row].time_s, box))
-    return {track: Course(steps, len(steps), posed=True) for track, steps in tracks.items()}
+            tracks.setdefault(track, []).append(TrackStep(row, drive.moments[row].time_s, box))
+    return {track: NearbyTrack(steps, len(steps), posed=True) for track, steps in tracks.items()}
 
 
 def _inside(points: np.ndarray, box: Numbers) -> np.ndarray:

@@ -11,14 +11,14 @@ from checked_scenes import DEFECTS, FRAMES, SETTINGS, CheckedDrive, courses_of, 
 from farfield.datasets.labels import BoxLabel
 from farfield.studio.editing.checking import (
     CHECKS,
+    CheckedFrame,
     CheckSettings,
-    Course,
-    Detected,
-    Scene,
+    DetectorBox,
+    NearbyTrack,
+    SensorView,
     SizeRange,
-    Step,
     Surroundings,
-    View,
+    TrackStep,
     check,
 )
 
@@ -62,66 +62,68 @@ def test_a_detector_that_disagrees() -> None:
     other = BoxLabel(id="2", label="car", box=(40.0, -3.0, -1.0, 4.6, 1.9, 1.6, 0.0))
     shifted = (41.5, -3.5, -1.0, 4.6, 1.9, 1.6, 0.0)
     seen = [
-        Detected("car", CAR.box, 0.9),
-        Detected("car", shifted, 0.8),
-        Detected("bus", (70.0, 0.0, 0.0, 11.0, 2.6, 3.2, 0.0), 0.7),
-        Detected("bus", (90.0, 0.0, 0.0, 11.0, 2.6, 3.2, 0.0), 0.4),
+        DetectorBox("car", CAR.box, 0.9),
+        DetectorBox("car", shifted, 0.8),
+        DetectorBox("bus", (70.0, 0.0, 0.0, 11.0, 2.6, 3.2, 0.0), 0.7),
+        DetectorBox("bus", (90.0, 0.0, 0.0, 11.0, 2.6, 3.2, 0.0), 0.4),
     ]
-    found = check([CAR, other], Scene(key=KEY, detections=seen), {}, CheckSettings())
+    found = check([CAR, other], CheckedFrame(key=KEY, detections=seen), {}, CheckSettings())
     assert [(finding.box, finding.severity) for finding in found] == [("2", "info"), (None, "info")]
     assert found[1].place == (70.0, 0.0)
     assert found[1].id == "detector/a/0005/at 70,0"
-    assert check([], Scene(key=KEY, detections=seen[:1]), {}, CheckSettings())[0].box is None
+    assert check([], CheckedFrame(key=KEY, detections=seen[:1]), {}, CheckSettings())[0].box is None
 
 
 def test_what_is_ignored_comes_last_with_its_reason() -> None:
     tall, broken = moved(CAR, h=5.0), replace(moved(CAR, y=10.0), id="2", track="8", box=(0.0,) * 7)
     settings = CheckSettings(sizes={"car": SizeRange(usual=(4.6, 1.9, 1.6))})
-    first = check([tall, broken], Scene(key=KEY), {}, settings)
+    first = check([tall, broken], CheckedFrame(key=KEY), {}, settings)
     assert [finding.check for finding in first] == ["broken", "size"]
-    again = check([tall, broken], Scene(key=KEY), {}, settings, ignored={first[0].id: "a ghost"})
+    again = check([tall, broken], CheckedFrame(key=KEY), {}, settings, ignored={first[0].id: "a ghost"})
     assert [(finding.check, finding.ignored) for finding in again] == [("size", None), ("broken", "a ghost")]
 
 
 def test_kinds_of_a_class_have_their_own_sizes() -> None:
     van = replace(CAR, label="Bus or Truck", box=(20.0, 3.0, 0.0, 5.0, 2.0, 2.2, 0.0))
     wide = SizeRange(usual=(10.1, 3.1, 3.7))
-    assert [f.check for f in check([van], Scene(key=KEY), {}, CheckSettings(sizes={van.label: wide}))] == ["size"]
+    assert [f.check for f in check([van], CheckedFrame(key=KEY), {}, CheckSettings(sizes={van.label: wide}))] == [
+        "size"
+    ]
     kinds = wide._replace(types=((5.0, 2.0, 2.2),))
-    assert check([van], Scene(key=KEY), {}, CheckSettings(sizes={van.label: kinds})) == []
+    assert check([van], CheckedFrame(key=KEY), {}, CheckSettings(sizes={van.label: kinds})) == []
 
 
 def test_views_of_the_sensors() -> None:
-    front, rear = View("camera", 80.0, 0.9, -0.9), View("rear", 50.0, -2.0, 2.0)
+    front, rear = SensorView("camera", 80.0, 0.9, -0.9), SensorView("rear", 50.0, -2.0, 2.0)
     assert (front.sees(50.0, 20.0), front.sees(-50.0, 0.0), front.sees(90.0, 0.0)) == (True, False, False)
     assert (rear.sees(-30.0, 5.0), rear.sees(30.0, 0.0)) == (True, False)
-    assert View("lidar", 100.0).sees(-30.0, -30.0)
+    assert SensorView("lidar", 100.0).sees(-30.0, -30.0)
     settings = CheckSettings(views=(front, rear))
     beside = replace(CAR, id="2", track="8", box=(0.0, 30.0, *CAR.box[2:]))
-    found = check([CAR, beside], Scene(key=KEY), {}, settings)
+    found = check([CAR, beside], CheckedFrame(key=KEY), {}, settings)
     assert [(f.check, f.box) for f in found] == [("broken", "2")]
     assert "camera, rear" in found[0].sentence
 
 
 def test_no_speed_without_poses_and_no_size_of_a_locked_track() -> None:
     steps = [
-        Step(row, row / 10, (x, 0.0, 0.0, 4.0 + x / 100, 1.9, 1.6, 0.0)) for row, x in enumerate((0.0, 30.0, 60.0))
+        TrackStep(row, row / 10, (x, 0.0, 0.0, 4.0 + x / 100, 1.9, 1.6, 0.0)) for row, x in enumerate((0.0, 30.0, 60.0))
     ]
     label = replace(CAR, box=steps[2].box)
     for posed, locked, names in ((True, False, ["speed", "track_size"]), (False, True, [])):
-        course = {"7": Course(steps, 3, posed=posed, locked=locked)}
-        found = check([label], Scene(key=KEY, row=2), course, CheckSettings())
+        course = {"7": NearbyTrack(steps, 3, posed=posed, locked=locked)}
+        found = check([label], CheckedFrame(key=KEY, row=2), course, CheckSettings())
         assert sorted(f.check for f in found) == names
 
 
 def test_no_claims_where_nothing_is_seen() -> None:
     settings = CheckSettings()
-    lonely = Scene(key=KEY, around=Surroundings(np.zeros((0, 3), np.float32)))
+    lonely = CheckedFrame(key=KEY, around=Surroundings(np.zeros((0, 3), np.float32)))
     assert [f.check for f in check([CAR], lonely, {}, settings)] == ["empty"]
     assert check([replace(CAR, source="radar")], lonely, {}, settings) == []
     rng = np.random.default_rng(3)
     few = np.column_stack([rng.uniform(18, 22, 2), np.full(2, 3.0), np.full(2, -1.0)]).astype(np.float32)
-    found = check([CAR], Scene(key=KEY, around=Surroundings(few)), {}, settings)
+    found = check([CAR], CheckedFrame(key=KEY, around=Surroundings(few)), {}, settings)
     assert [(f.check, f.severity) for f in found] == [("empty", "info")]
 
 

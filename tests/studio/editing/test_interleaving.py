@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from edited_drives import ANN, CAR, EVE, opened, state_bytes
 
-from farfield.datasets.edits import Record, State, read_journal
+from farfield.datasets.edits import EditState, Record, read_journal
 from farfield.studio.editing.box_edits import add_box, delete_box, set_box
 from farfield.studio.editing.errors import ConflictError, RefusedError
 from farfield.studio.editing.store import Author, Store
@@ -91,7 +91,7 @@ def test_interleavings_of_two_windows(tmp_path: Path, times: int) -> None:
         counts, conflicts = (sum(each) for each in zip(*found, strict=True))
         assert conflicts > times / 2
         assert len(store.journal) == times + counts
-        path, state = store.journal.path, State()
+        path, state = store.journal.path, EditState()
         rows = store.rows(A)
     read_journal(path, state.apply)  # every line starts from the value before it: that is checked here
     assert {row.label.id: row.version for row in rows if row.version} == {

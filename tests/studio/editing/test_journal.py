@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from farfield.datasets.edits import Change, Record, encode, read_journal
+from farfield.datasets.edits import CellEdit, Record, encode, read_journal
 from farfield.errors import FileFormatError
 from farfield.studio.editing import journal as module
 from farfield.studio.editing.errors import JournalError, JournalHeldError
-from farfield.studio.editing.journal import Journal
+from farfield.studio.editing.journal import EditJournal
 
 CELL = ("box", "a", "0001", "4")
 
@@ -23,8 +23,8 @@ def _ignored(record: Record) -> None:
     del record
 
 
-def _append(journal: Journal, name: str, value: int = 0) -> tuple[Record, "Future[Record]"]:
-    return journal.append(id=name, by="ann", window="w", op="box.set", changes=[Change(CELL, 0, None, value)])
+def _append(journal: EditJournal, name: str, value: int = 0) -> tuple[Record, "Future[Record]"]:
+    return journal.append(id=name, by="ann", window="w", op="box.set", changes=[CellEdit(CELL, 0, None, value)])
 
 
 def _read(path: Path) -> list[Record]:
@@ -37,7 +37,7 @@ def test_acknowledged_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
     synced: list[int] = []
     real = os.fsync
     monkeypatch.setattr(module.os, "fsync", lambda handle: (synced.append(os.fstat(handle).st_size), real(handle)))
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         record, done = _append(journal, "a")
         assert done.result(10) == record
         assert synced[-1] == journal.path.stat().st_size == len(encode(record))
@@ -46,7 +46,7 @@ def test_acknowledged_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_edits_that_wait_share_one_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls, gate, real = [], threading.Event(), os.fsync
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         monkeypatch.setattr(module.os, "fsync", lambda handle: (gate.wait(10), calls.append(handle), real(handle)))
         futures = [_append(journal, f"e{number}")[1] for number in range(100)]
         assert not any(future.done() for future in futures)
@@ -58,12 +58,12 @@ def test_edits_that_wait_share_one_fsync(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_an_id_is_recognised_after_a_restart(tmp_path: Path) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         record = _append(journal, "a", 7)[0]
         with pytest.raises(ValueError, match="used by edit 1"):
             _append(journal, "a", 8)
     seen: list[Record] = []
-    with Journal(tmp_path, seen.append) as journal:
+    with EditJournal(tmp_path, seen.append) as journal:
         assert seen == [record]
         assert journal.seq_of("a") == 1
         assert journal.seq_of("b") is None
@@ -74,13 +74,13 @@ def test_an_id_is_recognised_after_a_restart(tmp_path: Path) -> None:
 
 
 def test_a_torn_end_is_dropped_and_kept_aside(tmp_path: Path) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         first = _append(journal, "a")[0]
     torn = encode(first._replace(seq=2, id="b"))[:-5]
     with journal.path.open("ab") as handle:
         handle.write(torn)
     with pytest.warns(UserWarning, match="line 2 is torn"):
-        journal = Journal(tmp_path, _ignored)
+        journal = EditJournal(tmp_path, _ignored)
     with journal:
         assert len(journal) == 1
         third = _append(journal, "c")[0]
@@ -89,14 +89,14 @@ def test_a_torn_end_is_dropped_and_kept_aside(tmp_path: Path) -> None:
 
 
 def test_a_damaged_line_stops_and_lets_go(tmp_path: Path) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         for name in "abc":
             _append(journal, name)
     data = journal.path.read_bytes()
     journal.path.write_bytes(data.replace(b'"id":"b"', b'"id":"x"'))
     for _ in range(2):  # the lock was let go
         with pytest.raises(FileFormatError, match="line 2"):
-            Journal(tmp_path, _ignored)
+            EditJournal(tmp_path, _ignored)
     assert journal.path.read_bytes() != data
 
 
@@ -110,22 +110,22 @@ def test_a_second_process_is_refused_with_the_first_ones_number(tmp_path: Path) 
         assert first.stdout is not None
         assert first.stdout.readline() == "open\n"
         with pytest.raises(JournalHeldError, match=f"process {first.pid} "):
-            Journal(tmp_path, _ignored)
+            EditJournal(tmp_path, _ignored)
         first.communicate("")
-    Journal(tmp_path, _ignored).close()
+    EditJournal(tmp_path, _ignored).close()
 
 
 def test_a_network_file_system_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mounts = tmp_path / "mounts"
     mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/x {tmp_path.resolve()}/far\\040away nfs4 rw 0 0\n")
     monkeypatch.setattr("farfield.studio.editing.locking.MOUNTS", mounts)
-    Journal(tmp_path / "near", _ignored).close()
+    EditJournal(tmp_path / "near", _ignored).close()
     with pytest.warns(UserWarning, match="nfs4"):
-        Journal(tmp_path / "far away", _ignored).close()
+        EditJournal(tmp_path / "far away", _ignored).close()
 
 
 def test_a_full_disk_is_said_and_acknowledged_edits_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         first, done = _append(journal, "a")
         done.result(10)
         with monkeypatch.context() as patch:
@@ -144,7 +144,7 @@ def _full() -> int:
 
 
 def test_many_threads_append(tmp_path: Path) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         threads = [threading.Thread(target=_appends, args=(journal, f"t{n}")) for n in range(8)]
         for thread in threads:
             thread.start()
@@ -156,19 +156,19 @@ def test_many_threads_append(tmp_path: Path) -> None:
         assert [r.id for r in found if r.id.startswith(f"t{n}-")] == [f"t{n}-{place}" for place in range(25)]
 
 
-def _appends(journal: Journal, name: str) -> None:
+def _appends(journal: EditJournal, name: str) -> None:
     for place in range(25):
         _append(journal, f"{name}-{place}")
 
 
 def test_whoever_waits_may_go_away(tmp_path: Path) -> None:
-    with Journal(tmp_path, _ignored) as journal:
+    with EditJournal(tmp_path, _ignored) as journal:
         asyncio.run(_cancelled(journal))
         assert _append(journal, "b")[1].result(10).seq == 2
     assert len(_read(journal.path)) == 2
 
 
-async def _cancelled(journal: Journal) -> None:
+async def _cancelled(journal: EditJournal) -> None:
     waiting = asyncio.ensure_future(asyncio.wrap_future(_append(journal, "a")[1]))
     await asyncio.sleep(0)
     waiting.cancel()
@@ -177,7 +177,7 @@ async def _cancelled(journal: Journal) -> None:
 
 
 def test_a_closed_journal_takes_nothing(tmp_path: Path) -> None:
-    journal = Journal(tmp_path, _ignored)
+    journal = EditJournal(tmp_path, _ignored)
     journal.close()
     journal.close()
     with pytest.raises(JournalError, match="closed"):

@@ -12,21 +12,23 @@ from farfield.datasets.edits import box_cell
 from farfield.errors import DatasetError
 from farfield.studio.editing.box_edits import add_box, delete_box, set_box
 from farfield.studio.editing.errors import ConflictError, RefusedError
-from farfield.studio.editing.store import Author, Done, Store
+from farfield.studio.editing.store import Author, EditResult, Store
 from farfield.studio.editing.undoing import keep, redo, undo
 
 A0, A1, B0 = ("a", "0000"), ("a", "0001"), ("b", "0000")
 
 
-def _set(store: Store, id: str, key: Any, name: str, base: int, value: Any, by: Author = ANN, **more: Any) -> Done:
+def _set(
+    store: Store, id: str, key: Any, name: str, base: int, value: Any, by: Author = ANN, **more: Any
+) -> EditResult:
     return store.edit(by, id, "box.set", partial(set_box, key=key, name=name, base=base, value=value), **more)
 
 
-def _add(store: Store, id: str, key: Any, name: str, value: Any, by: Author = ANN, **more: Any) -> Done:
+def _add(store: Store, id: str, key: Any, name: str, value: Any, by: Author = ANN, **more: Any) -> EditResult:
     return store.edit(by, id, "box.add", partial(add_box, key=key, name=name, value=value), **more)
 
 
-def _delete(store: Store, id: str, key: Any, name: str, base: int, by: Author = ANN) -> Done:
+def _delete(store: Store, id: str, key: Any, name: str, base: int, by: Author = ANN) -> EditResult:
     return store.edit(by, id, "box.delete", partial(delete_box, key=key, name=name, base=base))
 
 

@@ -10,8 +10,8 @@ from edited_drives import ANN, CAR, EVE, opened, state_bytes
 from farfield.datasets.edits import track_cell
 from farfield.studio.editing.box_edits import add_box, delete_box, set_box
 from farfield.studio.editing.errors import ConflictError, RefusedError
-from farfield.studio.editing.motion import Found
-from farfield.studio.editing.store import Author, Done, Store
+from farfield.studio.editing.motion import RefitBox
+from farfield.studio.editing.store import Author, EditResult, Store
 from farfield.studio.editing.track_edits import (
     boxes_of,
     fill,
@@ -31,7 +31,7 @@ def _key(row: int, drive: str = A) -> tuple[str, str]:
     return (drive, f"{row:04d}")
 
 
-def _track(store: Store, id: str, base: int = 0, by: Author = ANN, track: str = "3", **value: Any) -> Done:
+def _track(store: Store, id: str, base: int = 0, by: Author = ANN, track: str = "3", **value: Any) -> EditResult:
     return store.edit(by, id, "track.set", partial(set_track, drive=A, track=track, base=base, **value))
 
 
@@ -94,12 +94,12 @@ def test_class_and_end(tmp_path: Path) -> None:
             _track(store, "e5", base=4, ends="9999")
 
 
-def _split(store: Store, id: str, frame: str, new_track: str, base: int) -> Done:
+def _split(store: Store, id: str, frame: str, new_track: str, base: int) -> EditResult:
     plan = partial(split_track, drive=A, track="3", frame=frame, new_track=new_track, base=base)
     return store.edit(ANN, id, "track.split", plan)
 
 
-def _merge(store: Store, id: str, track: str, bases: tuple[int, int]) -> Done:
+def _merge(store: Store, id: str, track: str, bases: tuple[int, int]) -> EditResult:
     plan = partial(merge_tracks, drive=A, track=track, into="3", base=bases[0], into_base=bases[1])
     return store.edit(EVE, id, "track.merge", plan)
 
@@ -153,8 +153,8 @@ def test_interpolated_between_keyframes_only(tmp_path: Path) -> None:
             store.edit(ANN, "i4", "track.interpolate", one)
 
 
-def _still(key: Any, guess: Any, window_m: float) -> Found:
-    return Found(guess, 2 if int(key[1]) > 8 else 30)
+def _still(key: Any, guess: Any, window_m: float) -> RefitBox:
+    return RefitBox(guess, 2 if int(key[1]) > 8 else 30)
 
 
 def test_propagated_and_one_undo(tmp_path: Path) -> None:

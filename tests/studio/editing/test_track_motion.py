@@ -10,13 +10,22 @@ from farfield.datasets.labels import Numbers
 from farfield.frame import Boxes, Key
 from farfield.geometry.poses import invert
 from farfield.studio.editing.angles import turn, wrapped
-from farfield.studio.editing.motion import Found, Moment, between, carried, from_world, moved, propagate, to_world
+from farfield.studio.editing.motion import (
+    RefitBox,
+    TrackFrame,
+    between,
+    carried,
+    from_world,
+    moved,
+    propagate,
+    to_world,
+)
 
 SIZE = (4.5, 1.9, 1.6)
 
 
-def _moment(row: int, *, posed: bool = True) -> Moment:
-    return Moment(("a", f"{row:04d}"), row / 10, pose(row) if posed else None)
+def _moment(row: int, *, posed: bool = True) -> TrackFrame:
+    return TrackFrame(("a", f"{row:04d}"), row / 10, pose(row) if posed else None)
 
 
 def _world(row: int) -> Numbers:
@@ -98,11 +107,11 @@ class _Object:
     def __init__(self, points: dict[int, int], shift_m: dict[int, float]) -> None:
         self.points, self.shift_m, self.windows = points, shift_m, list[float]()
 
-    def __call__(self, key: Key, guess: Numbers, window_m: float) -> Found:
+    def __call__(self, key: Key, guess: Numbers, window_m: float) -> RefitBox:
         row = int(key[1])
         self.windows.append(window_m)
         seen = _seen(row)
-        return Found((seen[0] + self.shift_m.get(row, 0.0), *seen[1:]), self.points.get(row, 40))
+        return RefitBox((seen[0] + self.shift_m.get(row, 0.0), *seen[1:]), self.points.get(row, 40))
 
 
 def test_a_fit_leads_it_on() -> None:

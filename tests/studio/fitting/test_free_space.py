@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fitting_scenes import CAR, road, seen_past, sides
 
-from farfield.studio.fitting import Fit, fit_drag, prior_of
+from farfield.studio.fitting import BoxFit, fit_drag, prior_of
 from farfield.studio.fitting.freespace import ends_of
 from farfield.studio.fitting.ground import above, fit_ground
 
@@ -29,7 +29,7 @@ def standing(x: float, y: float, size: tuple[float, float, float], yaw: float) -
     return (x, y, BASE + size[2] / 2, *size, yaw)
 
 
-def dragged(points: np.ndarray, box: tuple[float, ...], prior=KNOWN) -> Fit:
+def dragged(points: np.ndarray, box: tuple[float, ...], prior=KNOWN) -> BoxFit:
     yaw = box[6] + np.deg2rad(2.0)
     return fit_drag(points, box[:2], np.add(box[:2], 3 * np.array([np.cos(yaw), np.sin(yaw)])), prior)
 

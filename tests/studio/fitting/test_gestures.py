@@ -9,14 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.geometry.iou import paired_iou
-from farfield.studio.fitting import Fit, Prior, drop_to_ground, fit_click, fit_drag, fit_rectangle, prior_of, refit
+from farfield.studio.fitting import BoxFit, Prior, drop_to_ground, fit_click, fit_drag, fit_rectangle, prior_of, refit
 from farfield.studio.fitting.contract import boxes_of
 
 PLACES = ((12.0, 3.0), (25.0, -8.0), (-18.0, 6.0), (45.0, 10.0))
 PRIOR = prior_of("Sedan", size_m=CAR)
 
 
-def overlap(found: Fit, centre: tuple[float, float], yaw_rad: float, size: tuple[float, float, float] = CAR) -> float:
+def overlap(
+    found: BoxFit, centre: tuple[float, float], yaw_rad: float, size: tuple[float, float, float] = CAR
+) -> float:
     truth = (*centre, -1.9 + size[2] / 2, *size, yaw_rad)
     return float(paired_iou(boxes_of(found.box), boxes_of(truth), kind="bev")[0])
 

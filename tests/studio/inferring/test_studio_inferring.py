@@ -101,7 +101,7 @@ def test_an_error_of_ours_ends_the_job_and_not_those_behind_it(tmp_path: Path, m
         if isinstance(answer := next(answers), Exception):
             raise answer
 
-    monkeypatch.setattr(detecting._Found, "__call__", found)
+    monkeypatch.setattr(detecting._DetectionSink, "__call__", found)
     with studio(notes=tmp_path, detectors=("good",)) as live, live.window() as client:
         for name, wanted in (("a", "failed"), ("b", "done")):
             client.send(op="infer.start", id=name, detector="good", first=1, last=1)

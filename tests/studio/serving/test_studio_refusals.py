@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from farfield.studio.serving import limits
 from farfield.studio.serving import socket as socket_module
-from farfield.studio.serving.entry import Entry, host_allowed
+from farfield.studio.serving.entry import AccessTokens, host_allowed
 
 
 @pytest.fixture(scope="module")
@@ -139,13 +139,13 @@ def test_a_token_turns_into_a_strict_cookie_and_keeps_the_frame():
         name = f"farfield_{running.port}"
         assert running.cookie.startswith(name + "=")
         assert len(running.cookie) > len(name) + 40
-    entry = Entry(1)
+    entry = AccessTokens(1)
     assert entry.set_cookie("s") == "farfield_1=s; Path=/; HttpOnly; SameSite=Strict"
 
 
 def test_a_token_dies_after_ten_minutes_and_after_its_use():
     now = [0.0]
-    entry = Entry(1, clock=lambda: now[0])
+    entry = AccessTokens(1, clock=lambda: now[0])
     first, second = entry.new_token(), entry.new_token()
     assert len(first) >= 43
     now[0] = limits.TOKEN_S - 1

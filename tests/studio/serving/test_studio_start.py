@@ -16,8 +16,8 @@ from studio.live import studio
 
 from farfield.errors import ConfigError, FarfieldError
 from farfield.studio.serving import run
-from farfield.studio.serving.entry import Entry
-from farfield.studio.starting import Opening
+from farfield.studio.serving.entry import AccessTokens
+from farfield.studio.starting import DatasetOpener
 from farfield.vocabulary.studio import STUDIO_PORT
 
 
@@ -33,7 +33,7 @@ def test_a_port_that_is_taken_is_named_and_without_one_the_next_is_taken():
 
 def test_the_terminal_shows_a_link_and_over_ssh_the_tunnel(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("SSH_CONNECTION", raising=False)
-    entry = Entry(8877)
+    entry = AccessTokens(8877)
     words = run._words(entry)
     assert re.fullmatch(r"farfield studio: http://127\.0\.0\.1:8877/\?token=[\w-]{43}", words[0])
     monkeypatch.setenv("SSH_CONNECTION", "203.0.113.5 50000 192.0.2.7 22")
@@ -55,7 +55,7 @@ def test_the_browser_is_opened_but_not_over_ssh(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_what_cannot_be_opened_ends_the_studio_with_its_reason(tmp_path: Path):
-    with pytest.raises(FarfieldError, match="recognised no data set"), studio(Opening(tmp_path)):
+    with pytest.raises(FarfieldError, match="recognised no data set"), studio(DatasetOpener(tmp_path)):
         pass
 
 
@@ -86,5 +86,5 @@ def test_the_verb_listens_and_ends_with_ctrl_c(tmp_path: Path, verb):
 def test_enter_prints_a_new_link(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run.sys, "stdin", io.StringIO("\n"))
     lines: list[str] = []
-    run._new_link(Entry(1), lines.append)
+    run._new_link(AccessTokens(1), lines.append)
     assert lines[0].startswith("http://127.0.0.1:1/?token=")

@@ -11,7 +11,7 @@ from farfield.datasets.base import Dataset
 from farfield.files.images import read_image
 from farfield.frame import Frame, Lazy
 from farfield.studio.showing import pictures
-from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.pictures import picture
 
 
@@ -63,7 +63,7 @@ def test_a_picture_is_encoded_once(large, monkeypatch):
     made = []
     encode = pictures.as_jpeg
     monkeypatch.setattr(pictures, "as_jpeg", lambda image: made.append(1) or encode(image))
-    opened = Opened(_One(frame_of(large)))
+    opened = OpenedDataset(_One(frame_of(large)))
     first, again, exact = opened.picture(0, 0), opened.picture(0, 0), opened.picture(0, 0, exact=True)
     assert first is again
     assert len(made) == 1

@@ -54,7 +54,7 @@ class Messages:
         return best if best is not None and abs(int(self.times_ns[best]) - time_ns) <= tolerance_ns else None
 
 
-class Recorded:
+class IndexedBag:
     """One bag, indexed at the first use: that reads it once.
 
     Args:
@@ -141,7 +141,7 @@ class Bags(Dataset):
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):
             raise DatasetError(f"{root}: expected bags of different names")
-        self._recorded = {name: Recorded(path, stamp, intensity_max) for name, path in self._bags.items()}
+        self._recorded = {name: IndexedBag(path, stamp, intensity_max) for name, path in self._bags.items()}
         self._clouds = {name: self._reference(name, cloud) for name in self._bags}
         counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
         if not sum(counts.values()):
@@ -158,7 +158,7 @@ class Bags(Dataset):
             return next((topic for topic in topics if cloud in (topic.name, our_name(topic.name))), None)
         return max(topics, key=lambda topic: ("radar" not in topic.name.lower(), topic.size), default=None)
 
-    def _of(self, sequence: str) -> tuple[Recorded, str, Messages]:
+    def _of(self, sequence: str) -> tuple[IndexedBag, str, Messages]:
         topic = self._clouds[sequence]
         if topic is None:
             raise DatasetError(f"{self.root}: {sequence} has no clouds")

@@ -14,7 +14,7 @@ from farfield.datasets.cirrus.text_labels import render_text
 from farfield.datasets.labels.contract import BoxLabel, Value
 from farfield.datasets.labels.json_labels import JsonLabels
 from farfield.errors import DatasetError
-from farfield.files.cuboids import Cuboid, Placed
+from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.json_text import append
 from farfield.frame import Key
 from farfield.geometry.poses import quaternion_from_yaw
@@ -52,13 +52,13 @@ class CirrusLabelFormat(JsonLabels):
         number = "".join(letter for letter in entry.key.parent.name if letter.isdigit()) or "1"
         return entry.part.root / f"dataset{number}_annotation" / f"{entry.key.stem}.json"
 
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All labels of the frame."""
         raw = parse_labels(data, path, self.settings)
         boxes = boxes_from_labels(raw, self.settings)
         rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
         return [
-            Placed((self.settings.root, place), Cuboid(label=name, box=tuple(row), track=_track(raw.extra[place])))
+            CuboidEntry((self.settings.root, place), Cuboid(label=name, box=tuple(row), track=_track(raw.extra[place])))
             for place, (name, row) in enumerate(zip(raw.classes, rows, strict=True))
         ]
 
@@ -66,7 +66,7 @@ class CirrusLabelFormat(JsonLabels):
         """A file without labels."""
         return json.dumps({"label_type": "cuboid", self.settings.root: []}, indent=1) + "\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, quaternion, class and track as the mapping orders them."""
         del text, place
         entry = self._entry(cuboid)

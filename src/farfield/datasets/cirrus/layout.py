@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.datasets.cirrus.mapping import AUTHORS_LAYOUT, Layout, Mapping, Pairing
+from farfield.datasets.cirrus.mapping import AUTHORS_LAYOUT, FolderLayout, Mapping, Pairing
 from farfield.errors import DatasetError
 
 KINDS = ("gaussian", "uniform", "camera", "labels")
@@ -15,20 +15,20 @@ _NANOSECONDS = re.compile(r"\d{16,19}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class CirrusPart:
     """One ``Cirrus_dataset<N>`` or one authors' batch: its folder, number and files by kind, in time order."""
 
     root: Path
     number: int
-    layout: Layout
+    layout: FolderLayout
     files: dict[str, tuple[Path, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class CirrusFiles:
     """The files of one frame. ``pair_dt_ms`` is uniform minus Gaussian, ``camera_dt_ms`` camera minus key."""
 
-    part: Part
+    part: CirrusPart
     sequence: str
     gaussian: Path | None = None
     uniform: Path | None = None
@@ -54,7 +54,7 @@ def time_of(path: Path) -> int | None:
     return int(path.stem) if _NANOSECONDS.fullmatch(path.stem) else None
 
 
-def find_parts(root: Path, mapping: Mapping) -> list[Part]:
+def find_parts(root: Path, mapping: Mapping) -> list[CirrusPart]:
     """Find the parts below ``root``: itself, its ``dataset`` folder, or its children.
 
     Returns:
@@ -64,9 +64,9 @@ def find_parts(root: Path, mapping: Mapping) -> list[Part]:
     if root.is_dir():
         children = sorted((path for path in root.iterdir() if path.is_dir()), key=_natural)
         places += [place for child in children for place in (child, child / "dataset")]
-    parts: list[Part] = []
+    parts: list[CirrusPart] = []
     for place in places:
-        layouts = [mapping.layout] if mapping.layout else [Layout(), AUTHORS_LAYOUT]
+        layouts = [mapping.layout] if mapping.layout else [FolderLayout(), AUTHORS_LAYOUT]
         found = [part for layout in layouts for part in _parts_at(place, layout)]
         if place in (root, root / "dataset") and found:
             return found
@@ -74,18 +74,18 @@ def find_parts(root: Path, mapping: Mapping) -> list[Part]:
     return parts
 
 
-def _parts_at(place: Path, layout: Layout) -> list[Part]:
+def _parts_at(place: Path, layout: FolderLayout) -> list[CirrusPart]:
     if not place.is_dir():
         return []
     parts = []
     for number in _numbers(place, layout):
         files = {kind: _files(place, getattr(layout, kind), number) for kind in KINDS}
         if files["gaussian"] or files["uniform"]:
-            parts.append(Part(root=place, number=number, layout=layout, files=files))
+            parts.append(CirrusPart(root=place, number=number, layout=layout, files=files))
     return parts
 
 
-def _numbers(place: Path, layout: Layout) -> list[int]:
+def _numbers(place: Path, layout: FolderLayout) -> list[int]:
     folders = [Path(getattr(layout, kind)).parts[0] for kind in KINDS[:2]]
     if not any("{n}" in folder for folder in folders):
         return [1]
@@ -149,13 +149,13 @@ def segment_numbers(times_ns: Sequence[int | None], gap_s: float) -> list[int]:
     return [0, *np.cumsum(pauses).tolist()]
 
 
-def index_frames(root: Path, parts: Sequence[Part], mapping: Mapping) -> list[Entry]:
+def index_frames(root: Path, parts: Sequence[CirrusPart], mapping: Mapping) -> list[CirrusFiles]:
     """List the frames of all parts with their files and segments.
 
     Raises:
         DatasetError: If there is no cloud at all.
     """
-    entries: list[Entry] = []
+    entries: list[CirrusFiles] = []
     first_segment = 0
     for part in parts:
         has_key = bool(part.files[mapping.pairing.key])
@@ -171,7 +171,7 @@ def index_frames(root: Path, parts: Sequence[Part], mapping: Mapping) -> list[En
             sweeps = {key: path, other: partners[index]}
             gaussian, dt = sweeps["gaussian"], pair_dt[index]
             entries.append(
-                Entry(
+                CirrusFiles(
                     part=part,
                     sequence=f"segment_{first_segment + segments[index]:02d}",
                     **sweeps,
@@ -189,7 +189,7 @@ def index_frames(root: Path, parts: Sequence[Part], mapping: Mapping) -> list[En
 
 def expectation(mapping: Mapping) -> str:
     """Say what was looked for."""
-    layout = mapping.layout or Layout()
+    layout = mapping.layout or FolderLayout()
     looked = f"{layout.gaussian} or {layout.uniform} in the folder or its children"
     authors = "" if mapping.layout else f"; or the authors' {AUTHORS_LAYOUT.gaussian} in it or its folder 'dataset'"
     return f"Looked for {looked}{authors}. Another layout is described by a mapping file (layout: ...)."

@@ -20,11 +20,11 @@ from farfield.errors import ConfigError, plain
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 
-class _Strict(BaseModel):
+class _MappingModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Layout(_Strict):
+class FolderLayout(_MappingModel):
     """Glob patterns of the four folders within one ``Cirrus_dataset<N>``; ``{n}`` is its number."""
 
     gaussian: str = "dataset{n}_gaussian/*.xyz"
@@ -40,7 +40,7 @@ class Layout(_Strict):
         return pattern
 
 
-AUTHORS_LAYOUT = Layout(
+AUTHORS_LAYOUT = FolderLayout(
     gaussian="raw_data/lidar/*.xyz",
     uniform="raw_data/lidar_u/*.xyz",
     camera="raw_data/camera/*.jpg",
@@ -48,7 +48,7 @@ AUTHORS_LAYOUT = Layout(
 )
 
 
-class Columns(_Strict):
+class ColumnNames(_MappingModel):
     """Names of the columns of each pattern's files. Files may have more or fewer extra ones."""
 
     gaussian: tuple[str, ...] = ("x", "y", "z", "intensity", "extra0")
@@ -62,16 +62,16 @@ class Columns(_Strict):
         return names
 
 
-class Xyz(_Strict):
+class Xyz(_MappingModel):
     """How to read the ASCII clouds."""
 
     delimiter: str = "auto"
-    columns: Columns = Columns()
+    columns: ColumnNames = ColumnNames()
     intensity_scale: Literal["auto"] | float = Field("auto", description="value that stands for full reflectance")
     on_extra_columns: Literal["keep", "drop"] = "keep"
 
 
-class Labels(_Strict):
+class Labels(_MappingModel):
     """How to read the annotations."""
 
     root: str = "labels"
@@ -96,7 +96,7 @@ class Labels(_Strict):
         return aliases
 
 
-class Pairing(_Strict):
+class Pairing(_MappingModel):
     """How the uniform sweep and the image of a Gaussian sweep are found."""
 
     mode: Literal["nearest", "order"] = "nearest"
@@ -104,14 +104,14 @@ class Pairing(_Strict):
     key: Literal["gaussian", "uniform"] = "gaussian"
 
 
-class Calib(_Strict):
+class Calib(_MappingModel):
     """Where the camera's calibration stands; relative to the data set's root."""
 
     file: str | None = None
     convention: Literal["lidar_to_cam", "cam_to_lidar"] = "lidar_to_cam"
 
 
-class Axes(_Strict):
+class Axes(_MappingModel):
     """Directions of the clouds' axes. Only the documented ones are read; others need ``Dataset.moved``."""
 
     x: Literal["forward"] = "forward"
@@ -119,23 +119,23 @@ class Axes(_Strict):
     z: Literal["up"] = "up"
 
 
-class Splits(_Strict):
+class Splits(_MappingModel):
     """Unit and file of the split."""
 
     unit: Literal["segment"] = "segment"
     file: str = "splits/cirrus_v1.json"
 
 
-class Segments(_Strict):
+class Segments(_MappingModel):
     """How drives are separated: a pause longer than ``gap_s`` begins a new segment."""
 
     gap_s: float = Field(1.0, gt=0)
 
 
-class Mapping(_Strict):
+class Mapping(_MappingModel):
     """Everything a mapping file may say."""
 
-    layout: Layout | None = None
+    layout: FolderLayout | None = None
     xyz: Xyz = Xyz()
     labels: Labels = Labels()
     pairing: Pairing = Pairing()

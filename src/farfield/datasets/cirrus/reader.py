@@ -10,13 +10,13 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
-from farfield.datasets.cirrus.layout import Entry, expectation, find_parts, index_frames, time_of
+from farfield.datasets.cirrus.layout import CirrusFiles, expectation, find_parts, index_frames, time_of
 from farfield.datasets.cirrus.mapping import Mapping, read_mapping
-from farfield.datasets.cirrus.sweeps import IntensityScale, Sweep
+from farfield.datasets.cirrus.sweeps import CirrusSweep, IntensityScale
 from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
-from farfield.frame import Annotation, Camera, Cloud, Frame, Given, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.vocabulary.patterns import PATTERNS
 
 
@@ -63,7 +63,7 @@ class Cirrus(Dataset):
         self.parts = find_parts(self.root, self.mapping)
         if not self.parts:
             raise DatasetError(f"{self.root}: expected Cirrus clouds, found none. {expectation(self.mapping)}")
-        self.entries: Sequence[Entry] = index_frames(self.root, self.parts, self.mapping)
+        self.entries: Sequence[CirrusFiles] = index_frames(self.root, self.parts, self.mapping)
         self.sequences = tuple(entry.sequence for entry in self.entries)
         self.frame_ids = tuple(entry.key.stem for entry in self.entries)
 
@@ -118,20 +118,20 @@ class Cirrus(Dataset):
             cameras["camera"] = camera_sensor(self.cameras.get("camera"), times["camera"])
         return known | cameras
 
-    def _metadata(self, index: int, entry: Entry) -> dict[str, Callable[[], Any]]:
+    def _metadata(self, index: int, entry: CirrusFiles) -> dict[str, Callable[[], Any]]:
         return {
-            "files": Given([str(path) for path in self.files(index)]),
-            "pair_dt_ms": Given(entry.pair_dt_ms),
-            "camera_dt_ms": Given(entry.camera_dt_ms),
+            "files": Constant([str(path) for path in self.files(index)]),
+            "pair_dt_ms": Constant(entry.pair_dt_ms),
+            "camera_dt_ms": Constant(entry.camera_dt_ms),
             "intensity_scale": self._scale,
         }
 
-    def _sweep(self, index: int, pattern: str) -> Sweep:
+    def _sweep(self, index: int, pattern: str) -> CirrusSweep:
         entry = self.entries[index]
         path = entry.gaussian if pattern == "gaussian" else entry.uniform
         if path is None:
             raise KeyError(f"frame {entry.key.stem} has no {pattern} sweep")
-        return Sweep(path, entry.part.root, pattern, self.mapping.xyz, self._scale)
+        return CirrusSweep(path, entry.part.root, pattern, self.mapping.xyz, self._scale)
 
     def cloud(self, index: int, pattern: str) -> Cloud:
         """Read one sweep of frame ``index``; intensity is brought to 0..1.

@@ -57,7 +57,7 @@ class IntensityScale:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class CirrusSweep:
     """One sweep on disk; called, it reads its cloud.
 
     Args:

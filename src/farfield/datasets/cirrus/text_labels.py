@@ -15,7 +15,7 @@ import numpy as np
 from farfield.datasets.cirrus.labels import boxes_from_labels, parse_labels
 from farfield.datasets.cirrus.mapping import Labels
 from farfield.datasets.labels.contract import BoxLabel, Numbers
-from farfield.datasets.labels.lines import Part, kept_numbers, physical_lines, replaced
+from farfield.datasets.labels.lines import FileSpan, kept_numbers, physical_lines, replaced
 from farfield.errors import ConfigError, FileFormatError
 from farfield.frame import Key
 
@@ -45,7 +45,7 @@ def render_text(data: bytes | None, path: Path, labels: Mapping[Key, Sequence[Bo
     return replaced(parts, labels, write=partial(_written, path=path, settings=settings, end=end), same=_same, end=end)
 
 
-def _parts(data: bytes, path: Path, key: Key, settings: Labels) -> list[Part]:
+def _parts(data: bytes, path: Path, key: Key, settings: Labels) -> list[FileSpan]:
     raw = parse_labels(data, path, settings)
     boxes = boxes_from_labels(raw, settings)
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
@@ -56,11 +56,11 @@ def _parts(data: bytes, path: Path, key: Key, settings: Labels) -> list[Part]:
     parts, place = [], 0
     for line in lines:
         if not line.split():
-            parts.append(Part(line))
+            parts.append(FileSpan(line))
             continue
         x, y, z, length, width, height, yaw = rows[place]
         box: Numbers = (x, y, z, length, width, height, yaw)
-        parts.append(Part(line, key, BoxLabel(id=str(place), label=raw.classes[place], box=box)))
+        parts.append(FileSpan(line, key, BoxLabel(id=str(place), label=raw.classes[place], box=box)))
         place += 1
     return parts
 
@@ -69,7 +69,7 @@ def _same(old: BoxLabel, new: BoxLabel) -> bool:
     return old.label == new.label and kept_numbers(old.box, new.box) == old.box
 
 
-def _written(key: Key, new: BoxLabel, old: Part | None, *, path: Path, settings: Labels, end: bytes) -> bytes:
+def _written(key: Key, new: BoxLabel, old: FileSpan | None, *, path: Path, settings: Labels, end: bytes) -> bytes:
     """One line; blanks between its columns stay, too."""
     del key
     if len(new.label.split()) != 1:

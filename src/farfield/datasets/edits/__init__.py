@@ -3,20 +3,20 @@
 from farfield.datasets.edits.edited import Edited
 from farfield.datasets.edits.places import FOLDER, JOURNAL, journal_folder
 from farfield.datasets.edits.reading import Replay, read_journal
-from farfield.datasets.edits.records import Cell, Change, Record, box_cell, decode, encode, track_cell
-from farfield.datasets.edits.state import Standing, State
+from farfield.datasets.edits.records import Cell, CellEdit, Record, box_cell, decode, encode, track_cell
+from farfield.datasets.edits.state import CellState, EditState
 from farfield.datasets.edits.values import label_of, numbers, value_of
 
 __all__ = [
     "FOLDER",
     "JOURNAL",
     "Cell",
-    "Change",
+    "CellEdit",
+    "CellState",
+    "EditState",
     "Edited",
     "Record",
     "Replay",
-    "Standing",
-    "State",
     "box_cell",
     "decode",
     "encode",

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from farfield.datasets.edits.merging import Touched, merged
+from farfield.datasets.edits.merging import EditedObject, merged
 from farfield.datasets.edits.places import FOLDER, JOURNAL
 from farfield.datasets.edits.reading import read_journal
 from farfield.datasets.edits.records import Cell, Record
@@ -95,13 +95,13 @@ class Edited:
         del earlier
         if frame.key not in self._edits.boxes:
             return frame
-        return replace(frame, load_annotation=_Merge(frame, self))
+        return replace(frame, load_annotation=_AnnotationMerge(frame, self))
 
     def merge(self, key: Key, annotation: Annotation | None) -> Annotation:
         """An annotation with the edits of its frame."""
         edits = self._edits
         touched = {
-            name: Touched(history.at(self.upto or 0), [*(history.at(seq) for seq in edits.saves), history.first])
+            name: EditedObject(history.at(self.upto or 0), [*(history.at(seq) for seq in edits.saves), history.first])
             for name, history in edits.boxes.get(key, {}).items()
         }
         before = Annotation(boxes=Boxes.empty()) if annotation is None else annotation
@@ -110,7 +110,7 @@ class Edited:
 
     @cached_property
     def _edits(self) -> _Edits:
-        taken = _Taken(self.upto or 0)
+        taken = _AppliedEdits(self.upto or 0)
         read_journal(self.path, taken)
         return _Edits(taken.boxes, tuple(reversed(taken.saves)), taken.extent)
 
@@ -122,7 +122,7 @@ def _passed_over(record: Record) -> None:
     del record
 
 
-class _Taken:
+class _AppliedEdits:
     """Gathers the edits up to one of them; saves count all, as the files may have been saved later."""
 
     def __init__(self, upto: int) -> None:
@@ -146,7 +146,7 @@ class _Taken:
 
 
 @dataclass(frozen=True, eq=False)
-class _Merge:
+class _AnnotationMerge:
     """Loads an annotation with its edits."""
 
     frame: Frame

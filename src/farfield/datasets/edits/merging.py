@@ -26,7 +26,7 @@ _STANDING = ("edited", "accepted")
 _SEEN, _DEFAULT_VISIBILITY = "availability", "R"
 
 
-class Touched(NamedTuple):
+class EditedObject(NamedTuple):
     """An object that was edited.
 
     Args:
@@ -38,7 +38,7 @@ class Touched(NamedTuple):
     written: Sequence[Mapping[str, Any] | None]
 
 
-def merged(key: Key, annotation: Annotation, touched: Mapping[str, Touched]) -> Annotation:
+def merged(key: Key, annotation: Annotation, touched: Mapping[str, EditedObject]) -> Annotation:
     """The annotation with edited objects in their places, removed ones gone, added ones behind.
 
     What the journal does not know of a box that was changed is not known any more: its count of points.
@@ -51,7 +51,7 @@ def merged(key: Key, annotation: Annotation, touched: Mapping[str, Touched]) -> 
     Raises:
         DatasetError: If a file does not hold an object that was edited, in any state that was ever written.
     """
-    rows = _Rows(annotation.boxes)
+    rows = _AnnotationRows(annotation.boxes)
     place = {name: rows.take(key, each.written) for name, each in touched.items()}
     gone = [row for row in place.values() if row is not None]
     keep = [row for row in range(len(annotation)) if row not in gone]
@@ -65,7 +65,7 @@ def merged(key: Key, annotation: Annotation, touched: Mapping[str, Touched]) -> 
     return _assembled(annotation, sorted(source, key=_rank))
 
 
-class _Rows:
+class _AnnotationRows:
     """Rows of an annotation, each to be found once by its numbers."""
 
     def __init__(self, boxes: Boxes) -> None:

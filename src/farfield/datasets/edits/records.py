@@ -23,7 +23,7 @@ Cell = tuple[str, ...]
 Json = Any
 
 
-class Change(NamedTuple):
+class CellEdit(NamedTuple):
     """One cell before and after.
 
     Args:
@@ -61,7 +61,7 @@ class Record(NamedTuple):
     by: str
     window: str
     op: str
-    changes: tuple[Change, ...] = ()
+    changes: tuple[CellEdit, ...] = ()
     group: str | None = None
     undoes: tuple[int, ...] = ()
     data: Mapping[str, Json] | None = None
@@ -134,7 +134,7 @@ def decode_all(lines: Sequence[bytes]) -> list[Record]:
 
 
 def _record(fields: Mapping[str, Json]) -> Record:
-    changes = tuple(Change(tuple(cell), base, old, new) for cell, base, old, new in fields.get("changes", ()))
+    changes = tuple(CellEdit(tuple(cell), base, old, new) for cell, base, old, new in fields.get("changes", ()))
     record = Record(
         fields["seq"],
         fields["id"],

@@ -7,7 +7,7 @@ from farfield.datasets.edits.records import Cell, Record
 from farfield.frame import Key
 
 
-class Standing(NamedTuple):
+class CellState(NamedTuple):
     """A cell as it stands.
 
     Args:
@@ -25,11 +25,11 @@ class Standing(NamedTuple):
     original: bool
 
 
-class State:
+class EditState:
     """The present value of every cell that was touched; what is not in it is as the files have it."""
 
     def __init__(self) -> None:
-        self._cells: dict[Cell, Standing] = {}
+        self._cells: dict[Cell, CellState] = {}
         self._frames: dict[Key, dict[str, Cell]] = {}
         self.seq = 0
 
@@ -49,17 +49,17 @@ class State:
             present = self._cells.get(change.cell)
             born = record.seq if present is None else present.born
             original = change.old is not None if present is None else present.original
-            self._cells[change.cell] = Standing(change.new, record.seq, record.by, born, original)
+            self._cells[change.cell] = CellState(change.new, record.seq, record.by, born, original)
             if present is None and change.cell[0] == "box":
                 _, sequence, frame, name = change.cell
                 self._frames.setdefault((sequence, frame), {})[name] = change.cell
         self.seq = record.seq
 
-    def get(self, cell: Cell) -> Standing | None:
+    def get(self, cell: Cell) -> CellState | None:
         """A cell as it stands; None where it was never touched."""
         return self._cells.get(cell)
 
-    def touched(self, key: Key) -> dict[str, Standing]:
+    def touched(self, key: Key) -> dict[str, CellState]:
         """The boxes of a frame that were touched, by name, in the order in which they were."""
         return {name: self._cells[cell] for name, cell in self._frames.get(key, {}).items()}
 
@@ -67,6 +67,6 @@ class State:
         """Frames in which a box was touched."""
         return tuple(self._frames)
 
-    def of_kind(self, kind: str) -> Iterator[tuple[Cell, Standing]]:
+    def of_kind(self, kind: str) -> Iterator[tuple[Cell, CellState]]:
         """All touched cells of a kind, such as ``"bookmark"``."""
         return ((cell, standing) for cell, standing in self._cells.items() if cell[0] == kind)

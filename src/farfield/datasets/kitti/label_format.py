@@ -11,7 +11,7 @@ from jaxtyping import Float
 from farfield.datasets.kitti.boxes import sized_camera
 from farfield.datasets.kitti.object import Kitti, boxes_from_objects, objects_from_boxes
 from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import Part, kept_numbers, physical_lines, replaced
+from farfield.datasets.labels.lines import FileSpan, kept_numbers, physical_lines, replaced
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.kitti import KittiObjects, parse_labels, read_calib
 from farfield.frame import Boxes, Camera, Key
@@ -79,7 +79,7 @@ def _pose(camera: Camera) -> Float[np.ndarray, "4 4"]:
     return camera.camera_T_lidar
 
 
-def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[Part]:
+def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[FileSpan]:
     objects = parse_labels(data, path)
     boxes = boxes_from_objects(objects, _pose(camera), classes="kitti")
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
@@ -88,7 +88,7 @@ def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[Part]:
     parts = []
     for number, raw in enumerate(physical_lines(data), start=1):
         place = by_line.get(number)
-        parts.append(Part(raw) if place is None else Part(raw, key, _label(kept, place, rows[place])))
+        parts.append(FileSpan(raw) if place is None else FileSpan(raw, key, _label(kept, place, rows[place])))
     return parts
 
 
@@ -116,7 +116,7 @@ def _occlusion(label: BoxLabel, otherwise: BoxLabel | None) -> Value:
     return label.attributes.get("occlusion", 3.0 if otherwise is None else otherwise.attributes["occlusion"])
 
 
-def _written(key: Key, new: BoxLabel, old: Part | None, *, camera: Camera, scored: bool, path: Path) -> bytes:
+def _written(key: Key, new: BoxLabel, old: FileSpan | None, *, camera: Camera, scored: bool, path: Path) -> bytes:
     """One line; columns whose value did not change stay as they are spelt."""
     del key
     before = None if old is None else old.label

@@ -21,7 +21,7 @@ from farfield.vocabulary.kradar import frame_difference
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class KRadarFiles:
     """One frame: its sequence, radar and LiDAR index, and its annotation with its version where there is one."""
 
     sequence: str
@@ -41,7 +41,7 @@ def find_file(roots: Sequence[Path], relative: Path) -> Path | None:
     return next((root / relative for root in roots if (root / relative).is_file()), None)
 
 
-class Files:
+class FileIndex:
     """Finds files below several roots; which folders there are is looked up once.
 
     Args:
@@ -151,18 +151,18 @@ def radar_geometry(roots: Sequence[Path], sequence: str) -> tuple[int, float | N
     return (frame_difference(sequence), None, None) if path is None else read_radar_calibration(path)
 
 
-def index_sequence(roots: Sequence[Path], sequence: str, versions: Iterable[str], difference: int) -> list[Entry]:
+def index_sequence(roots: Sequence[Path], sequence: str, versions: Iterable[str], difference: int) -> list[KRadarFiles]:
     """The frames of a sequence: those that are annotated, or, without annotations, those with a LiDAR or radar file."""
     labels = find_labels(roots, sequence, versions)
     if labels is not None:
         stems = [path.stem.split("_") for path in labels[1]]
         return [
-            Entry(sequence=sequence, radar=int(radar), lidar=int(lidar), label=path, version=labels[0])
+            KRadarFiles(sequence=sequence, radar=int(radar), lidar=int(lidar), label=path, version=labels[0])
             for (radar, lidar), path in zip(stems, labels[1], strict=True)
         ]
     lidars = _numbers(roots, sequence, LIDARS, lambda index: index)
     lidars |= _numbers(roots, sequence, RADAR_PRODUCTS, lambda index: index - difference)
-    return [Entry(sequence=sequence, radar=number + difference, lidar=number) for number in sorted(lidars)]
+    return [KRadarFiles(sequence=sequence, radar=number + difference, lidar=number) for number in sorted(lidars)]
 
 
 def _numbers(

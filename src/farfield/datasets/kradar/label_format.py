@@ -17,7 +17,7 @@ from farfield.datasets.kradar.labels import LabelLine, format_header, parse_text
 from farfield.datasets.kradar.layout import LABEL_TREES
 from farfield.datasets.kradar.reader import KRadar
 from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import Part, replaced
+from farfield.datasets.labels.lines import FileSpan, replaced
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Key
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS
@@ -29,7 +29,7 @@ _VALUES = 7
 _ALIKE = 1e-9  # numbers that differ by less are the same: a box that came back from the page
 
 
-class _Object(NamedTuple):
+class _ObjectCells(NamedTuple):
     """The cells of one object: before the class, the class, its seven numbers, and what follows the last."""
 
     before: list[bytes]
@@ -90,7 +90,7 @@ class KRadarLabelFormat:
         (key,) = labels
         version = self.data.entries[self._of(key)].version or _NEWEST
         header, parts = _parts(self._header(key) if data is None else data, path, key)
-        body = replaced(parts, labels, write=_Writing(path, version, parts), same=_same)
+        body = replaced(parts, labels, write=_LabelWriting(path, version, parts), same=_same)
         between = b"" if header.endswith(b"\n") or not body or parts else b"\n"
         return header + between + body
 
@@ -99,18 +99,18 @@ class KRadarLabelFormat:
         return format_header(frame.indices, frame.time_ns or 0).encode()
 
 
-def _parts(data: bytes, path: Path, key: Key) -> tuple[bytes, list[Part]]:
+def _parts(data: bytes, path: Path, key: Key) -> tuple[bytes, list[FileSpan]]:
     """What stands before the first object, and the objects, each with all that follows it up to the next."""
     lines = iter(parse_text(data, path).lines)  # what is wrong with the file, in its words
     starts = [mark.start() for mark in _MARK.finditer(data)]
-    parts: list[Part] = []
+    parts: list[FileSpan] = []
     place = 0
     for start, end in zip(starts, [*starts, len(data)][1:], strict=True):
         raw = data[start:end]
         if raw.startswith(b"#"):
-            parts.append(Part(raw))
+            parts.append(FileSpan(raw))
         else:
-            parts.append(Part(raw, key, _label(next(lines), place)))
+            parts.append(FileSpan(raw, key, _label(next(lines), place)))
             place += 1
     return data[: starts[0]] if starts else data, parts
 
@@ -153,14 +153,14 @@ def _name(label: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Writing:
+class _LabelWriting:
     """Writes the line of one object."""
 
     path: Path
     version: str
-    parts: Sequence[Part]
+    parts: Sequence[FileSpan]
 
-    def __call__(self, key: Key, new: BoxLabel, old: Part | None) -> bytes:
+    def __call__(self, key: Key, new: BoxLabel, old: FileSpan | None) -> bytes:
         del key
         cells = self._new(new) if old is None else _cells(old.raw)
         before = None if old is None else old.label
@@ -179,13 +179,13 @@ class _Writing:
             head[1] = f" {self._availability(new)}".encode()
         return b",".join([*head, name, *values]) + cells.end
 
-    def _new(self, label: BoxLabel) -> _Object:
+    def _new(self, label: BoxLabel) -> _ObjectCells:
         if self.version.startswith("v1"):
             whole = [f" {len(self.parts) + int(label.id) if label.id.isdigit() else len(self.parts)}".encode()] * 2
         else:
             whole = [f" {self._track(label)}".encode()]
         flag = [f" {self._availability(label)}".encode()] if self.version.endswith(".1") else []
-        return _Object([b"*", *flag, *whole], b"", [b""] * _VALUES, b"\n")
+        return _ObjectCells([b"*", *flag, *whole], b"", [b""] * _VALUES, b"\n")
 
     def _class(self, label: str) -> str:
         name = _name(label)
@@ -209,8 +209,8 @@ class _Writing:
         return str(value)
 
 
-def _cells(raw: bytes) -> _Object:
+def _cells(raw: bytes) -> _ObjectCells:
     """The cells of an object's text, with the blanks before each."""
     text = raw.rstrip().rstrip(b",").rstrip()
     cells = text.split(b",")
-    return _Object(cells[: -_VALUES - 1], cells[-_VALUES - 1], cells[-_VALUES:], raw[len(text) :])
+    return _ObjectCells(cells[: -_VALUES - 1], cells[-_VALUES - 1], cells[-_VALUES:], raw[len(text) :])

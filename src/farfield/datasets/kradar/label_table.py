@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
-from farfield.datasets.kradar.index import Entry
+from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
+from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FarfieldError
@@ -132,7 +132,7 @@ class LabelTable:
 
 
 @dataclass
-class _Rows:
+class _LabelColumns:
     """Columns that grow; a line is availability, number, number in the frame before, class and seven numbers."""
 
     frames: list[tuple[str, str, str]] = field(default_factory=list)
@@ -142,7 +142,7 @@ class _Rows:
     defects: Counter[str] = field(default_factory=Counter)
     damaged: list[str] = field(default_factory=list)
 
-    def extend(self, others: "_Rows") -> None:
+    def extend(self, others: "_LabelColumns") -> None:
         """Append the rows of further frames."""
         self.frames += others.frames
         self.headers += others.headers
@@ -152,7 +152,7 @@ class _Rows:
         self.damaged += others.damaged
 
 
-def read_label_table(entries: Iterable[Entry], bulk: Bulk = HERE) -> LabelTable:
+def read_label_table(entries: Iterable[KRadarFiles], bulk: JobOptions = HERE) -> LabelTable:
     """Read the annotations of many frames; those without any are left out.
 
     Args:
@@ -162,7 +162,7 @@ def read_label_table(entries: Iterable[Entry], bulk: Bulk = HERE) -> LabelTable:
     Returns:
         The table. A damaged file is named in ``damaged`` and left out.
     """
-    rows, labelled = _Rows(), [entry for entry in entries if entry.label is not None]
+    rows, labelled = _LabelColumns(), [entry for entry in entries if entry.label is not None]
     places = blocks(len(labelled), _BLOCK)
     units = [replace(each, parameters=labelled[each.parameters.start : each.parameters.stop]) for each in places]
     for done in values(_read_block, units, bulk):
@@ -170,17 +170,17 @@ def read_label_table(entries: Iterable[Entry], bulk: Bulk = HERE) -> LabelTable:
     return _table(rows)
 
 
-def _read_block(unit: Unit) -> Done:
-    rows = _Rows()
+def _read_block(unit: Unit) -> UnitResult:
+    rows = _LabelColumns()
     for entry in unit.parameters:
         try:
             _read(entry, entry.label, rows)
         except (FarfieldError, OSError) as error:
             rows.damaged.append(str(error))
-    return Done(value=rows)
+    return UnitResult(value=rows)
 
 
-def _read(entry: Entry, path: Path, rows: _Rows) -> None:
+def _read(entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
     data = read_bytes(path, max_bytes=MAX_BYTES)
     known = _FILE_RE.fullmatch(data.decode("utf-8", errors="replace"))
     if known is None:
@@ -194,7 +194,7 @@ def _read(entry: Entry, path: Path, rows: _Rows) -> None:
     rows.defects["blanks"] += bool(known[8])
 
 
-def _read_slowly(data: bytes, entry: Entry, path: Path, rows: _Rows) -> None:
+def _read_slowly(data: bytes, entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
     found = parse_text(data, path)
     indices = [found.indices.get(name, -1) for name in INDEX_NAMES]
     rows.frames.append((entry.sequence, entry.stem, entry.version or ""))
@@ -211,7 +211,7 @@ def _read_slowly(data: bytes, entry: Entry, path: Path, rows: _Rows) -> None:
     rows.defects["blanks"] += not (found.merged_header or slip or found.from_above) and found.usual_header
 
 
-def _table(rows: _Rows) -> LabelTable:
+def _table(rows: _LabelColumns) -> LabelTable:
     frames = np.array(rows.frames, dtype=np.str_).reshape(-1, 3)
     headers = np.array(rows.headers, dtype=np.int64).reshape(-1, 6)
     columns = list(zip(*rows.lines, strict=True)) or [()] * 11

@@ -14,10 +14,10 @@ from jaxtyping import Float, Float32
 from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.kradar.layout import SPARSE_COLUMNS
-from farfield.datasets.maps import Earlier, Placed
-from farfield.datasets.maps.sweeps import Stacked
+from farfield.datasets.maps import Earlier, TransformedCloud
+from farfield.datasets.maps.sweeps import StackedCloud
 from farfield.errors import ConfigError
-from farfield.frame import Cloud, Frame, Given, Lazy, Pose
+from farfield.frame import Cloud, Constant, Frame, Lazy, Pose
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 
@@ -90,9 +90,9 @@ class RadarView:
         if source is None:
             return frame
         kept = {name: _loader(frame, name) for name in frame.clouds}
-        if isinstance(kept.get(RADAR_CLOUD), Stacked):
+        if isinstance(kept.get(RADAR_CLOUD), StackedCloud):
             raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
-        loader = Placed(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
+        loader = TransformedCloud(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
         return replace(frame, clouds=Lazy(kept | {RADAR_CLOUD: loader}))
 
 
@@ -104,7 +104,7 @@ def _source(frame: Frame, view: RadarView) -> str | None:
 
 
 def _loader(frame: Frame, name: str) -> Callable[[], Any]:
-    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Given(frame.clouds[name])
+    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Constant(frame.clouds[name])
 
 
 def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.kradar.index import Files
+from farfield.datasets.kradar.index import FileIndex
 from farfield.datasets.kradar.texts import numbers_of, read_radar_calibration
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
@@ -34,7 +34,7 @@ _SUM = 0.0021  # of three numbers with three decimals
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matching:
+class InfoMatching:
     """One frame's ``info_matching`` of K-Radar's development kit.
 
     Args:
@@ -75,7 +75,7 @@ def matching_path(sequence: str, stem: str) -> Path:
     return Path(sequence, "info_matching", f"{stem}.txt")
 
 
-def read_matching(path: Path) -> Matching:
+def read_matching(path: Path) -> InfoMatching:
     """Read ``info_matching/<radar>_<lidar>.txt``.
 
     Raises:
@@ -91,7 +91,7 @@ def read_matching(path: Path) -> Matching:
     if np.abs(base + offset - total).max() > _SUM:
         raise FileFormatError(path, where="line 2", expected=f"the sum {base + offset}", found=f"{total}")
     a, b = ((float(row[0]), float(row[1]), float(row[2])) for row in (base, offset))
-    return Matching(names=(names[0], names[1], names[2]), base=a, offset=b)
+    return InfoMatching(names=(names[0], names[1], names[2]), base=a, offset=b)
 
 
 def read_side_file(path: Path) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def read_side_file(path: Path) -> dict[str, Any]:
     return dict(content, radar_T_lidar=matrix, yaw_rad=yaw)
 
 
-def sequence_yaw_rad(files: Files, sequence: str) -> float:
+def sequence_yaw_rad(files: FileIndex, sequence: str) -> float:
     """The yaw that a sequence's side file gives; 0 where there is none.
 
     A side file that is damaged or says another x or y than the text file is left out, with a warning.
@@ -133,7 +133,7 @@ def sequence_yaw_rad(files: Files, sequence: str) -> float:
         return 0.0
 
 
-def read_os2_T_os1(files: Files, sequence: str) -> Float[np.ndarray, "4 4"] | None:
+def read_os2_T_os1(files: FileIndex, sequence: str) -> Float[np.ndarray, "4 4"] | None:
     """Where the os1-128 stands in the os2-64's frame, as ``farfield calibrate lidar-lidar`` wrote it; or None.
 
     Raises:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.bulk import HERE, Bulk
+from farfield.bulk import HERE, JobOptions
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_known, all_poses
-from farfield.datasets.kradar.index import Entry, Files, find_sequences, index_sequence, radar_geometry
+from farfield.datasets.kradar.index import FileIndex, KRadarFiles, find_sequences, index_sequence, radar_geometry
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.datasets.kradar.labels import KRadarLabels, annotation_of, read_labels
 from farfield.datasets.kradar.layout import (
@@ -48,7 +48,7 @@ from farfield.datasets.kradar.tesseract import read_moments
 from farfield.datasets.kradar.video import dash_image
 from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Annotation, Camera, Frame, Given, Key, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Camera, Constant, Frame, Key, Lazy, Sensor, camera_sensor
 
 _USUAL_VIEW = RadarView()
 MOMENTS = "moments"
@@ -121,11 +121,11 @@ class KRadar(Dataset):
         self.calibration = calibration
         self.root = Path(root)
         self.roots = (self.root, *map(Path, roots))
-        self._files = Files(self.roots)
+        self._files = FileIndex(self.roots)
         self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
         self._yaw_rad = {name: sequence_yaw_rad(self._files, name) for name in self._geometry}
         versions = tuple(LABEL_TREES) if labels is None else (labels,)
-        self.entries: Sequence[Entry] = [
+        self.entries: Sequence[KRadarFiles] = [
             entry
             for name, (difference, _, _) in self._geometry.items()
             for entry in index_sequence(self.roots, name, versions, difference)
@@ -153,7 +153,7 @@ class KRadar(Dataset):
         """Whether there is a label file of frame ``index``."""
         return self.entries[index].label is not None
 
-    def label_table(self, bulk: Bulk = HERE) -> LabelTable:
+    def label_table(self, bulk: JobOptions = HERE) -> LabelTable:
         """Read the annotations of all frames at once, in a fraction of the time; see :class:`LabelTable`."""
         return read_label_table(self.entries, bulk)
 
@@ -246,7 +246,7 @@ class KRadar(Dataset):
         return super()._split_from_file() or split_of_sequences(self.sequences)
 
     def _indices(
-        self, entry: Entry, raw: KRadarLabels | None = None, record: FrameRecord | None = None
+        self, entry: KRadarFiles, raw: KRadarLabels | None = None, record: FrameRecord | None = None
     ) -> dict[str, int]:
         """Indices of a frame's files: the record's, the annotation's, or what the name says."""
         raw = read_labels(entry.label) if raw is None and entry.label is not None else raw
@@ -256,7 +256,7 @@ class KRadar(Dataset):
         known |= {"radar": entry.radar, "os2-64": entry.lidar}
         return {"os1-128": entry.lidar} | {name: known[name] for name in INDEX_NAMES if name in known}
 
-    def _paths(self, entry: Entry, indices: dict[str, int]) -> dict[str, Path]:
+    def _paths(self, entry: KRadarFiles, indices: dict[str, int]) -> dict[str, Path]:
         found = {
             product: self._files.product(product, entry.sequence, indices[index_name(product)])
             for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS)
@@ -264,10 +264,10 @@ class KRadar(Dataset):
         }
         return {product: path for product, path in found.items() if path is not None}
 
-    def _record_path(self, entry: Entry) -> Path | None:
+    def _record_path(self, entry: KRadarFiles) -> Path | None:
         return self._files.find(record_path(entry.sequence, entry.stem))
 
-    def _record(self, entry: Entry) -> FrameRecord | None:
+    def _record(self, entry: KRadarFiles) -> FrameRecord | None:
         path = self._record_path(entry)
         return None if path is None else read_record(path)
 
@@ -340,8 +340,8 @@ def _sensors(
     return known
 
 
-def _files(entry: Entry, record: Path | None, paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
-    return {"files": Given([str(path) for path in (entry.label, record, *paths.values()) if path is not None])}
+def _files(entry: KRadarFiles, record: Path | None, paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
+    return {"files": Constant([str(path) for path in (entry.label, record, *paths.values()) if path is not None])}
 
 
 def _times(of_files: dict[str, int], paths: dict[str, Path], record: FrameRecord | None) -> dict[str, int]:
@@ -355,9 +355,9 @@ def _measured(shared: SequenceFacts, time_ns: int | None) -> dict[str, Callable[
     """The film, where the conditions come from, and the GPS's and IMUs' measurements nearest to a frame."""
     known: dict[str, Callable[[], Any]] = {}
     if shared.conditions_from:
-        known["conditions_from"] = Given(shared.conditions_from)
+        known["conditions_from"] = Constant(shared.conditions_from)
     if shared.video is not None:
-        known["video"] = Given(str(shared.video))
+        known["video"] = Constant(str(shared.video))
     if time_ns is not None:
         known |= {name: partial(_nearest, shared.motion, name, time_ns) for name in shared.motion}
     return known

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.kradar.index import Files
+from farfield.datasets.kradar.index import FileIndex
 from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RIGHT_EYE
 from farfield.datasets.kradar.motion import TimedTable, motion_files, read_gps, read_imu, read_local, read_poses
 from farfield.datasets.kradar.texts import read_camera, read_times
@@ -61,7 +61,7 @@ class SequenceFacts:
     motion: Lazy
 
 
-def read_sequence(files: Files, sequence: str, *, calibration: str | None = None) -> SequenceFacts:
+def read_sequence(files: FileIndex, sequence: str, *, calibration: str | None = None) -> SequenceFacts:
     """Read what there is of a sequence.
 
     Args:
@@ -91,7 +91,7 @@ def read_sequence(files: Files, sequence: str, *, calibration: str | None = None
     )
 
 
-def read_conditions(files: Files, sequence: str) -> tuple[dict[str, str], str]:
+def read_conditions(files: FileIndex, sequence: str) -> tuple[dict[str, str], str]:
     """Conditions of a sequence and what says so; the published table's where it has no description.
 
     A simulated sequence is not a published one, though it bears its number: the table is not asked where the
@@ -109,7 +109,7 @@ def read_conditions(files: Files, sequence: str) -> tuple[dict[str, str], str]:
     return known, "published table" if known else ""
 
 
-def find_camera_files(files: Files, sequence: str, *, calibration: str | None = None) -> dict[str, Path]:
+def find_camera_files(files: FileIndex, sequence: str, *, calibration: str | None = None) -> dict[str, Path]:
     """The calibration file of each eye: of its sequence, or else the one common to all sequences.
 
     Args:

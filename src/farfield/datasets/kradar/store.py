@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, faults, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.layout import product_path
 from farfield.datasets.kradar.manifest import MANIFEST_NAME, write_manifest
@@ -72,7 +72,7 @@ def convert_to_store(
     settings: StoreSettings | None = None,
     *,
     overwrite: bool = False,
-    bulk: Bulk = HERE,
+    bulk: JobOptions = HERE,
 ) -> Outcome:
     """Write the store of a K-Radar tree, or go on with it; what stands there intact is skipped.
 
@@ -94,15 +94,15 @@ def convert_to_store(
     if not units:
         wanted = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
         raise DatasetError(f"{dataset.root}: expected frames with {wanted} files to convert, found none")
-    journal = Journal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
-    outcome = run(Convert(target, settings), units, bulk, journal=journal)
+    journal = JobJournal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
+    outcome = run(ConvertFrame(target, settings), units, bulk, journal=journal)
     if outcome.written or not (target / MANIFEST_NAME).is_file():
         write_manifest(dataset, target, settings.text)
     return outcome
 
 
 @dataclass(frozen=True)
-class Job:
+class StoreTask:
     """One frame to convert.
 
     Args:
@@ -127,7 +127,7 @@ def _units(dataset: Dataset, settings: StoreSettings) -> list[Unit]:
     return [job.unit for index in range(len(dataset)) if (job := _job(dataset, index, settings)) is not None]
 
 
-def _job(dataset: Dataset, index: int, settings: StoreSettings) -> Job | None:
+def _job(dataset: Dataset, index: int, settings: StoreSettings) -> StoreTask | None:
     """The frame's best source, if it has one."""
     sequence, stem = dataset.keys[index]
     number = int(stem.split("_")[0])
@@ -135,12 +135,12 @@ def _job(dataset: Dataset, index: int, settings: StoreSettings) -> Job | None:
     for source in SOURCES if "cells" in settings.products else SOURCES[:1]:
         path = by_place.get(product_path(source, sequence, number).parts)
         if path is not None:
-            return Job(sequence, number, source, path)
+            return StoreTask(sequence, number, source, path)
     return None
 
 
 @dataclass(frozen=True)
-class Convert:
+class ConvertFrame:
     """Converts one frame.
 
     Args:
@@ -152,12 +152,12 @@ class Convert:
     settings: StoreSettings
     memory_bytes = 900_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Write the frame's files."""
-        return Done(files=tuple(convert_frame(unit.parameters, self.target, self.settings)))
+        return UnitResult(files=tuple(convert_frame(unit.parameters, self.target, self.settings)))
 
 
-def convert_frame(job: Job, target: Path, settings: StoreSettings) -> list[Path]:
+def convert_frame(job: StoreTask, target: Path, settings: StoreSettings) -> list[Path]:
     """Convert one frame.
 
     Args:
@@ -198,7 +198,7 @@ def _made(path: Path) -> Path:
     return path
 
 
-def _moments(job: Job) -> Moments | None:
+def _moments(job: StoreTask) -> Moments | None:
     """The sums over Doppler that a source gives; a polar map lacks the first bin: its mean must do."""
     if job.source == "tesseract":
         return read_moments(job.path)
@@ -212,7 +212,7 @@ def _moments(job: Job) -> Moments | None:
     return Moments(power, power, power * velocity)
 
 
-def _cells(job: Job, moments: Moments | None, settings: StoreSettings) -> RadarCells:
+def _cells(job: StoreTask, moments: Moments | None, settings: StoreSettings) -> RadarCells:
     if moments is None:
         cube = np.ascontiguousarray(cast(np.ndarray, read_radar(job.path, "cube")), dtype=np.float32)
         return cells_of_cube(cube, settings.region)
@@ -239,5 +239,5 @@ def verify_store(dataset: Dataset, target: Path, settings: StoreSettings | None 
     path = target / JOURNAL_NAME
     if not path.is_file():
         raise DatasetError(f"{target}: expected a radar store, found no {JOURNAL_NAME}")
-    journal = Journal(path, settings.text)
+    journal = JobJournal(path, settings.text)
     return faults(_units(dataset, settings), journal)

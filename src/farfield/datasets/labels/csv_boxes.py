@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import Part, physical_lines, replaced
+from farfield.datasets.labels.lines import FileSpan, physical_lines, replaced
 from farfield.errors import ConfigError
 from farfield.files.boxes_csv import parse_boxes_csv
 from farfield.frame import Key
@@ -58,7 +58,7 @@ class CsvLabels:
         return replaced(parts, labels, write=write, same=_same, end=end.encode())
 
 
-def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], list[Part]]:
+def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], list[FileSpan]]:
     """The header's names and the parts: the header, then the records; blank lines belong to the record before."""
     parse_boxes_csv(data, path)  # what is wrong with the file, in its words
     lines = physical_lines(data)
@@ -66,7 +66,7 @@ def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], lis
     header = [name.strip() for name in next(reader)]
     wanted = {key if "sequence" in header else ("", key[1]): key for key in keys}
     begin, count = reader.line_num, dict.fromkeys(keys, 0)
-    parts = [Part(b"".join(lines[:begin]))]
+    parts = [FileSpan(b"".join(lines[:begin]))]
     for cells in reader:
         raw = b"".join(lines[begin : reader.line_num])
         begin = reader.line_num
@@ -75,7 +75,7 @@ def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], lis
             continue
         row = dict(zip(header, map(str.strip, cells), strict=True))
         key = wanted.get((row.get("sequence", ""), row["frame"]))
-        parts.append(Part(raw) if key is None else Part(raw, key, _label(row, count[key])))
+        parts.append(FileSpan(raw) if key is None else FileSpan(raw, key, _label(row, count[key])))
         if key is not None:
             count[key] += 1
     return header, parts
@@ -99,7 +99,7 @@ def _same(old: BoxLabel, new: BoxLabel) -> bool:
 
 
 def _written(
-    key: Key, new: BoxLabel, old: Part | None, *, header: Sequence[str], path: Path, end: str, stands_in: str
+    key: Key, new: BoxLabel, old: FileSpan | None, *, header: Sequence[str], path: Path, end: str, stands_in: str
 ) -> bytes:
     """One record; cells whose value did not change stay as they are spelt."""
     row = {"sequence": key[0], "frame": key[1], "reference": stands_in}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
 from farfield.datasets.labels.lines import kept_numbers
 from farfield.errors import ConfigError
-from farfield.files.cuboids import Cuboid, Placed
+from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.json_text import remove, set_value
 from farfield.frame import Key
 
@@ -30,7 +30,7 @@ class JsonLabels(ABC):
         """The file of a frame."""
 
     @abstractmethod
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of a file with the ways to them."""
 
     @abstractmethod
@@ -38,21 +38,21 @@ class JsonLabels(ABC):
         """A file without objects."""
 
     @abstractmethod
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """What an entry says of a cuboid, by the way to it within the entry."""
 
     @abstractmethod
     def with_new(self, text: str, cuboid: Cuboid) -> str:
         """A file's text with a cuboid more."""
 
-    def of_frame(self, placed: Placed, key: Key) -> bool:
+    def of_frame(self, placed: CuboidEntry, key: Key) -> bool:
         """Whether a cuboid is a frame's; a file that holds one frame names none."""
         name = placed.cuboid.frame
         if name in ("", key[1]):
             return True
         return name.isdecimal() and key[1].isdecimal() and int(name) == int(key[1])
 
-    def prepared(self, text: str, place: Placed | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A file's text that can hold a cuboid; formats that list their classes add one here."""
         del place, cuboid
         return text
@@ -95,7 +95,7 @@ class JsonLabels(ABC):
         del old, new
         return False
 
-    def _changed(self, text: str, place: Placed, new: BoxLabel) -> str:
+    def _changed(self, text: str, place: CuboidEntry, new: BoxLabel) -> str:
         cuboid = _cuboid(new, place.cuboid)
         if cuboid == place.cuboid:
             return text
@@ -110,7 +110,7 @@ class JsonLabels(ABC):
         return text
 
 
-def _labels(placed: Sequence[Placed]) -> list[BoxLabel]:
+def _labels(placed: Sequence[CuboidEntry]) -> list[BoxLabel]:
     return [
         BoxLabel(id=str(number), label=one.label, box=one.box, track=one.track, attributes=one.attributes)
         for number, one in enumerate(each.cuboid for each in placed)

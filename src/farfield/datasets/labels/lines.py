@@ -10,7 +10,7 @@ from farfield.frame import Key
 _ALIKE = 1e-9  # metres or radians: a box that went to the page and came back unmoved
 
 
-class Part(NamedTuple):
+class FileSpan(NamedTuple):
     """A stretch of a file: one object's line or lines, or what stands between objects.
 
     Args:
@@ -24,12 +24,12 @@ class Part(NamedTuple):
     label: BoxLabel | None = None
 
 
-Writes = Callable[[Key, BoxLabel, Part | None], bytes]
+Writes = Callable[[Key, BoxLabel, FileSpan | None], bytes]
 """The line of an object with its end: from its frame, its values and, where the file has it, what stands there now."""
 
 
 def replaced(
-    parts: Sequence[Part],
+    parts: Sequence[FileSpan],
     labels: Mapping[Key, Sequence[BoxLabel]],
     *,
     write: Writes,

@@ -10,7 +10,7 @@ from farfield.datasets.labels.contract import BoxLabel
 from farfield.datasets.labels.json_labels import JsonLabels
 from farfield.errors import DatasetError
 from farfield.files import datumaro, openlabel, supervisely, sustechpoints
-from farfield.files.cuboids import Cuboid, Placed
+from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.json_text import span
 from farfield.frame import Key
 
@@ -41,7 +41,7 @@ class SustechLabels(JsonLabels):
         """The file of a frame."""
         return (self.folder if self.scene else self.folder / file_name(key[0])) / "label" / f"{file_name(key[1])}.json"
 
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of the frame."""
         return sustechpoints.parse_sustechpoints(data, path)
 
@@ -49,7 +49,7 @@ class SustechLabels(JsonLabels):
         """An empty list."""
         return "[]\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, yaw, class and track."""
         del text, place
         return sustechpoints.values(cuboid)
@@ -76,7 +76,7 @@ class OpenLabels(JsonLabels):
         """The file of a frame's sequence."""
         return self.folder / f"{file_name(key[0])}.json"
 
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of the sequence."""
         return openlabel.parse_openlabel(data, path)
 
@@ -84,12 +84,12 @@ class OpenLabels(JsonLabels):
         """A file without frames."""
         return openlabel.format_openlabel([], [])
 
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """The numbers of ``val``, 9 or 10 as they stand."""
         nine = place is not None and span(text, (*place.steps, "val", 9)) is None
         return openlabel.values_of_nine(cuboid) if nine else openlabel.values(cuboid)
 
-    def prepared(self, text: str, place: Placed | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
         """The object's class."""
         if place is None or place.cuboid.label == cuboid.label:
             return text
@@ -121,7 +121,7 @@ class DatumaroLabels(JsonLabels):
             return self.folder
         return self.folder / file_name(key[0]) / "annotations" / "default.json"
 
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of the sequence."""
         return datumaro.parse_datumaro(data, path)
 
@@ -129,12 +129,12 @@ class DatumaroLabels(JsonLabels):
         """A file without items."""
         return datumaro.format_datumaro([], [])
 
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, yaw, class, track and attributes."""
         del place
         return datumaro.values(cuboid, datumaro.class_names(json.loads(text.removeprefix("\ufeff")), self.folder))
 
-    def prepared(self, text: str, place: Placed | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A class that the file does not know yet."""
         del place
         return datumaro.with_class(text, cuboid.label)
@@ -168,7 +168,7 @@ class SuperviselyLabels(JsonLabels):
             raise DatasetError(f"expected a frame of this data set, got {'/'.join(key)}")
         return self.paths[key]
 
-    def placed(self, data: bytes, path: Path) -> Sequence[Placed]:
+    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of the frame."""
         return supervisely.placed_supervisely(data, path)
 
@@ -176,12 +176,12 @@ class SuperviselyLabels(JsonLabels):
         """A file without objects."""
         return json.dumps({"description": "", "tags": [], "objects": [], "figures": []}, indent=1) + "\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: Placed | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size and yaw."""
         del text, place
         return supervisely.values(cuboid)
 
-    def prepared(self, text: str, place: Placed | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
         """The object's class."""
         if place is None or place.cuboid.label == cuboid.label:
             return text

@@ -39,7 +39,7 @@ _PLACES = ("tx", "ty", "tz", "rz")
 
 
 @dataclass(eq=False)
-class _Object:
+class _TrackletObject:
     """One object: what the file has of it, and what is wanted.
 
     Args:
@@ -130,12 +130,12 @@ def _rendered(data: bytes, path: Path, frames: Mapping[int, tuple[Sequence[BoxLa
     return _assembled(data, held, objects, touched, edits)
 
 
-def _object(data: bytes, span: Span) -> _Object:
+def _object(data: bytes, span: Span) -> _TrackletObject:
     texts = _texts(data, span)
     poses = [pose for group in span.all("poses") for pose in group.all("item")]
     first = int(float(texts["first_frame"]))
     size = (float(texts["l"]), float(texts["w"]), float(texts["h"]))
-    return _Object(span, texts["objectType"], size, {first + step: pose for step, pose in enumerate(poses)})
+    return _TrackletObject(span, texts["objectType"], size, {first + step: pose for step, pose in enumerate(poses)})
 
 
 def _texts(data: bytes, span: Span) -> dict[str, str]:
@@ -143,7 +143,7 @@ def _texts(data: bytes, span: Span) -> dict[str, str]:
     return {child.name: data[child.inner : child.close].decode().strip() for child in found}
 
 
-def _changes(one: _Object, frame: int, old: BoxLabel, new: BoxLabel) -> Iterator[Edit]:
+def _changes(one: _TrackletObject, frame: int, old: BoxLabel, new: BoxLabel) -> Iterator[Edit]:
     """Edits of one pose; class and size are noted for the whole object."""
     box, pose = kept_numbers(old.box, new.box), one.poses[frame]
     assert pose is not None
@@ -178,7 +178,7 @@ def _text(span: Span, name: str, text: str) -> Edit:
     return (child.inner, child.close, text.encode())
 
 
-def _joined(objects: list[_Object], fresh: Sequence[tuple[int, BoxLabel]]) -> set[int]:
+def _joined(objects: list[_TrackletObject], fresh: Sequence[tuple[int, BoxLabel]]) -> set[int]:
     """Put new boxes into the objects that they continue, or into new ones; which objects have others now."""
     touched: set[int] = set()
     begun: dict[tuple[str, str], int] = {}
@@ -188,7 +188,7 @@ def _joined(objects: list[_Object], fresh: Sequence[tuple[int, BoxLabel]]) -> se
         number = int(label.track) if known else begun.get((label.track, label.label), -1)
         if number < 0 or not label.track or frame in objects[number].poses or objects[number].label != label.label:
             number = begun[label.track, label.label] = len(objects)
-            objects.append(_Object(None, label.label, size))
+            objects.append(_TrackletObject(None, label.label, size))
         one = objects[number]
         one.poses[frame], one.boxes[frame] = None, label
         if size != one.size_m:
@@ -197,7 +197,7 @@ def _joined(objects: list[_Object], fresh: Sequence[tuple[int, BoxLabel]]) -> se
     return touched
 
 
-def _of_all(one: _Object, path: Path) -> Iterator[Edit]:
+def _of_all(one: _TrackletObject, path: Path) -> Iterator[Edit]:
     """Edits of what an object has once: class and size."""
     for what, values in (("class", one.named), ("size", one.sized)):
         if len(values) > 1:
@@ -214,7 +214,7 @@ def _of_all(one: _Object, path: Path) -> Iterator[Edit]:
                 yield _text(one.span, name, repr(float(new)))
 
 
-def _assembled(data: bytes, held: Span, objects: list[_Object], touched: set[int], edits: list[Edit]) -> bytes:
+def _assembled(data: bytes, held: Span, objects: list[_TrackletObject], touched: set[int], edits: list[Edit]) -> bytes:
     """The file: objects whose frames stayed by their edits, the others anew around the bytes of their poses."""
     more: list[bytes] = []
     kept = 0
@@ -253,7 +253,7 @@ def _blanks_before(data: bytes, at: int) -> int:
     return len(data[:at].rstrip())
 
 
-def _with_poses(data: bytes, one: _Object, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+def _with_poses(data: bytes, one: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
     """An object's bytes with the poses of a run."""
     span = one.span
     assert span is not None
@@ -272,7 +272,7 @@ def _with_poses(data: bytes, one: _Object, run: Sequence[int], edits: Sequence[E
     return edited(data, changes, span.start, span.end)
 
 
-def _pose(data: bytes, one: _Object, frame: int, edits: Sequence[Edit]) -> bytes:
+def _pose(data: bytes, one: _TrackletObject, frame: int, edits: Sequence[Edit]) -> bytes:
     span = one.poses[frame]
     if span is not None:
         return edited(data, edits, span.start, span.end)
@@ -286,7 +286,7 @@ def _pose(data: bytes, one: _Object, frame: int, edits: Sequence[Edit]) -> bytes
     return f"<item>{lines}\n\t\t\t</item>".encode()
 
 
-def _new_object(data: bytes, one: _Object, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+def _new_object(data: bytes, one: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
     length, width, height = map(repr, map(float, one.size_m))
     label = escape(next(iter(one.named), one.label))
     head = {"objectType": label, "h": height, "w": width, "l": length, "first_frame": str(run[0])}

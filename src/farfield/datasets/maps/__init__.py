@@ -10,7 +10,7 @@ from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_b
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.maps.labels_at import LabelsAt
 from farfield.datasets.maps.move import Move
-from farfield.datasets.maps.placed import Placed
+from farfield.datasets.maps.placed import TransformedCloud
 from farfield.datasets.maps.posed import Posed
 from farfield.datasets.maps.sweeps import Sweeps
 from farfield.datasets.maps.whole_bodies import WholeBodies
@@ -25,9 +25,9 @@ __all__ = [
     "FrameMap",
     "LabelsAt",
     "Move",
-    "Placed",
     "Posed",
     "Sweeps",
+    "TransformedCloud",
     "WholeBodies",
     "described",
     "make",

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.maps.contract import Earlier
-from farfield.datasets.maps.placed import Placed
+from farfield.datasets.maps.placed import TransformedCloud
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy, Pose, moved
 from farfield.geometry.poses import invert
@@ -57,7 +57,7 @@ class Coordinates:
         target_T_frame = invert(_frame_T_sensor(frame, self.reference))
         seen = moved(frame, target_T_frame, reference=self.reference)
         placed = {name: frame.clouds.loader(name) for name in frame.clouds} if isinstance(frame.clouds, Lazy) else {}
-        once = {name: one.moved(target_T_frame) for name, one in placed.items() if isinstance(one, Placed)}
+        once = {name: one.moved(target_T_frame) for name, one in placed.items() if isinstance(one, TransformedCloud)}
         rest: dict[str, Callable[[], Any]] = {name: partial(item, seen.clouds, name) for name in seen.clouds}
         return replace(seen, clouds=Lazy(rest | once))
 

@@ -72,7 +72,7 @@ class LabelsAt:
         later_ns = (frame.time_ns_of(self.cloud) or frame.time_ns) - frame.time_ns
         if later_ns == 0:
             return frame
-        return replace(frame, load_annotation=Late(frame, _recent(frame.time_ns, earlier), later_ns / 1e9))
+        return replace(frame, load_annotation=ShiftedAnnotation(frame, _recent(frame.time_ns, earlier), later_ns / 1e9))
 
 
 def _recent(time_ns: int, earlier: Earlier) -> tuple[Frame, ...]:
@@ -88,7 +88,7 @@ def _recent(time_ns: int, earlier: Earlier) -> tuple[Frame, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Late:
+class ShiftedAnnotation:
     """Loads the annotation of a frame some time later.
 
     Args:

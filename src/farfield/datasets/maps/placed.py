@@ -12,7 +12,7 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class TransformedCloud:
     """Loads a cloud and moves it once, however often the frame's coordinates were changed.
 
     Args:
@@ -30,6 +30,6 @@ class Placed:
             return cloud
         return cloud.transform(self.frame_T_sensor)
 
-    def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Placed":
+    def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "TransformedCloud":
         """The same cloud in other coordinates."""
         return replace(self, frame_T_sensor=target_T_frame @ self.frame_T_sensor)

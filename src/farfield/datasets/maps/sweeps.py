@@ -70,11 +70,11 @@ class Sweeps:
         present = _checked(frame)
         found = (earlier(k) for k in range(1, self.count))
         before = tuple(_checked(other) for other in found if other is not None)
-        return replace(present, clouds=Lazy({name: Stacked(present, before, name) for name in present.clouds}))
+        return replace(present, clouds=Lazy({name: StackedCloud(present, before, name) for name in present.clouds}))
 
 
 @dataclass(frozen=True, eq=False)
-class Stacked:
+class StackedCloud:
     """Loads the present cloud, then the earlier ones that have this sensor, the youngest first."""
 
     present: Frame

@@ -52,11 +52,11 @@ class WholeBodies:
     def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
         """The frame with its annotation's bodies in the place of the visible parts."""
         del earlier
-        return replace(frame, load_annotation=Whole(frame)) if frame.has_annotation else frame
+        return replace(frame, load_annotation=WholeAnnotation(frame)) if frame.has_annotation else frame
 
 
 @dataclass(frozen=True, eq=False)
-class Whole:
+class WholeAnnotation:
     """Loads the annotation of a frame as whole bodies.
 
     Args:

@@ -17,7 +17,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.drives import Indices, all_known
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
-from farfield.datasets.maps import Coordinates, FrameMap, Placed
+from farfield.datasets.maps import Coordinates, FrameMap, TransformedCloud
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects, kitti_names
 from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
@@ -32,8 +32,8 @@ from farfield.frame import (
     Camera,
     CameraField,
     Cloud,
+    Constant,
     Frame,
-    Given,
     Lazy,
     Sensor,
     camera_sensor,
@@ -206,11 +206,11 @@ class ViewOfDelft(Dataset):
         )
 
     def _metadata(self, index: int, world_T_camera: Mapping[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
-        known: dict[str, Callable[[], Any]] = {"files": Given([str(path) for path in self.files(index)])}
+        known: dict[str, Callable[[], Any]] = {"files": Constant([str(path) for path in self.files(index)])}
         if self.frame_ids[index] in self._clouds.get("radar", ()):
             path = self._clouds["radar"][self.frame_ids[index]]
             known["radar_velocity_m_s"] = partial(_velocity, path)
-        return known | ({"world_T_camera": Given(world_T_camera)} if world_T_camera else {})
+        return known | ({"world_T_camera": Constant(world_T_camera)} if world_T_camera else {})
 
     def _rig(self, index: int) -> _Rig:
         calib: dict[Reference, Mapping[str, np.ndarray]] = {}
@@ -234,7 +234,7 @@ class ViewOfDelft(Dataset):
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")
-                read = Placed(read, rig.reference_T(sensor))
+                read = TransformedCloud(read, rig.reference_T(sensor))
             loaders[name] = read
         return loaders
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from farfield.detectors.anchors.grid import AnchorGrid, Targets
+from farfield.detectors.anchors.grid import AnchorGrid, AnchorTargets
 from farfield.detectors.anchors.matching import match_by_overlap
 from farfield.detectors.contract import range_weights
 from farfield.geometry.boxes import Boxes
@@ -30,7 +30,7 @@ class AnchorAssigner:
     ignore_m: float = 2.0
     far_weight: float = 0.0
 
-    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> Targets:
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> AnchorTargets:
         """Targets of one frame; its points are not looked at."""
         del inputs
         weights = range_weights(boxes, self.far_weight)

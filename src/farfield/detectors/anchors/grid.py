@@ -42,7 +42,7 @@ def cirrus_anchors() -> dict[str, AnchorConfig]:
 
 
 @dataclass(frozen=True, eq=False)
-class Targets:
+class AnchorTargets:
     """The targets of a frame; indices count anchors of that frame.
 
     Args:
@@ -59,7 +59,7 @@ class Targets:
     ignored: Int[np.ndarray, " i"]
     weight: Float[np.ndarray, " p"]
 
-    def ignoring(self, unsure: "Targets") -> "Targets":
+    def ignoring(self, unsure: "AnchorTargets") -> "AnchorTargets":
         """These targets, where what is assigned to unsure boxes, or ignored for them, is neither object nor background.
 
         Args:
@@ -137,13 +137,13 @@ class AnchorGrid:
         positive: Int[np.ndarray, " p"],
         ignored: Int[np.ndarray, " i"],
         weights: Float[np.ndarray, " n"] | None,
-    ) -> Targets:
+    ) -> AnchorTargets:
         """Targets of a frame whose anchors ``positive`` are assigned to the boxes ``winner``."""
         code, direction = encode(boxes[winner], self.rows(positive))
         if self.style == "openpcdet":
             direction = _fixed_direction(boxes.yaw_rad[winner])
         weight = np.ones(len(positive)) if weights is None else weights[winner]
-        return Targets(positive, code, direction, ignored, weight)
+        return AnchorTargets(positive, code, direction, ignored, weight)
 
     def decode(
         self, code: Float[np.ndarray, "k 7"], direction: Int[np.ndarray, " k"], index: Int[np.ndarray, " k"]
@@ -157,7 +157,7 @@ class AnchorGrid:
 
     def assign(
         self, boxes: Boxes, *, positive_m: float, ignore_m: float, weights: Float[np.ndarray, " n"] | None = None
-    ) -> Targets:
+    ) -> AnchorTargets:
         """Assign anchors to each box, by the distance of their cell from the box's centre.
 
         The nearest cell and all within ``positive_m`` are positive; others within ``ignore_m`` are ignored. Overlap,

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from farfield.detectors.anchors.assigning import AnchorAssigner
 from farfield.detectors.anchors.best import best_anchors
 from farfield.detectors.anchors.device import boxes_there
-from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, Targets, cirrus_anchors
-from farfield.detectors.contract import ClassRows, DetectorConfig, OfAnchor
+from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, AnchorTargets, cirrus_anchors
+from farfield.detectors.contract import AnchorRow, ClassRows, DetectorConfig
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import box_loss, direction_loss, focal_loss
 from farfield.detectors.nms import rotated_nms
@@ -101,10 +101,10 @@ class AnchorHead(nn.Conv2d):
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
         said = [f"logit of {name}" for name in self.anchors.names] if self.config.head == "openpcdet" else ["logit"]
         logits = [(*slot, what) for what in said for slot in slots]
-        channels = [*logits, *(OfAnchor(*slot, number) for number in range(_BOX_NUMBERS) for slot in slots)]
+        channels = [*logits, *(AnchorRow(*slot, number) for number in range(_BOX_NUMBERS) for slot in slots)]
         return {"weight": (0, channels), "bias": (0, channels)}
 
-    def forward(self, features: FeatureMap, targets: Sequence[Targets] | None = None) -> AnchorMaps:
+    def forward(self, features: FeatureMap, targets: Sequence[AnchorTargets] | None = None) -> AnchorMaps:
         """Outputs for each anchor, in the order of the anchor grid; targets are not looked at."""
         del targets
         image = in_type_of(self, features.dense)
@@ -116,7 +116,7 @@ class AnchorHead(nn.Conv2d):
         )
         return AnchorMaps(logits if self.config.head == "openpcdet" else logits.squeeze(2), codes, directions)
 
-    def losses(self, maps: AnchorMaps, targets: Sequence[Targets]) -> dict[str, Tensor]:
+    def losses(self, maps: AnchorMaps, targets: Sequence[AnchorTargets]) -> dict[str, Tensor]:
         """Focal, smooth-L1 and direction losses over a batch (PointPillars, equations 1 to 3).
 
         Each is normalised by the weight of the positive anchors.

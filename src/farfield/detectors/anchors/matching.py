@@ -7,11 +7,13 @@ taken as 0 or 90 degrees, whichever is nearer.
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.detectors.anchors.grid import AnchorGrid, Targets
+from farfield.detectors.anchors.grid import AnchorGrid, AnchorTargets
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
 
-def match_by_overlap(grid: AnchorGrid, boxes: Boxes, *, weights: Float[np.ndarray, " n"] | None = None) -> Targets:
+def match_by_overlap(
+    grid: AnchorGrid, boxes: Boxes, *, weights: Float[np.ndarray, " n"] | None = None
+) -> AnchorTargets:
     """Assign anchors to each box, by their overlap with it.
 
     Anchors of the box's class are positive from ``positive_iou`` on, and so are those that overlap it most; those below

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.contract import ClassRows, OfAnchor, range_weights
+from farfield.detectors.contract import AnchorRow, ClassRows, range_weights
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import at_least_single
 from farfield.detectors.nms import rotated_nms
@@ -84,7 +84,7 @@ class BoxesOnGrid:
         return BoxTargets(rows[here], kind[here], range_weights(boxes, self.far_weight)[here])
 
 
-class Matches(NamedTuple):
+class ProposalMatches(NamedTuple):
     """Positive proposals of a frame as flat indices cell * anchors + anchor, the box of each, and ignored cells.
 
     ``best`` are the rows, one a cell, that a cell's class is taken from.
@@ -96,7 +96,7 @@ class Matches(NamedTuple):
     ignored: Int[np.ndarray, " i"]
 
 
-def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, grid: AnchorGrid) -> Matches:
+def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, grid: AnchorGrid) -> ProposalMatches:
     """Assign proposals to a frame's boxes, by their rotated overlap in bird's-eye view.
 
     A proposal of the box's class is positive from its ``positive_iou`` on, and so is the one that overlaps the box most
@@ -124,7 +124,7 @@ def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, gr
     by_cell = np.lexsort((-overlap, chosen // grid.per_cell))
     cells, first = np.unique(chosen[by_cell] // grid.per_cell, return_index=True)
     ignored = np.setdiff1d(proposal[iou >= negative_iou] // grid.per_cell, cells)
-    return Matches(chosen, owner, by_cell[first], ignored)
+    return ProposalMatches(chosen, owner, by_cell[first], ignored)
 
 
 def _near(proposals: np.ndarray, slots: np.ndarray, targets: BoxTargets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,7 +175,7 @@ class SoftmaxHead(nn.Module):
         """What each output channel is: the background or an anchor, and of an anchor one of the numbers of its box."""
         headings = range(self.anchors.per_cell // len(self.anchors.names))
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
-        logits, codes = ["background", *slots], [OfAnchor(*slot, n) for slot in slots for n in range(_NUMBERS)]
+        logits, codes = ["background", *slots], [AnchorRow(*slot, n) for slot in slots for n in range(_NUMBERS)]
         parts: dict[str, Sequence[Any]] = {"classes": logits, "boxes_of_anchors": codes}
         return {f"{part}.{kind}": (0, rows) for part, rows in parts.items() for kind in ("weight", "bias")}
 

@@ -1,8 +1,8 @@
 """PointPillars (Lang et al., CVPR 2019)."""
 
-from farfield.detectors.kinds import Kind
+from farfield.detectors.kinds import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="pointpillars",
     paper="Lang et al., CVPR 2019",
     config="farfield.detectors.pointpillars.network:PointPillarsConfig",

@@ -1,8 +1,8 @@
 """PointRCNN (Shi, Wang and Li, CVPR 2019)."""
 
-from farfield.detectors.kinds import Kind
+from farfield.detectors.kinds import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="pointrcnn",
     paper="Shi, Wang and Li, CVPR 2019",
     config="farfield.detectors.pointrcnn.network:PointRCNNConfig",

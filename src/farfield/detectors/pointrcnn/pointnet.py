@@ -186,7 +186,7 @@ class FeaturePropagation(nn.Module):
         return self.mlp.after_first(rows, bias=True)
 
 
-class _Level(NamedTuple):
+class _PointLevel(NamedTuple):
     """Points of a level; the rows of each frame are in the order in which they were sampled."""
 
     xyz: Tensor
@@ -225,12 +225,12 @@ class PointNet2(nn.Module):
             features: Further features, shape (n, c_in); None if there are none.
             lengths: Points of each frame.
         """
-        levels = [_Level(xyz, list(lengths), features)]
+        levels = [_PointLevel(xyz, list(lengths), features)]
         for abstraction, rows in zip(self.abstractions, self._choices(xyz, lengths), strict=True):
             last, (chosen, taken) = levels[-1], rows
             centres = last.xyz[chosen]
             pooled = abstraction(last.xyz, last.features, last.lengths, centres, taken)
-            levels.append(_Level(centres, taken, pooled))
+            levels.append(_PointLevel(centres, taken, pooled))
         carried = levels[-1].features
         for propagation, fine, coarse in zip(self.propagations, levels[-2::-1], levels[:0:-1], strict=True):
             row, weight = three_nearest(fine.xyz, fine.lengths, coarse.xyz, coarse.lengths)

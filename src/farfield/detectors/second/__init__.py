@@ -1,8 +1,8 @@
 """SECOND (Yan, Mao and Li, Sensors 2018)."""
 
-from farfield.detectors.kinds import Kind
+from farfield.detectors.kinds import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="second",
     paper="Yan, Mao and Li, Sensors 2018",
     config="farfield.detectors.second.network:SecondConfig",

@@ -1,8 +1,8 @@
 """A fully sparse centre-based detector (after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024)."""
 
-from farfield.detectors.kinds import Kind
+from farfield.detectors.kinds import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="sparsecentre",
     paper="after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024",
     config="farfield.detectors.sparsecentre.network:SparseCentreConfig",

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from farfield.detectors.sparse import SparseTensor, dilate, neighbour_table
 
 
-class Diffused(NamedTuple):
+class DiffusedMap(NamedTuple):
     """A map after diffusion.
 
     Attributes:
@@ -51,7 +51,7 @@ class CentreDiffusion(nn.Module):
             self.vote.weight.normal_(std=0.01)
             self.vote.bias.copy_(torch.tensor([-2.2, 0.0, 0.0]))
 
-    def forward(self, sparse: SparseTensor, height_m: Tensor) -> Diffused:
+    def forward(self, sparse: SparseTensor, height_m: Tensor) -> DiffusedMap:
         """Grow the map.
 
         Args:
@@ -71,7 +71,7 @@ class CentreDiffusion(nn.Module):
         known = known.index_fill(0, stayed, True)
         height = _spread(height.index_copy(0, stayed, height_m), known, keys, sparse.shape, self.ring)
         grown = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
-        return Diffused(grown, height, votes)
+        return DiffusedMap(grown, height, votes)
 
     def _landing(self, sparse: SparseTensor, score: Tensor, steps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows of the voting cells, keys of the cells they vote for, and their places in those cells, (v, 2)."""

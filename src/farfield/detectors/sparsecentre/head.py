@@ -25,8 +25,8 @@ from farfield.detectors.sparse import SubmanifoldConv, decode_keys, neighbour_ta
 from farfield.detectors.sparsecentre.backbone import FLAT, normalised
 from farfield.detectors.sparsecentre.targets import (
     BoxesOfClasses,
+    BoxTensors,
     CentreTargets,
-    Truth,
     assign,
     decode,
     encode,
@@ -147,7 +147,7 @@ class CentreHead(nn.Module):
         return dict(zip(_LOSSES, sums, strict=True))
 
     def _frame_loss(self, maps: CentreMaps, index: int, target: CentreTargets) -> tuple[Tensor, ...]:
-        config, truth = self.config, Truth.of(target, maps.logits.device)
+        config, truth = self.config, BoxTensors.of(target, maps.logits.device)
         frame, place_m = self.places_m(maps.keys)
         rows = (frame == index).nonzero().squeeze(1)
         assigned = assign(

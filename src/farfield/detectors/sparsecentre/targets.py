@@ -82,7 +82,7 @@ class BoxesOfClasses:
         return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], range_weights(kept, self.far_weight))
 
 
-class Truth(NamedTuple):
+class BoxTensors(NamedTuple):
     """The boxes of one frame as tensors, float32; see :class:`CentreTargets`."""
 
     centre_m: Tensor
@@ -92,7 +92,7 @@ class Truth(NamedTuple):
     weight: Tensor
 
     @classmethod
-    def of(cls, target: CentreTargets, device: torch.device) -> "Truth":
+    def of(cls, target: CentreTargets, device: torch.device) -> "BoxTensors":
         """Copy a frame's targets to the device."""
         floats = [target.centre_m, target.size_m, target.yaw_rad, target.weight]
         centre, size, yaw, weight = (torch.from_numpy(np.asarray(part)).float().to(device) for part in floats)
@@ -118,7 +118,7 @@ class Assignment(NamedTuple):
 
 
 def assign(
-    place_m: Tensor, truth: Truth, classes: int, *, gaussian_m: float, assign_m: float, box_m: float
+    place_m: Tensor, truth: BoxTensors, classes: int, *, gaussian_m: float, assign_m: float, box_m: float
 ) -> Assignment:
     """Assign a frame's boxes to its occupied cells by distance on the ground.
 
@@ -166,7 +166,7 @@ def heat_loss(logits: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
     return (as_positive + torch.where(weight > 0, 0.0, as_negative)).sum()
 
 
-def vote_loss(votes: Tensor, place_m: Tensor, truth: Truth, cell_m: float) -> tuple[Tensor, Tensor]:
+def vote_loss(votes: Tensor, place_m: Tensor, truth: BoxTensors, cell_m: float) -> tuple[Tensor, Tensor]:
     """Focal loss on the foreground and smooth L1 on the step to the centre, summed; each box counts the same.
 
     A cell is foreground where its centre lies in a box that is half a cell larger on every side.
@@ -194,7 +194,7 @@ def vote_loss(votes: Tensor, place_m: Tensor, truth: Truth, cell_m: float) -> tu
     return positive.sum() + negative.sum() - negative[cell].sum(), (error * weight).sum()
 
 
-def encode(truth: Truth, box: Tensor, place_m: Tensor, height_m: Tensor, cell_m: float) -> Tensor:
+def encode(truth: BoxTensors, box: Tensor, place_m: Tensor, height_m: Tensor, cell_m: float) -> Tensor:
     """Target codes of cells, shape (k, 10).
 
     Offset of the centre in cells, height of the centre above the cell's reference height (metres), logarithm of the

@@ -1,8 +1,8 @@
 """VoxelNet (Zhou and Tuzel, CVPR 2018)."""
 
-from farfield.detectors.kinds import Kind
+from farfield.detectors.kinds import DetectorSpec
 
-KIND = Kind(
+KIND = DetectorSpec(
     name="voxelnet",
     paper="Zhou and Tuzel, CVPR 2018",
     config="farfield.detectors.voxelnet.network:VoxelNetConfig",

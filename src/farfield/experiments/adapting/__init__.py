@@ -1,7 +1,7 @@
 """From a trained detector and a user's unlabelled sweeps to weights for these sweeps: self-training in rounds."""
 
 from farfield.experiments.adapting.adapting import adapt, rehearsed
-from farfield.experiments.adapting.job import Adapted
-from farfield.experiments.adapting.settings import Choices
+from farfield.experiments.adapting.job import AdaptationResult
+from farfield.experiments.adapting.settings import AdaptationOptions
 
-__all__ = ["Adapted", "Choices", "adapt", "rehearsed"]
+__all__ = ["AdaptationOptions", "AdaptationResult", "adapt", "rehearsed"]

@@ -13,13 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
-from farfield.experiments.adapting.job import PAGE, SCORES, WEIGHTS, Adapted, Job
+from farfield.experiments.adapting.job import PAGE, SCORES, WEIGHTS, AdaptationJob, AdaptationResult
 from farfield.experiments.adapting.settings import SETTLED, choices_of
 from farfield.experiments.adapting.source import FOLDER
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 _OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
 
@@ -31,11 +31,11 @@ def adapt(
     out: Path | str,
     source: Path | str | None = None,
     labels: Path | str | Dataset | None = None,
-    bulk: Bulk | None = None,
-    report: Report | None = None,
+    bulk: JobOptions | None = None,
+    report: TrainingReport | None = None,
     overwrite: bool = False,
     **choices: Any,
-) -> Adapted:
+) -> AdaptationResult:
     """Adapt a detector to unlabelled sweeps by self-training.
 
     Args:
@@ -97,20 +97,20 @@ def _job(
     folder: Path,
     source: Path | str | None,
     labels: Path | str | Dataset | None,
-    bulk: Bulk | None,
-    report: Report | None,
+    bulk: JobOptions | None,
+    report: TrainingReport | None,
     choices: Mapping[str, Any],
-) -> Job:
+) -> AdaptationJob:
     """The work, checked; nothing is written."""
     began = time.monotonic()
-    job = Job(
+    job = AdaptationJob(
         start=str(detector),
         given=None if source is None else Path(source),
         data=data if isinstance(data, Dataset) else open_dataset(data),
         folder=folder,
         choices=choices_of(choices),
-        bulk=bulk or Bulk(),
-        report=report or Report(),
+        bulk=bulk or JobOptions(),
+        report=report or TrainingReport(),
         began=began,
         labels=labels if labels is None or isinstance(labels, Dataset) else open_dataset(labels),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError
 from farfield.metrics import Bootstrap
-from farfield.metrics.deciding import Sample, difference_of, figure, samples
+from farfield.metrics.deciding import ScoreSample, difference_of, figure, samples
 from farfield.metrics.detections import Detections
 from farfield.reports.adapted_scores import HeldScores, ScoreRow
 
@@ -18,7 +18,7 @@ _LEVEL_PERCENT = (2.5, 97.5)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class HeldOutFrames:
     """Labelled frames that were not learnt from.
 
     Args:
@@ -30,7 +30,7 @@ class Held:
     shared_drives: int = 0
 
 
-def held_frames(labels: Dataset, learnt: Dataset) -> Held:
+def held_frames(labels: Dataset, learnt: Dataset) -> HeldOutFrames:
     """The annotated frames of a data set, without those that are learnt from.
 
     Args:
@@ -51,11 +51,11 @@ def held_frames(labels: Dataset, learnt: Dataset) -> Held:
             "with --frames, or name labelled frames of other drives."
         )
     drives = {labels.sequences[index] for index in left}
-    return Held(frames=labels.select(left), shared_drives=len(drives & {drive for drive, _ in seen}))
+    return HeldOutFrames(frames=labels.select(left), shared_drives=len(drives & {drive for drive, _ in seen}))
 
 
 def held_scores(
-    held: Held, before: Detections, after: Detections, classes: Sequence[str], aliases: Mapping[str, str]
+    held: HeldOutFrames, before: Detections, after: Detections, classes: Sequence[str], aliases: Mapping[str, str]
 ) -> HeldScores:
     """DDS and its mAP of each annotated class before and after, their difference, and intervals over drives.
 
@@ -113,7 +113,7 @@ def _settings(label: str, classes: Sequence[str], reach_m: float | None) -> dict
 _STANDS_FOR = {"large_vehicle": "vehicle"}  # as DDS reads Cirrus' vehicle, where a detector has one class of them
 
 
-def _row(label: str, annotated: int, name: str, before: Sample, after: Sample) -> ScoreRow:
+def _row(label: str, annotated: int, name: str, before: ScoreSample, after: ScoreSample) -> ScoreRow:
     gain = difference_of([after], [before])
     return ScoreRow(
         label=label,
@@ -128,7 +128,7 @@ def _row(label: str, annotated: int, name: str, before: Sample, after: Sample) -
     )
 
 
-def _interval(found: Sample) -> tuple[float, float] | None:
+def _interval(found: ScoreSample) -> tuple[float, float] | None:
     known = found.draws[np.isfinite(found.draws)]
     if found.value is None or len(known) < 2:
         return None

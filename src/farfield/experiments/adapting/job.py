@@ -10,14 +10,14 @@ from typing import Any
 from farfield.adaptation.pseudo import check_ignores
 from farfield.adaptation.signs import signs_of
 from farfield.adaptation.thresholds import thresholds_of
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.datasets import Dataset
 from farfield.datasets.maps import WholeBodies
 from farfield.detection import as_trained, detect, suitable_clouds
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
-from farfield.experiments.adapting.held import Held, held_frames, held_scores
+from farfield.experiments.adapting.held import HeldOutFrames, held_frames, held_scores
 from farfield.experiments.adapting.page import page_of
 from farfield.experiments.adapting.rounds import (
     check_round,
@@ -28,8 +28,14 @@ from farfield.experiments.adapting.rounds import (
     steps_in,
     steps_wanted,
 )
-from farfield.experiments.adapting.settings import Choices, Settled, load_settled, save_settled, spread
-from farfield.experiments.adapting.source import FOLDER, Learnt, learnt_by, simulation_of, source_frames
+from farfield.experiments.adapting.settings import (
+    AdaptationOptions,
+    CalibratedThresholds,
+    load_settled,
+    save_settled,
+    spread,
+)
+from farfield.experiments.adapting.source import FOLDER, TrainingHistory, learnt_by, simulation_of, source_frames
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
@@ -37,13 +43,13 @@ from farfield.metrics.detections import Detections
 from farfield.recording.frames import bytes_needed
 from farfield.recording.wanted import planned
 from farfield.reports.adapted_scores import HeldScores
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Adapted:
+class AdaptationResult:
     """What an adaptation left.
 
     Args:
@@ -62,13 +68,13 @@ class Adapted:
     page: Path
     before: Detections
     after: Detections
-    settled: Settled
+    settled: CalibratedThresholds
     signs: tuple[str, ...] = ()
     scores: HeldScores | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class AdaptationJob:
     """One adaptation; what is expensive is made when it is asked for, once.
 
     Args:
@@ -87,9 +93,9 @@ class Job:
     given: Path | None
     data: Dataset
     folder: Path
-    choices: Choices
-    bulk: Bulk
-    report: Report
+    choices: AdaptationOptions
+    bulk: JobOptions
+    report: TrainingReport
     began: float
     labels: Dataset | None = None
 
@@ -99,7 +105,7 @@ class Job:
         return Detector.load(self.start)
 
     @cached_property
-    def learnt(self) -> Learnt:
+    def learnt(self) -> TrainingHistory:
         """What it learnt from."""
         return learnt_by(self.detector.provenance, self.start)
 
@@ -136,7 +142,7 @@ class Job:
         )
 
     @cached_property
-    def held(self) -> Held | None:
+    def held(self) -> HeldOutFrames | None:
         """The labelled frames that are not learnt from."""
         if self.labels is None:
             return None
@@ -184,7 +190,7 @@ class Job:
         limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
         return [*lines, f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
 
-    def run(self) -> Adapted:
+    def run(self) -> AdaptationResult:
         """Do all that is not done yet."""
         settled = self.settled()
         found = [self.search(self.start, 0)]
@@ -209,7 +215,7 @@ class Job:
             held=None if self.held is None else self.held.frames,
             scores=scores,
         )
-        return Adapted(
+        return AdaptationResult(
             folder=self.folder,
             weights=weights,
             page=page,
@@ -258,7 +264,7 @@ class Job:
             "clouds": list(config["target"].clouds),
         }
 
-    def settled(self) -> Settled:
+    def settled(self) -> CalibratedThresholds:
         """Thresholds and steps: as they were settled in the folder before, or measured now."""
         identity = self.identity()
         found = load_settled(self.folder, identity)
@@ -276,7 +282,7 @@ class Job:
         truth = {key: boxes.relabel(dict(self.learnt.aliases)) for key, boxes in labelled.annotated.items()}
         lowest = float(self.detector.config.score_threshold)
         scores = thresholds_of(labelled.boxes, truth, self.detector.class_names, lowest=lowest)
-        settled = Settled(
+        settled = CalibratedThresholds(
             settings=identity, **scores._asdict(), source_rate=0.0, steps=steps_wanted(self.choices, self.learnt)
         )
         settled = settled.model_copy(update={"source_rate": counted(labelled.boxes, settled)[0]})
@@ -285,7 +291,7 @@ class Job:
         save_settled(self.folder, settled)
         return settled
 
-    def fitted(self, settled: Settled) -> Settled:
+    def fitted(self, settled: CalibratedThresholds) -> CalibratedThresholds:
         """As many steps as the minutes allow: a search of the target and a few steps are timed."""
         before = time.monotonic()
         found = self.search(self.start, 0)
@@ -297,14 +303,14 @@ class Job:
         self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {steps} steps")
         return settled.model_copy(update={"steps": steps, "step_s": step_s})
 
-    def experiment(self, number: int, settled: Settled, found: Detections) -> Experiment:
+    def experiment(self, number: int, settled: CalibratedThresholds, found: Detections) -> Experiment:
         """The training of a round, whose teacher found so much in the target."""
         start = self.start if number == 1 else self.folder / f"round-{number - 1}" / WEIGHTS
         return experiment_of_round(
             start, self.detector, self.learnt, self.configs, settled, self.choices, number, found.boxes
         )
 
-    def train(self, number: int, settled: Settled, found: Detections) -> Path:
+    def train(self, number: int, settled: CalibratedThresholds, found: Detections) -> Path:
         """Do a round, or go on with it; gives its weights."""
         folder = self.folder / f"round-{number}"
         if (folder / WEIGHTS).is_file():  # written at the end of a round, whole or not at all
@@ -325,12 +331,12 @@ class Job:
             journal=self.folder / f".found-{number}.jsonl",
         )
 
-    def doing(self, what: str) -> Bulk:
+    def doing(self, what: str) -> JobOptions:
         """Who detects, with a progress bar of that name."""
         workers = self.bulk.workers or int(self.detector.device.type != "cpu")
         return replace(self.bulk, workers=workers, progress=partial(self.report.reading, what=what))
 
-    def say_round(self, number: int, found: Detections, settled: Settled) -> None:
+    def say_round(self, number: int, found: Detections, settled: CalibratedThresholds) -> None:
         """Name the pseudo boxes a sweep beside the source's rate; 0 is the end."""
         sure, unsure = counted(found.boxes, settled)
         when = f"round {number} of {self.choices.rounds}" if number else "in the end"
@@ -348,7 +354,7 @@ class Job:
             rows += [{**row, "step": before + row["step"], "round": number} for row in read]
         return rows
 
-    def export(self, settled: Settled) -> Path:
+    def export(self, settled: CalibratedThresholds) -> Path:
         """Write the last round's weights with all that they come from."""
         network, provenance = load_weights(self.folder / f"round-{self.choices.rounds}" / WEIGHTS)
         adapted = {

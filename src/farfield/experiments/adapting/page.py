@@ -8,12 +8,12 @@ import numpy as np
 
 from farfield.adaptation.pseudo import levels
 from farfield.datasets import Dataset
-from farfield.experiments.adapting.settings import Settled
+from farfield.experiments.adapting.settings import CalibratedThresholds
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.detections import Detections
-from farfield.reports.adapted import AdaptedPage, Change, write_adapted
+from farfield.reports.adapted import AdaptedPage, PseudoLabelFrame, write_adapted
 from farfield.reports.adapted_scores import HeldScores
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def page_of(
     detector: "Detector",
     data: Mapping[str, Dataset],
     clouds: Mapping[str, str],
-    settled: Settled,
+    settled: CalibratedThresholds,
     found: Sequence[Detections],
     rows: Sequence[Mapping[str, float | int]],
     signs: Sequence[str],
@@ -126,7 +126,7 @@ def page_of(
     before, after = (sure_boxes(each.boxes, settled.positive) for each in (found[0], found[-1]))
     place = {key: index for index, key in enumerate(target.keys)}
     shown = [
-        Change(target[place[key]], clouds["target"], before[key], after[key])
+        PseudoLabelFrame(target[place[key]], clouds["target"], before[key], after[key])
         for key in most_changed(before, after, _SHOWN)
     ]
     page = AdaptedPage(

@@ -12,12 +12,12 @@ import numpy as np
 from farfield.adaptation.pseudo import levels, spoken
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError, FarfieldError
-from farfield.experiments.adapting.settings import Choices, Settled
-from farfield.experiments.adapting.source import Learnt
+from farfield.experiments.adapting.settings import AdaptationOptions, CalibratedThresholds
+from farfield.experiments.adapting.source import TrainingHistory
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import DataConfig, Experiment, experiment_of
 from farfield.frame import Boxes, Key
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -31,13 +31,13 @@ _SOUNDED = 5  # frames of which the points' heights are compared
 _KEPT = ("batch_size", "weight_decay", "gradient_clip", "min_points", "far_sampling", "far_from_m")
 
 
-def steps_wanted(choices: Choices, learnt: Learnt) -> int:
+def steps_wanted(choices: AdaptationOptions, learnt: TrainingHistory) -> int:
     """Steps of a round, where time sets no limit."""
     total = choices.steps or min(_MOST, max(_LEAST, round(_SHARE * learnt.steps)))
     return max(1, total // choices.rounds)
 
 
-def steps_in(seconds: float, step_s: float, choices: Choices, wanted: int) -> int:
+def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, wanted: int) -> int:
     """Steps of a round for which the time suffices.
 
     Raises:
@@ -58,10 +58,10 @@ def steps_in(seconds: float, step_s: float, choices: Choices, wanted: int) -> in
 def experiment_of_round(
     start: Path | str,
     detector: "Detector",
-    learnt: Learnt,
+    learnt: TrainingHistory,
     data: Mapping[str, DataConfig],
-    settled: Settled,
-    choices: Choices,
+    settled: CalibratedThresholds,
+    choices: AdaptationOptions,
     number: int,
     boxes: Mapping[Key, Boxes],
 ) -> Experiment:
@@ -96,7 +96,7 @@ def experiment_of_round(
     return experiment_of(tree, choices.overrides, where="adapt")
 
 
-class Clock(Report):
+class StepTimer(TrainingReport):
     """Measures steps; says nothing."""
 
     def __init__(self) -> None:
@@ -115,14 +115,14 @@ class Clock(Report):
 
 def measured_step_s(experiment: Experiment, data: Mapping[str, Dataset], folder: Path) -> float:
     """Time of a training step on this machine, seconds: a few are taken, and what they wrote is removed."""
-    clock = Clock()
+    clock = StepTimer()
     training = experiment.training.model_copy(update={"steps": _MEASURED})
     with tempfile.TemporaryDirectory(prefix=".measured-", dir=folder) as place:
         Plan(experiment.model_copy(update={"training": training}), Path(place), data).run(clock)
     return clock.step_s
 
 
-def rare_classes(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[str, ...]:
+def rare_classes(boxes: Mapping[Key, Boxes], settled: CalibratedThresholds) -> tuple[str, ...]:
     """Classes with too few sure boxes in the target to be taught there: what is found of them is ignored.
 
     Were their unsure boxes background, as those of other classes are, a round would unlearn them.
@@ -135,7 +135,7 @@ def rare_classes(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[str, ...
     return tuple(name for name, number in count.items() if number < _RARE)
 
 
-def counted(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[float, float]:
+def counted(boxes: Mapping[Key, Boxes], settled: CalibratedThresholds) -> tuple[float, float]:
     """Sure and unsure boxes a frame."""
     sure = unsure = 0
     for each in boxes.values():
@@ -147,7 +147,11 @@ def counted(boxes: Mapping[Key, Boxes], settled: Settled) -> tuple[float, float]
 
 
 def check_round(
-    boxes: Mapping[Key, Boxes], settled: Settled, number: int, data: Mapping[str, Dataset], clouds: Mapping[str, str]
+    boxes: Mapping[Key, Boxes],
+    settled: CalibratedThresholds,
+    number: int,
+    data: Mapping[str, Dataset],
+    clouds: Mapping[str, str],
 ) -> None:
     """See that a round has something to learn from.
 

@@ -16,7 +16,7 @@ _OPEN = ("method.", "training.", "augmentation.")
 _LIMIT_BYTES = 1 << 24
 
 
-class Choices(BaseModel):
+class AdaptationOptions(BaseModel):
     """How to adapt; the defaults are ours, from what ST3D++ and mean teachers use."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -39,7 +39,7 @@ class Choices(BaseModel):
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
-    def _enough_rounds(self) -> "Choices":
+    def _enough_rounds(self) -> "AdaptationOptions":
         if self.whole_bodies and self.rounds < 2:
             raise ValueError(
                 "expected 2 rounds or more with whole_bodies: in the first the source's labels teach alone"
@@ -59,19 +59,19 @@ class Choices(BaseModel):
         return overrides
 
 
-def choices_of(given: Mapping[str, Any]) -> Choices:
+def choices_of(given: Mapping[str, Any]) -> AdaptationOptions:
     """Check what was chosen.
 
     Raises:
         ConfigError: If a setting is unknown or does not fit.
     """
     try:
-        return Choices.model_validate(dict(given))
+        return AdaptationOptions.model_validate(dict(given))
     except ValidationError as error:
-        raise ConfigError(f"adapt: {plain(error)}. It has: {', '.join(Choices.model_fields)}.") from error
+        raise ConfigError(f"adapt: {plain(error)}. It has: {', '.join(AdaptationOptions.model_fields)}.") from error
 
 
-class Settled(BaseModel):
+class CalibratedThresholds(BaseModel):
     """What was measured before the first round, and holds for all of them."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -85,7 +85,7 @@ class Settled(BaseModel):
     step_s: float | None = Field(None, description="time of a step, where it was measured")
 
 
-def load_settled(folder: Path, settings: Mapping[str, Any]) -> Settled | None:
+def load_settled(folder: Path, settings: Mapping[str, Any]) -> CalibratedThresholds | None:
     """Read what was settled in a folder; None where nothing was.
 
     Args:
@@ -100,7 +100,7 @@ def load_settled(folder: Path, settings: Mapping[str, Any]) -> Settled | None:
     if not path.is_file():
         return None
     try:
-        found = Settled.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        found = CalibratedThresholds.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
     except ValidationError as error:
         raise FileFormatError(
             path,
@@ -119,7 +119,7 @@ def load_settled(folder: Path, settings: Mapping[str, Any]) -> Settled | None:
     return found
 
 
-def save_settled(folder: Path, settled: Settled) -> None:
+def save_settled(folder: Path, settled: CalibratedThresholds) -> None:
     """Keep what was settled, all or nothing."""
     write_text(folder / SETTLED, settled.model_dump_json(indent=1) + "\n")
 

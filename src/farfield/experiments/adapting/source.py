@@ -26,7 +26,7 @@ _OTHER_ROADS = 1000  # added to the seed: roads that the detector has not learnt
 
 
 @dataclass(frozen=True, kw_only=True)
-class Learnt:
+class TrainingHistory:
     """What a detector's weights say of their training.
 
     Args:
@@ -51,7 +51,7 @@ class Learnt:
         return int(self.training.get("steps", 0))
 
 
-def learnt_by(provenance: Mapping[str, Any], name: str) -> Learnt:
+def learnt_by(provenance: Mapping[str, Any], name: str) -> TrainingHistory:
     """Read a provenance: of several streams the source's, else the first one's.
 
     Args:
@@ -72,7 +72,7 @@ def learnt_by(provenance: Mapping[str, Any], name: str) -> Learnt:
             "the detector here, or take weights that ship."
         )
     known = set(AugmentationConfig.model_fields)
-    return Learnt(
+    return TrainingHistory(
         path=str(data["path"]),
         aliases=data.get("aliases") or {},
         options=data.get("options") or {},
@@ -82,7 +82,7 @@ def learnt_by(provenance: Mapping[str, Any], name: str) -> Learnt:
     )
 
 
-def simulation_of(learnt: Learnt, frames: int, seed: int, name: str) -> SimulationConfig:
+def simulation_of(learnt: TrainingHistory, frames: int, seed: int, name: str) -> SimulationConfig:
     """What to simulate as the source: the preset of the detector's data on other roads, without its cameras.
 
     Raises:
@@ -112,7 +112,7 @@ def simulation_of(learnt: Learnt, frames: int, seed: int, name: str) -> Simulati
 
 def source_frames(
     detector: "Detector",
-    learnt: Learnt,
+    learnt: TrainingHistory,
     folder: Path,
     *,
     given: Path | None,

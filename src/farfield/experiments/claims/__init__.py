@@ -6,6 +6,6 @@ claims.sha256                                      # stands on the page beside e
 """
 
 from farfield.experiments.claims.loading import CLAIMS, Claims, load
-from farfield.experiments.claims.schema import Claim, Comparison, Metric, Row, Run
+from farfield.experiments.claims.schema import Claim, ClaimRun, ClaimSide, Comparison, Metric
 
-__all__ = ["CLAIMS", "Claim", "Claims", "Comparison", "Metric", "Row", "Run", "load"]
+__all__ = ["CLAIMS", "Claim", "ClaimRun", "ClaimSide", "Claims", "Comparison", "Metric", "load"]

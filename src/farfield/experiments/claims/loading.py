@@ -9,7 +9,7 @@ import yaml
 from pydantic import ValidationError
 
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.experiments.claims.schema import Claim, Document, Metric, Run
+from farfield.experiments.claims.schema import Claim, ClaimRun, Document, Metric
 from farfield.files.atomic import read_bytes
 
 _FOLDER = Path(__file__).resolve().parent
@@ -55,7 +55,7 @@ class Claims:
         return self.document.metrics
 
     @property
-    def runs(self) -> dict[str, Run]:
+    def runs(self) -> dict[str, ClaimRun]:
         """The trainings of the grid, by name."""
         return self.document.runs
 

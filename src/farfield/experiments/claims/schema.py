@@ -13,11 +13,11 @@ BUDGETS = ("laptop", "desk", "workstation", "gpu")
 Budget = Literal["laptop", "desk", "workstation", "gpu"]
 
 
-class _Declared(BaseModel):
+class _ClaimModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Metric(_Declared):
+class Metric(_ClaimModel):
     """What is measured: a figure of a protocol, or a statistic of the data."""
 
     words: str
@@ -32,14 +32,14 @@ class Metric(_Declared):
         return self
 
 
-class Run(_Declared):
+class ClaimRun(_ClaimModel):
     """A training of the grid, once a seed."""
 
     words: str
     least_budget: Budget = Field("laptop", description="smallest budget that runs it")
 
 
-class Row(_Declared):
+class ClaimSide(_ClaimModel):
     """One side of a comparison."""
 
     run: str = Field("", description="the training; none for a statistic of the data")
@@ -77,11 +77,11 @@ class Row(_Declared):
         return sum(sign * (value or 0.0) for sign, value in zip((1, -1), found, strict=False))
 
 
-class Comparison(_Declared):
+class Comparison(_ClaimModel):
     """Two rows, of which the first is claimed to lie above the second unless ``kind`` says otherwise."""
 
-    a: Row
-    b: Row
+    a: ClaimSide
+    b: ClaimSide
     kind: Kind = "above"
     margin: float = Field(0.0, ge=0)
     excludes: str = Field("", description="of a control: what explains the difference if this one does not hold")
@@ -106,7 +106,7 @@ class Comparison(_Declared):
         return None if values[0] is None or values[1] is None else values[0] - values[1]
 
 
-class Claim(_Declared):
+class Claim(_ClaimModel):
     """One claim of a paper: it holds where each of its comparisons does."""
 
     id: str
@@ -125,12 +125,12 @@ class Claim(_Declared):
         return tuple(dict.fromkeys(row.run for row in rows if row.run))
 
 
-class Document(_Declared):
+class Document(_ClaimModel):
     """A file of claims."""
 
     paper: Literal["cirrus", "kradar"]
     metrics: dict[str, Metric]
-    runs: dict[str, Run]
+    runs: dict[str, ClaimRun]
     claims: tuple[Claim, ...]
 
     @model_validator(mode="before")
@@ -158,7 +158,7 @@ class Document(_Declared):
         return self
 
 
-def _check_row(document: Document, claim: Claim, row: Row) -> None:
+def _check_row(document: Document, claim: Claim, row: ClaimSide) -> None:
     for metric in (*claim.metrics, *filter(None, [row.metric])):
         if metric not in document.metrics:
             raise ValueError(f"{claim.id}: expected a metric among {', '.join(document.metrics)}; got {metric!r}")

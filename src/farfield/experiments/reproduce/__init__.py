@@ -5,8 +5,8 @@ reproduction.outline()      # measures, then says what it costs and which claims
 reproduction.run()          # the page; interrupted, the same call goes on
 """
 
-from farfield.experiments.reproduce.grid import Grid, load_grid
-from farfield.experiments.reproduce.planning import Outline, described
+from farfield.experiments.reproduce.grid import ExperimentGrid, load_grid
+from farfield.experiments.reproduce.planning import GridPlan, described
 from farfield.experiments.reproduce.reproducing import Reproduction
 
-__all__ = ["Grid", "Outline", "Reproduction", "described", "load_grid"]
+__all__ = ["ExperimentGrid", "GridPlan", "Reproduction", "described", "load_grid"]

@@ -5,12 +5,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from farfield.experiments.claims import Claim, Claims, Comparison, Row
-from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree
+from farfield.experiments.claims import Claim, Claims, ClaimSide, Comparison
+from farfield.experiments.reproduce.grid import BudgetSettings, ExperimentGrid, Tree
 from farfield.experiments.reproduce.needs import need_of
 from farfield.experiments.reproduce.scoring import sample_of
-from farfield.experiments.reproduce.statistics import Objects, compared
-from farfield.metrics.deciding import Decision, Difference, Sample, Spread, decide, difference_of, holm, pooled, power
+from farfield.experiments.reproduce.statistics import AnnotatedObjects, compared
+from farfield.metrics.deciding import (
+    Decision,
+    Difference,
+    ScoreSample,
+    Spread,
+    decide,
+    difference_of,
+    holm,
+    pooled,
+    power,
+)
 
 Role = Literal["comparison", "control"]
 
@@ -34,7 +44,7 @@ class Scores:
                 by_run[run][int(scores["seed"])] = scores
         return cls(by_run={run: dict(sorted(seeds.items())) for run, seeds in by_run.items()})
 
-    def samples(self, run: str, cloud: str, name: str) -> dict[int, Sample]:
+    def samples(self, run: str, cloud: str, name: str) -> dict[int, ScoreSample]:
         """A number of a run, by seed."""
         found = {}
         for seed, scores in self.by_run.get(run, {}).items():
@@ -45,7 +55,7 @@ class Scores:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decided:
+class DecidedComparison:
     """A comparison of a claim, in one metric, and what became of it.
 
     Args:
@@ -77,7 +87,7 @@ class Decided:
 
 
 @dataclass
-class _Found:
+class _MeasuredDifference:
     """A comparison whose difference is known, before it is decided."""
 
     claim: Claim
@@ -101,7 +111,7 @@ class _Found:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judge:
+class DecisionRule:
     """What decisions rest on.
 
     Args:
@@ -113,13 +123,13 @@ class Judge:
     """
 
     claims: Claims
-    grid: Grid
+    grid: ExperimentGrid
     settings: BudgetSettings
     scores: Scores
-    objects: Objects | None = None
-    cached: dict[str, dict[int, Sample]] = field(default_factory=dict)
+    objects: AnnotatedObjects | None = None
+    cached: dict[str, dict[int, ScoreSample]] = field(default_factory=dict)
 
-    def decided(self) -> list[Decided]:
+    def decided(self) -> list[DecidedComparison]:
         """All comparisons and controls of all claims in all their metrics, in the claims' order."""
         found = [self._found(*each) for each in self._all()]
         pools = {each.pool for each in found if each.pool}
@@ -127,7 +137,7 @@ class Judge:
         decisions = [each.decision(spreads.get(each.pool)) for each in found]
         adjusted = self._adjusted(found, decisions)
         return [
-            Decided(
+            DecidedComparison(
                 claim=each.claim,
                 pair=each.pair,
                 role=each.role,
@@ -148,7 +158,7 @@ class Judge:
                 yield from ((claim, pair, "control", metric) for pair in claim.controls)
 
     @staticmethod
-    def _adjusted(found: Sequence[_Found], decisions: Sequence[Decision | None]) -> list[Decision | None]:
+    def _adjusted(found: Sequence[_MeasuredDifference], decisions: Sequence[Decision | None]) -> list[Decision | None]:
         """Holm's correction over the comparisons that decide claims: first metrics, no controls."""
         places = [
             place
@@ -161,8 +171,8 @@ class Judge:
             result[place] = decision
         return result
 
-    def _found(self, claim: Claim, pair: Comparison, role: Role, metric: str) -> _Found:
-        found = _Found(claim, pair, role, metric)
+    def _found(self, claim: Claim, pair: Comparison, role: Role, metric: str) -> _MeasuredDifference:
+        found = _MeasuredDifference(claim, pair, role, metric)
         statistic = self.claims.metrics[metric].statistic
         if statistic:
             if self.objects is not None:
@@ -178,7 +188,7 @@ class Judge:
             found.difference = Difference(by_seed=(), s_seq=None, groups=0)  # run, but without such a figure
         return found
 
-    def _samples(self, row: Row, claim: Claim, metric: str) -> dict[int, Sample]:
+    def _samples(self, row: ClaimSide, claim: Claim, metric: str) -> dict[int, ScoreSample]:
         if row.run not in self.grid.runs:
             return {}
         need = need_of(row, claim, metric, self.claims, self.grid, self.settings.score)
@@ -192,12 +202,12 @@ class Judge:
         return " and ".join(sorted({self.grid.runs[row.run].network for row in (pair.a, pair.b)}))
 
 
-def _differences(found: Sequence[_Found], pool: str) -> list[Difference]:
+def _differences(found: Sequence[_MeasuredDifference], pool: str) -> list[Difference]:
     """Differences of a pool; those of rows that found nothing do not scatter and do not count."""
     return [each.difference for each in found if each.pool == pool and each.difference is not None and not each.empty]
 
 
-def _power(found: _Found, decision: Decision | None) -> float | None:
+def _power(found: _MeasuredDifference, decision: Decision | None) -> float | None:
     """Power of a decision for the published difference, with the spreads that were found."""
     published = found.pair.published(found.metric)
     if decision is None or published is None:
@@ -216,7 +226,7 @@ def _power(found: _Found, decision: Decision | None) -> float | None:
     )
 
 
-def verdict_of(claim: Claim, decided: Sequence[Decided]) -> str:
+def verdict_of(claim: Claim, decided: Sequence[DecidedComparison]) -> str:
     """The verdict on a claim: it holds where all its comparisons do, and holds not where one does not.
 
     Args:
@@ -233,7 +243,7 @@ def verdict_of(claim: Claim, decided: Sequence[Decided]) -> str:
     return "undecided"
 
 
-def to_json(each: Decided) -> dict[str, Any]:
+def to_json(each: DecidedComparison) -> dict[str, Any]:
     """A decided comparison as JSON values."""
     return {
         "claim": each.claim.id,

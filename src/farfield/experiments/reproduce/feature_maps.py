@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.adaptation.seen import SeenFeatures, features_seen
+from farfield.adaptation.seen import OccupiedFeatures, features_seen
 from farfield.detectors.runtime import Detector
 from farfield.experiments.reproduce.grid import Score, Tree
-from farfield.experiments.reproduce.places import Place
+from farfield.experiments.reproduce.places import DataLocation
 from farfield.vocabulary.patterns import PATTERNS
 
 FRAMES = 6
@@ -26,7 +26,7 @@ Rows = Float[np.ndarray, "n c"]
 Mask = Bool[np.ndarray, " n"]
 
 
-def feature_maps(weights: Mapping[str, Path], place: Place, score: Score) -> list[Tree]:
+def feature_maps(weights: Mapping[str, Path], place: DataLocation, score: Score) -> list[Tree]:
     """Pictures' numbers of every pair of runs that is there, as JSON values.
 
     Args:
@@ -45,7 +45,7 @@ def feature_maps(weights: Mapping[str, Path], place: Place, score: Score) -> lis
     return found
 
 
-def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[SeenFeatures, Mask, tuple[str, str]]:
+def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[OccupiedFeatures, Mask, tuple[str, str]]:
     """Features, which of them are of the second domain, and the names of both."""
     detector = Detector.load(weights)
     if by == "range":
@@ -53,7 +53,7 @@ def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[Seen
         seen = features_seen(detector, frames, PATTERNS[0])
         return seen, seen.range_m >= edges_m[1], (f"nearer than {edges_m[1]:g} m", f"{edges_m[1]:g} m and farther")
     each = [features_seen(detector, frames, cloud) for cloud in PATTERNS]
-    seen = SeenFeatures(
+    seen = OccupiedFeatures(
         values=np.concatenate([one.values for one in each]),
         range_m=np.concatenate([one.range_m for one in each]),
         frame=np.concatenate([one.frame for one in each]),
@@ -61,7 +61,7 @@ def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[Seen
     return seen, np.repeat([False, True], [len(one.range_m) for one in each]), PATTERNS
 
 
-def _side(seen: SeenFeatures, second: Mask, names: tuple[str, str]) -> Tree:
+def _side(seen: OccupiedFeatures, second: Mask, names: tuple[str, str]) -> Tree:
     axes = principal(seen.values)
     rng = np.random.default_rng(0)
     domains = {}

@@ -23,11 +23,11 @@ LEAST_SEEDS = 3
 Tree = dict[str, Any]
 
 
-class _Declared(BaseModel):
+class _GridModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Simulated(_Declared):
+class SimulatedSet(_GridModel):
     """A data set that is simulated for the grid."""
 
     preset: str
@@ -45,14 +45,14 @@ class Simulated(_Declared):
         return {name: value for name, value in others(self).items() if name != "traffic" or value is not None}
 
 
-class Real(_Declared):
+class RealSet(_GridModel):
     """Where a data set is taken from if the user has real data."""
 
     of: Literal["data", "source"] = Field("data", description="the folder given as data or as the other device")
     split: str = Field("", description="its train, val or test part; all of it if empty")
 
 
-class Stream(_Declared):
+class GridStream(_GridModel):
     """What a stream of a training reads."""
 
     set: str
@@ -61,11 +61,11 @@ class Stream(_Declared):
     options: Tree = Field(default_factory=dict, description="options of the data set's reader")
 
 
-class GridRun(_Declared):
+class GridRun(_GridModel):
     """A training of the grid, once a seed."""
 
     words: str
-    streams: dict[str, Stream] = Field(min_length=1)
+    streams: dict[str, GridStream] = Field(min_length=1)
     method: Tree = Field(default_factory=lambda: {"name": "supervised"})
     network: str = Field("grid", description="one of the budget's networks")
     batch: float = Field(1.0, gt=0, description="frames a step over those of a run of one pattern")
@@ -76,7 +76,7 @@ class GridRun(_Declared):
     least_budget: Budget = "laptop"
 
 
-class Score(_Declared):
+class Score(_GridModel):
     """How runs are scored: a protocol, its settings, and what it calls the parts that claims name."""
 
     protocol: str
@@ -108,7 +108,7 @@ class Score(_Declared):
         return {**self.settings, **({"range_bins_m": edges_m} if edges_m else {})}
 
 
-class BudgetSettings(_Declared):
+class BudgetSettings(_GridModel):
     """What a budget makes of the grid."""
 
     words: str
@@ -120,7 +120,7 @@ class BudgetSettings(_Declared):
     batch: int = Field(2, ge=1, description="frames a step of a run of one pattern")
     core_minutes: float | None = Field(None, gt=0, description="what the whole is to take at most")
     without: tuple[str, ...] = Field((), description="runs that this budget leaves out")
-    sets: dict[str, Simulated]
+    sets: dict[str, SimulatedSet]
     scored_on: tuple[str, ...] = Field(("val",), description="sets on whose frames all runs are scored")
     statistics_on: tuple[str, ...] = Field(("val",), description="sets whose statistics are taken")
     networks: dict[str, Tree]
@@ -147,11 +147,11 @@ class BudgetSettings(_Declared):
         return min(steps, max(min(self.least_steps, steps), wanted))
 
 
-class Grid(_Declared):
+class ExperimentGrid(_GridModel):
     """A file of a grid."""
 
     paper: Literal["cirrus", "kradar"]
-    real: dict[str, Real]
+    real: dict[str, RealSet]
     augmentation: Tree = Field(default_factory=dict)
     training: Tree = Field(default_factory=dict)
     aliases: dict[str, str] = Field(default_factory=dict)
@@ -159,7 +159,7 @@ class Grid(_Declared):
     budgets: dict[str, BudgetSettings]
 
     @model_validator(mode="after")
-    def _names_what_there_is(self) -> "Grid":
+    def _names_what_there_is(self) -> "ExperimentGrid":
         for name, run in self.runs.items():
             if run.start and (run.start not in self.runs or self.runs[run.start].start):
                 raise ValueError(f"{name}: expected to start from a run that starts from none; got {run.start!r}")
@@ -185,7 +185,7 @@ class Grid(_Declared):
         }
 
 
-def _check_budget(grid: Grid, called: str, budget: BudgetSettings) -> None:
+def _check_budget(grid: ExperimentGrid, called: str, budget: BudgetSettings) -> None:
     for name, run in grid.runs_of(called).items():
         if run.network not in budget.networks:
             raise ValueError(f"budget {called}, run {name}: expected a network among {', '.join(budget.networks)}")
@@ -199,7 +199,7 @@ def _check_budget(grid: Grid, called: str, budget: BudgetSettings) -> None:
         raise ValueError(f"budget {called}: expected at least {budget.least_steps} steps of every run")
 
 
-def load_grid(name_or_path: str | Path) -> Grid:
+def load_grid(name_or_path: str | Path) -> ExperimentGrid:
     """Read a grid: a shipped one by the paper's name, or a file.
 
     Raises:
@@ -210,7 +210,7 @@ def load_grid(name_or_path: str | Path) -> Grid:
     if not path.is_file():
         raise ConfigError(f"grid: expected one of {', '.join(CLAIMS)} or a YAML file, got {name_or_path!s}")
     try:
-        return Grid.model_validate(yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8")))
+        return ExperimentGrid.model_validate(yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8")))
     except ValidationError as error:
         raise FileFormatError(path, where="keys", expected="a declared grid", found=plain(error)) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:

@@ -10,8 +10,8 @@ from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.experiments.claims import Claim
-from farfield.experiments.reproduce.grid import Grid, GridRun, Tree, merged
-from farfield.experiments.reproduce.places import Place
+from farfield.experiments.reproduce.grid import ExperimentGrid, GridRun, Tree, merged
+from farfield.experiments.reproduce.places import DataLocation
 from farfield.experiments.schema import Experiment
 
 _TRAINING_ROOMS = (
@@ -33,7 +33,7 @@ _KEY_DIGITS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class TrainingJob:
     """One training, and what is scored of it.
 
     Args:
@@ -71,7 +71,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plotted:
+class DataLocations:
     """Where jobs find data: each set's place, and the fingerprint of the frames there.
 
     Args:
@@ -79,13 +79,19 @@ class Plotted:
         fingerprints: What tells their frames, by set.
     """
 
-    places: Mapping[str, Place]
+    places: Mapping[str, DataLocation]
     fingerprints: Mapping[str, str] = field(default_factory=dict)
 
 
 def jobs_of(
-    grid: Grid, budget: str, claims: Iterable[Claim], data: Plotted, runs_folder: Path, *, steps_share: float = 1.0
-) -> list[Job]:
+    grid: ExperimentGrid,
+    budget: str,
+    claims: Iterable[Claim],
+    data: DataLocations,
+    runs_folder: Path,
+    *,
+    steps_share: float = 1.0,
+) -> list[TrainingJob]:
     """All jobs of a budget, seed by seed, so that an interrupted grid has whole tables of fewer seeds.
 
     Args:
@@ -104,16 +110,16 @@ def jobs_of(
     clouds = _scored_clouds(grid, claims)
     chosen = grid.runs_of(budget)
     ordered = sorted(chosen, key=lambda name: bool(chosen[name].start))  # who gives a start comes before who takes it
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, TrainingJob] = {}
     for seed in range(grid.budgets[budget].seeds):
-        own: dict[str, Job] = {}
+        own: dict[str, TrainingJob] = {}
         for name in ordered:
             job = _job(grid, budget, name, seed, data, runs_folder, own, steps_share)
             same = jobs.get(job.key)
             runs = (name,) if same is None else (*same.runs, name)
             scored = sorted({cloud for run in runs for cloud in clouds.get(run, ())})
             known = job if same is None else same
-            own[name] = jobs[job.key] = Job(
+            own[name] = jobs[job.key] = TrainingJob(
                 runs=runs,
                 seed=seed,
                 experiment=known.experiment,
@@ -125,7 +131,7 @@ def jobs_of(
     return list(jobs.values())
 
 
-def waves(jobs: Iterable[Job]) -> list[list[Job]]:
+def waves(jobs: Iterable[TrainingJob]) -> list[list[TrainingJob]]:
     """Jobs that others start from, then all others; each seed by seed."""
     listed = list(jobs)
     awaited = {job.start for job in listed if job.start}
@@ -133,7 +139,7 @@ def waves(jobs: Iterable[Job]) -> list[list[Job]]:
     return [wave for wave in (first, [job for job in listed if job.folder not in awaited]) if wave]
 
 
-def _scored_clouds(grid: Grid, claims: Iterable[Claim]) -> dict[str, list[str]]:
+def _scored_clouds(grid: ExperimentGrid, claims: Iterable[Claim]) -> dict[str, list[str]]:
     """Clouds that each run is scored on: those that claims name, and its own."""
     pairs = [pair for claim in claims for pair in (*claim.comparisons, *claim.controls)]
     rows = [row for pair in pairs for row in (pair.a, pair.b) if row.run]
@@ -149,15 +155,15 @@ def _only_cloud(run: GridRun) -> str:
 
 
 def _job(
-    grid: Grid,
+    grid: ExperimentGrid,
     budget: str,
     name: str,
     seed: int,
-    data: Plotted,
+    data: DataLocations,
     runs_folder: Path,
-    own: Mapping[str, Job],
+    own: Mapping[str, TrainingJob],
     steps_share: float,
-) -> Job:
+) -> TrainingJob:
     run, start = grid.runs[name], own.get(grid.runs[name].start)
     tree = _tree(grid, budget, name, seed, data, steps_share)
     if start is not None:
@@ -165,7 +171,7 @@ def _job(
     experiment = Experiment.model_validate(tree)
     fingerprints = {stream: data.fingerprints.get(source.set, "") for stream, source in run.streams.items()}
     key = _key(experiment, fingerprints, start.key if start else "")
-    return Job(
+    return TrainingJob(
         runs=(name,),
         seed=seed,
         experiment=experiment,
@@ -176,7 +182,7 @@ def _job(
     )
 
 
-def _tree(grid: Grid, budget: str, name: str, seed: int, data: Plotted, steps_share: float) -> Tree:
+def _tree(grid: ExperimentGrid, budget: str, name: str, seed: int, data: DataLocations, steps_share: float) -> Tree:
     """The experiment of a run as its YAML would have it."""
     run, settings = grid.runs[name], grid.budgets[budget].lowered(steps_share)
     groups = {

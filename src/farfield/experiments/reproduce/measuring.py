@@ -10,17 +10,17 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk import Bulk, Done, Unit, values
+from farfield.bulk import JobOptions, Unit, UnitResult, values
 from farfield.datasets import Dataset
 from farfield.detection import detect
 from farfield.detectors.runtime import Detector
 from farfield.experiments.plan import Plan
-from farfield.experiments.reproduce.grid import Simulated
-from farfield.experiments.reproduce.jobs import Job
-from farfield.experiments.reproduce.places import Place, simulate
+from farfield.experiments.reproduce.grid import SimulatedSet
+from farfield.experiments.reproduce.jobs import TrainingJob
+from farfield.experiments.reproduce.places import DataLocation, simulate
 from farfield.experiments.reproduce.running import quiet
 from farfield.experiments.schema import DataConfig, Experiment, MethodConfig
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 STEPS = 20
 """Steps of each trial."""
@@ -34,7 +34,7 @@ _SETTLED = 8  # steps until the allocator and the caches have settled
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pace:
+class RunRate:
     """How long a kind of run takes a core of this machine, with as many of them at a time as there are workers.
 
     On the CPU it is the processor's time, which other programs hardly bear on; on a GPU that of the clock on the wall.
@@ -58,7 +58,7 @@ def _now() -> Moment:
     return time.process_time(), time.perf_counter()
 
 
-class StepClock(Report):
+class StepClock(TrainingReport):
     """Notes when steps were done."""
 
     def __init__(self) -> None:
@@ -69,17 +69,17 @@ class StepClock(Report):
         del step, losses
         self.times.append(_now())
 
-    def pace(self, which: int, frame_s: float) -> Pace:
+    def pace(self, which: int, frame_s: float) -> RunRate:
         """The pace by one of both clocks."""
         began, times = self.began[which], [moment[which] for moment in self.times]
         settled = times[max(0, min(_SETTLED, len(times) // 2, len(times) - 2)) :]
         steps = [later - earlier for earlier, later in pairwise(settled)]
         step_s = statistics.mean(steps) if steps else times[0] - began
-        return Pace(step_s=step_s, begin_s=max(times[0] - began - step_s, 0.0), frame_s=frame_s)
+        return RunRate(step_s=step_s, begin_s=max(times[0] - began - step_s, 0.0), frame_s=frame_s)
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _SpeedTrial:
     """Takes some steps of a job in a folder that is removed afterwards; the unit's parameters are the job."""
 
     folder: Path
@@ -89,15 +89,15 @@ class _Trial:
 
     memory_bytes, own_process = 4_000_000_000, True
 
-    def __call__(self, unit: Unit) -> Done:
-        job: Job = unit.parameters
+    def __call__(self, unit: Unit) -> UnitResult:
+        job: TrainingJob = unit.parameters
         quiet()
         pace = self._pace(job, self.folder / unit.name, min(_GLANCE, self.steps))
         if self.steps > _GLANCE and pace.step_s * self.steps <= self.patience_s:
             pace = self._pace(job, self.folder / unit.name, self.steps)
-        return Done(value=replace(pace, step_s=pace.step_s / self.batch_share))
+        return UnitResult(value=replace(pace, step_s=pace.step_s / self.batch_share))
 
-    def _pace(self, job: Job, folder: Path, steps: int) -> Pace:
+    def _pace(self, job: TrainingJob, folder: Path, steps: int) -> RunRate:
         shutil.rmtree(folder, ignore_errors=True)
         experiment, clock = short(job.experiment, steps, self.batch_share), StepClock()
         detector = Detector.load(Plan(experiment, folder).run(clock))
@@ -129,11 +129,11 @@ def short(experiment: Experiment, steps: int, batch_share: float = 1.0) -> Exper
     return experiment.model_copy(update=changes)
 
 
-def _frame_s(detector: Detector, experiment: Experiment, job: Job, which: int) -> float:
+def _frame_s(detector: Detector, experiment: Experiment, job: TrainingJob, which: int) -> float:
     """Seconds to read a frame and detect in it, by one of both clocks."""
     groups = experiment.data if isinstance(experiment.data, dict) else {"": experiment.data}
     config: DataConfig = groups.get("target", next(iter(groups.values())))
-    data = Place(path=config.path, split=config.split or "", options=config.options).opened()
+    data = DataLocation(path=config.path, split=config.split or "", options=config.options).opened()
     cloud = next(cloud for cloud in (*job.clouds, *config.clouds) if cloud in data[0].clouds)
     for count in (_FEW_FRAMES, _FRAMES):
         first, began = _first(data, count), _now()[which]
@@ -154,14 +154,14 @@ def _first(data: Dataset, count: int) -> Dataset:
 
 
 def measure(
-    jobs: Sequence[Job],
+    jobs: Sequence[TrainingJob],
     folder: Path,
-    bulk: Bulk,
+    bulk: JobOptions,
     *,
     steps: int = STEPS,
     batch_share: float = 1.0,
     said: Callable[[str], object] | None = None,
-) -> dict[str, Pace]:
+) -> dict[str, RunRate]:
     """The pace of every kind of job.
 
     Where steps take long only two are taken. Large batches are measured by a part of them: the time of a step is
@@ -179,22 +179,22 @@ def measure(
     if said is not None and kinds:
         said(f"measuring {steps} steps of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
-    found = values(_Trial(folder, steps, batch_share, patience_s(len(units))), units, bulk)
+    found = values(_SpeedTrial(folder, steps, batch_share, patience_s(len(units))), units, bulk)
     return {unit.name: done.value for unit, done in zip(units, found, strict=True)}
 
 
-def little(wanted: Simulated) -> Simulated:
+def little(wanted: SimulatedSet) -> SimulatedSet:
     """A few frames of a set: enough to measure on."""
     return wanted.model_copy(update={"sequences": min(_SEQUENCES, wanted.sequences), "frames": min(2, wanted.frames)})
 
 
 def measure_simulating(
-    places: Mapping[str, Place],
+    places: Mapping[str, DataLocation],
     needed: Collection[str],
     folder: Path,
     *,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> tuple[dict[str, float], dict[str, Place]]:
+) -> tuple[dict[str, float], dict[str, DataLocation]]:
     """Simulate a few frames of each kind of set, on one core.
 
     Args:
@@ -213,7 +213,7 @@ def measure_simulating(
         wanted, kind = little(whole), f"{whole.preset} {whole.sensors}"
         if kind in seconds and name not in needed:
             continue
-        small[name] = Place(path=folder / name, simulated=wanted, options=places[name].options)
+        small[name] = DataLocation(path=folder / name, simulated=wanted, options=places[name].options)
         if kind not in seconds:  # what a process makes once is no frame's
             one = wanted.model_copy(update={"sequences": 1, "frames": 1})
             simulate(one, folder / f"{name}-first", workers=1, progress=progress)

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from farfield.experiments.claims import Claim, Claims, Comparison, Row
-from farfield.experiments.reproduce.grid import Grid, Score
+from farfield.experiments.claims import Claim, Claims, ClaimSide, Comparison
+from farfield.experiments.reproduce.grid import ExperimentGrid, Score
 from farfield.metrics.deciding import Scalar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Need:
+class RequiredScore:
     """A number of a run.
 
     Args:
@@ -33,7 +33,7 @@ class Need:
         return f"{self.table}: {self.scalar}{alike}"
 
 
-def needs_of(claims: Claims, grid: Grid, score: Score) -> list[Need]:
+def needs_of(claims: Claims, grid: ExperimentGrid, score: Score) -> list[RequiredScore]:
     """All numbers that trained claims compare, each once."""
     found = (
         need_of(row, claim, metric, claims, grid, score)
@@ -46,7 +46,9 @@ def needs_of(claims: Claims, grid: Grid, score: Score) -> list[Need]:
     return list(dict.fromkeys(found))
 
 
-def need_of(row: Row, claim: Claim, metric: str, claims: Claims, grid: Grid, score: Score) -> Need:
+def need_of(
+    row: ClaimSide, claim: Claim, metric: str, claims: Claims, grid: ExperimentGrid, score: Score
+) -> RequiredScore:
     """The number that a row of a claim compares.
 
     Args:
@@ -58,7 +60,7 @@ def need_of(row: Row, claim: Claim, metric: str, claims: Claims, grid: Grid, sco
         score: How runs are scored.
     """
     table = score.table(claim.table)
-    return Need(
+    return RequiredScore(
         run=row.run,
         cloud=cloud_of(row, grid),
         table=table,
@@ -67,7 +69,7 @@ def need_of(row: Row, claim: Claim, metric: str, claims: Claims, grid: Grid, sco
     )
 
 
-def cloud_of(row: Row, grid: Grid) -> str:
+def cloud_of(row: ClaimSide, grid: ExperimentGrid) -> str:
     """The cloud that a row is scored on: the one it names, or the only one that its run learns from."""
     return row.cloud or next(iter(grid.runs[row.run].streams.values())).clouds[0]
 

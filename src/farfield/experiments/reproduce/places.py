@@ -10,16 +10,16 @@ from typing import Any
 from farfield.bulk.runs import Progress
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
-from farfield.experiments.reproduce.grid import Grid, Simulated
+from farfield.experiments.reproduce.grid import ExperimentGrid, SimulatedSet
 from farfield.recording import record
 from farfield.recording.frames import bytes_needed
-from farfield.recording.simulated import Recorded
+from farfield.recording.simulated import RecordingSummary
 
 _DIGITS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class DataLocation:
     """Where a data set stands.
 
     Args:
@@ -31,7 +31,7 @@ class Place:
 
     path: Path
     split: str = ""
-    simulated: Simulated | None = None
+    simulated: SimulatedSet | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def opened(self) -> Dataset:
@@ -41,8 +41,8 @@ class Place:
 
 
 def places_of(
-    grid: Grid, budget: str, folder: Path, *, data: Path | None = None, source: Path | None = None
-) -> dict[str, Place]:
+    grid: ExperimentGrid, budget: str, folder: Path, *, data: Path | None = None, source: Path | None = None
+) -> dict[str, DataLocation]:
     """The place of each set that a budget needs.
 
     Args:
@@ -59,21 +59,21 @@ def places_of(
     for what, path in given.items():
         if path is not None and not path.is_dir():
             raise ConfigError(f"--{what}: expected a folder, found none at {path}")
-    found: dict[str, Place] = {}
+    found: dict[str, DataLocation] = {}
     for name in grid.sets_of(budget):
         simulated = grid.budgets[budget].sets[name]
         real = grid.real.get(name)
         path = given[real.of] if real is not None else None
         if real is not None and path is not None:
-            found[name] = Place(path=path, split=real.split)
+            found[name] = DataLocation(path=path, split=real.split)
         elif data is None or real is not None:
             said = hashlib.sha256(simulated.model_dump_json().encode()).hexdigest()[:_DIGITS]
-            found[name] = Place(path=folder / f"{name}-{said}", simulated=simulated)
+            found[name] = DataLocation(path=folder / f"{name}-{said}", simulated=simulated)
     return found
 
 
 def provide(
-    places: Mapping[str, Place],
+    places: Mapping[str, DataLocation],
     *,
     workers: int = 0,
     progress: Progress = iter,
@@ -98,7 +98,7 @@ def provide(
     return time.monotonic() - began
 
 
-def wanting(sets: Iterable[tuple[Simulated | None, Path]]) -> str:
+def wanting(sets: Iterable[tuple[SimulatedSet | None, Path]]) -> str:
     """What is to be simulated, in words: frames and room of the sets that are not there; writes nothing.
 
     Args:
@@ -113,7 +113,7 @@ def wanting(sets: Iterable[tuple[Simulated | None, Path]]) -> str:
     return f"{frames} simulated frames, at most {size / 1e9:.2f} GB" if frames else "no frame to simulate"
 
 
-def simulate(wanted: Simulated, path: Path, **how: Any) -> Recorded:
+def simulate(wanted: SimulatedSet, path: Path, **how: Any) -> RecordingSummary:
     """Simulate a set into a folder, with the fast cache of its clouds where its layout has one."""
     from farfield.recording.rigs import files_of
     from farfield.simulation import find_preset
@@ -133,6 +133,6 @@ def simulate(wanted: Simulated, path: Path, **how: Any) -> Recorded:
     )
 
 
-def fingerprints_of(places: Mapping[str, Place]) -> dict[str, str]:
+def fingerprints_of(places: Mapping[str, DataLocation]) -> dict[str, str]:
     """What tells the frames of each set."""
     return {name: place.opened().fingerprint() for name, place in places.items()}

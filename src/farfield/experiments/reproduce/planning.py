@@ -8,8 +8,8 @@ from typing import Any
 from farfield.errors import ConfigError
 from farfield.experiments.claims import Claim, Claims, Comparison
 from farfield.experiments.reproduce.grid import BudgetSettings
-from farfield.experiments.reproduce.jobs import Job
-from farfield.experiments.reproduce.measuring import Pace
+from farfield.experiments.reproduce.jobs import TrainingJob
+from farfield.experiments.reproduce.measuring import RunRate
 from farfield.metrics.deciding import power
 
 S_SEED, S_SEQ, ROADS = 0.015, 0.008, 12
@@ -26,7 +26,7 @@ _SHARES = tuple(share / 100 for share in range(100, 0, -1))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost:
+class GridCost:
     """Core minutes of a grid, by what they go into.
 
     Args:
@@ -46,7 +46,7 @@ class Cost:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outlook:
+class PowerEstimate:
     """Whether a comparison of a claim can be decided.
 
     Args:
@@ -70,7 +70,7 @@ class Outlook:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outline:
+class GridPlan:
     """The plan of a grid.
 
     Args:
@@ -93,10 +93,10 @@ class Outline:
     jobs: int
     rows: int
     seeds: int
-    cost: Cost
+    cost: GridCost
     workers: int
-    outlooks: tuple[Outlook, ...] = ()
-    paces: Mapping[str, Pace] = field(default_factory=dict)
+    outlooks: tuple[PowerEstimate, ...] = ()
+    paces: Mapping[str, RunRate] = field(default_factory=dict)
     simulating_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -109,21 +109,21 @@ class Outline:
         return {**asdict(self), "core_minutes": self.cost.core_minutes, "minutes": self.minutes}
 
 
-def paces_of(kept: Mapping[str, Any]) -> dict[str, Pace]:
+def paces_of(kept: Mapping[str, Any]) -> dict[str, RunRate]:
     """The paces of an outline that was kept as JSON."""
-    return {kind: Pace(**pace) for kind, pace in kept["paces"].items()}
+    return {kind: RunRate(**pace) for kind, pace in kept["paces"].items()}
 
 
 def cost_of(
-    jobs: Sequence[Job],
+    jobs: Sequence[TrainingJob],
     steps_share: float,
     settings: BudgetSettings,
-    paces: Mapping[str, Pace],
+    paces: Mapping[str, RunRate],
     simulating_s: Mapping[str, float],
     frames_scored: int,
     *,
     beside_s: float = 0.0,
-) -> Cost:
+) -> GridCost:
     """Core minutes of jobs with a share of the budget's steps.
 
     Args:
@@ -142,19 +142,19 @@ def cost_of(
     simulating = beside_s + sum(
         seconds * sets[name].sequences * sets[name].frames for name, seconds in simulating_s.items()
     )
-    return Cost(simulating=simulating / 60, training=training / 60, scoring=(scoring + PAGE_S) / 60)
+    return GridCost(simulating=simulating / 60, training=training / 60, scoring=(scoring + PAGE_S) / 60)
 
 
 def fitted(
-    jobs: Sequence[Job],
+    jobs: Sequence[TrainingJob],
     settings: BudgetSettings,
-    paces: Mapping[str, Pace],
+    paces: Mapping[str, RunRate],
     simulating_s: Mapping[str, float],
     frames_scored: int,
     core_minutes: float | None,
     *,
     beside_s: float = 0.0,
-) -> tuple[float, Cost]:
+) -> tuple[float, GridCost]:
     """The largest share of the declared steps whose cost fits with a reserve, or the least, and that cost.
 
     Seeds and rows are never fewer.
@@ -171,7 +171,7 @@ def fitted(
     Raises:
         ConfigError: If it does not fit with the fewest steps either.
     """
-    cost = Cost(simulating=0.0, training=0.0, scoring=0.0)
+    cost = GridCost(simulating=0.0, training=0.0, scoring=0.0)
     for share in _SHARES:
         cost = cost_of(jobs, share, settings, paces, simulating_s, frames_scored, beside_s=beside_s)
         least = settings.lowered(share) == settings.lowered(_SHARES[-1])
@@ -187,7 +187,7 @@ def fitted(
     )
 
 
-def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> tuple[Outlook, ...]:
+def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> tuple[PowerEstimate, ...]:
     """Which claims can be decided by runs of this number of seeds and roads, by the published differences."""
     roads = sum(settings.sets[name].sequences for name in settings.scored_on if name in settings.sets)
     trained = [claim for claim in claims if claims.metrics[claim.metrics[0]].protocol]
@@ -198,37 +198,37 @@ def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> t
     )
 
 
-def _outlook(claim: Claim, pair: Comparison, runs: Sequence[str], seeds: int, df: int, roads: int) -> Outlook:
+def _outlook(claim: Claim, pair: Comparison, runs: Sequence[str], seeds: int, df: int, roads: int) -> PowerEstimate:
     published = pair.published(claim.metrics[0])
     if published is None or not _has(pair, runs) or seeds < 2:
-        return Outlook(claim=claim.id, power=None, runs=_has(pair, runs))
+        return PowerEstimate(claim=claim.id, power=None, runs=_has(pair, runs))
     s_seq = S_SEQ * math.sqrt(ROADS / max(roads, 1))
     likely = power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
-    return Outlook(claim=claim.id, power=likely)
+    return PowerEstimate(claim=claim.id, power=likely)
 
 
 def _has(pair: Comparison, runs: Sequence[str]) -> bool:
     return all(row.run in runs for row in (pair.a, pair.b))
 
 
-def outline_of(kept: Mapping[str, Any]) -> Outline:
+def outline_of(kept: Mapping[str, Any]) -> GridPlan:
     """Read an outline that was kept as JSON."""
-    return Outline(
+    return GridPlan(
         budget=kept["budget"],
         steps_share=kept["steps_share"],
         steps=kept["steps"],
         jobs=kept["jobs"],
         rows=kept["rows"],
         seeds=kept["seeds"],
-        cost=Cost(**kept["cost"]),
+        cost=GridCost(**kept["cost"]),
         workers=kept["workers"],
-        outlooks=tuple(Outlook(**each) for each in kept["outlooks"]),
+        outlooks=tuple(PowerEstimate(**each) for each in kept["outlooks"]),
         paces=paces_of(kept),
         simulating_s=kept["simulating_s"],
     )
 
 
-def described(outline: Outline) -> list[str]:
+def described(outline: GridPlan) -> list[str]:
     """A plan in lines: runs, steps, minutes, and which claims can be decided."""
     cost = outline.cost
     steps = ", ".join(f"{network} {steps}" for network, steps in outline.steps.items())

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk import Bulk
+from farfield.bulk import JobOptions
 from farfield.bulk.folders import locked
 from farfield.bulk.runs import Progress
 from farfield.detectors.weights import load_weights
@@ -18,19 +18,19 @@ from farfield.errors import ConfigError
 from farfield.experiments.claims import Claims
 from farfield.experiments.claims import load as load_claims
 from farfield.experiments.reproduce import planning
-from farfield.experiments.reproduce.deciding import Judge, Scores
+from farfield.experiments.reproduce.deciding import DecisionRule, Scores
 from farfield.experiments.reproduce.feature_maps import feature_maps
-from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree, load_grid
-from farfield.experiments.reproduce.jobs import Job, Plotted, jobs_of
-from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, Pace, measure, measure_simulating
+from farfield.experiments.reproduce.grid import BudgetSettings, ExperimentGrid, Tree, load_grid
+from farfield.experiments.reproduce.jobs import DataLocations, TrainingJob, jobs_of
+from farfield.experiments.reproduce.measuring import SMALL_BATCH, STEPS, RunRate, measure, measure_simulating
 from farfield.experiments.reproduce.needs import needs_of
-from farfield.experiments.reproduce.places import Place, fingerprints_of, places_of, provide, wanting
+from farfield.experiments.reproduce.places import DataLocation, fingerprints_of, places_of, provide, wanting
 from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
 from farfield.experiments.reproduce.scenarios import scenarios_of, seeds_of
-from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.scoring import ScoringTask
 from farfield.experiments.reproduce.sheets import measure_sheet, provide_sheets, sheet_places, sheets_of
 from farfield.experiments.reproduce.statistics import objects_in
-from farfield.experiments.reproduce.summary import Made, curves_of, summary_of
+from farfield.experiments.reproduce.summary import ReproductionSummary, curves_of, summary_of
 from farfield.files.atomic import read_bytes, write_text
 from farfield.vocabulary.patterns import PATTERNS
 
@@ -72,7 +72,7 @@ class Reproduction:
         ConfigError: If there is no such budget.
     """
 
-    grid: Grid
+    grid: ExperimentGrid
     claims: Claims
     out: Path
     budget: str = "laptop"
@@ -117,11 +117,11 @@ class Reproduction:
         return self.data is None
 
     @property
-    def places(self) -> dict[str, Place]:
+    def places(self) -> dict[str, DataLocation]:
         """Where each set stands."""
         return places_of(self.grid, self.budget, self.out / "data", data=self.data, source=self.source)
 
-    def outline(self) -> planning.Outline:
+    def outline(self) -> planning.GridPlan:
         """The plan: measured first, then kept, so that the same command goes on with the same steps."""
         kept = _read(self.out / PLAN)
         if kept.get("asked") == self._asked:
@@ -160,13 +160,13 @@ class Reproduction:
         }
 
     @property
-    def sheet_places(self) -> dict[str, Place]:
+    def sheet_places(self) -> dict[str, DataLocation]:
         """Where the frames of the sheets are simulated, by weather; none where the page shows the user's or none."""
         if self.paper != "kradar" or not self.simulated:
             return {}
         return sheet_places(self.settings, self.out / "data")
 
-    def _measured(self, places: Mapping[str, Place]) -> tuple[dict[str, Pace], dict[str, float], float]:
+    def _measured(self, places: Mapping[str, DataLocation]) -> tuple[dict[str, RunRate], dict[str, float], float]:
         """The pace of each kind of run, and core seconds a simulated frame by set and of a sheet: measured once."""
         kept = _read(self.out / MEASURED)
         if kept.get("for") == self._measured_for:
@@ -180,7 +180,7 @@ class Reproduction:
             places, needed, scratch / "data", progress=self.progress("simulating a few frames")
         )
         sheet_s = measure_sheet(self.sheet_places, scratch / "data")
-        bulk = Bulk(workers=self.hands, progress=self.progress("measuring"))
+        bulk = JobOptions(workers=self.hands, progress=self.progress("measuring"))
         part = min(1.0, SMALL_BATCH / self.settings.batch)
         paces = measure(
             self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
@@ -194,7 +194,7 @@ class Reproduction:
         write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
         return paces, simulating, sheet_s
 
-    def _planned(self) -> planning.Outline:
+    def _planned(self) -> planning.GridPlan:
         places = self.places
         jobs = self.jobs(places)
         paces, simulating, sheet_s = self._measured(places)
@@ -208,7 +208,7 @@ class Reproduction:
         lowered = self.settings.lowered(share)
         networks = sorted({job.network for job in jobs})
         runs = tuple(self.grid.runs_of(self.budget))
-        return planning.Outline(
+        return planning.GridPlan(
             budget=self.budget,
             steps_share=share,
             steps={network: lowered.steps_for(network) for network in networks},
@@ -222,7 +222,7 @@ class Reproduction:
             simulating_s=simulating,
         )
 
-    def _frames_scored(self, places: Mapping[str, Place]) -> int:
+    def _frames_scored(self, places: Mapping[str, DataLocation]) -> int:
         total = 0
         for name in self._chosen(self.settings.scored_on, places):
             place = places[name]
@@ -231,15 +231,19 @@ class Reproduction:
         return total
 
     @staticmethod
-    def _chosen(names: Iterable[str], places: Mapping[str, Place]) -> list[str]:
+    def _chosen(names: Iterable[str], places: Mapping[str, DataLocation]) -> list[str]:
         """Those of the sets that there are; the validation set where there is none of them."""
         return [name for name in names if name in places] or ["val"]
 
     def jobs(
-        self, places: Mapping[str, Place], fingerprints: Mapping[str, str] | None = None, *, steps_share: float = 1.0
-    ) -> list[Job]:
+        self,
+        places: Mapping[str, DataLocation],
+        fingerprints: Mapping[str, str] | None = None,
+        *,
+        steps_share: float = 1.0,
+    ) -> list[TrainingJob]:
         """All trainings, seed by seed."""
-        data = Plotted(places=places, fingerprints=fingerprints or {})
+        data = DataLocations(places=places, fingerprints=fingerprints or {})
         return jobs_of(self.grid, self.budget, self.claims, data, self._runs, steps_share=steps_share)
 
     @property
@@ -293,9 +297,9 @@ class Reproduction:
             raise ConfigError(f"{self.out}: expected finished runs to write a page of, found none of {len(jobs)}")
         return self._conclude(outline, jobs, done, places, fingerprints)
 
-    def _scoring(self, places: Mapping[str, Place], fingerprints: Mapping[str, str]) -> Scoring:
+    def _scoring(self, places: Mapping[str, DataLocation], fingerprints: Mapping[str, str]) -> ScoringTask:
         chosen = self._chosen(self.settings.scored_on, places)
-        return Scoring(
+        return ScoringTask(
             score=self.settings.score,
             places={name: places[name] for name in chosen},
             fingerprints={name: fingerprints[name] for name in chosen},
@@ -305,10 +309,10 @@ class Reproduction:
 
     def _conclude(
         self,
-        outline: planning.Outline,
-        jobs: Sequence[Job],
-        done: Sequence[Job],
-        places: Mapping[str, Place],
+        outline: planning.GridPlan,
+        jobs: Sequence[TrainingJob],
+        done: Sequence[TrainingJob],
+        places: Mapping[str, DataLocation],
         fingerprints: Mapping[str, str],
     ) -> Path:
         from farfield.reports.reproduction import write_page
@@ -317,12 +321,12 @@ class Reproduction:
         kept = [scores_of(job, self._runs) for job in done]
         scores = Scores.of(kept)
         chosen = self._chosen(self.settings.statistics_on, places)
-        bulk = Bulk(workers=self.hands, progress=self.progress("counting points"))
+        bulk = JobOptions(workers=self.hands, progress=self.progress("counting points"))
         objects = objects_in({name: places[name] for name in chosen}, bulk)
-        decided = Judge(
+        decided = DecisionRule(
             claims=self.claims, grid=self.grid, settings=self.settings, scores=scores, objects=objects
         ).decided()
-        made = Made(
+        made = ReproductionSummary(
             paper=self.paper,
             budget=self.budget,
             simulated=self.simulated,
@@ -345,21 +349,21 @@ class Reproduction:
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
 
-    def _all_weights(self, done: Sequence[Job]) -> list[Path]:
+    def _all_weights(self, done: Sequence[TrainingJob]) -> list[Path]:
         """Weights of all runs that have any: one that diverged has none."""
         files = [self._runs / job.folder / WEIGHTS for job in done]
         return [path for path in files if path.is_file()]
 
-    def _weights(self, done: Sequence[Job]) -> dict[str, Path]:
+    def _weights(self, done: Sequence[TrainingJob]) -> dict[str, Path]:
         """Weights of the first seed by run."""
         files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
         return {run: path for run, path in files.items() if path.is_file()}
 
-    def _features(self, done: Sequence[Job], places: Mapping[str, Place]) -> list[Tree]:
+    def _features(self, done: Sequence[TrainingJob], places: Mapping[str, DataLocation]) -> list[Tree]:
         (first, *_) = self._chosen(self.settings.scored_on, places)
         return feature_maps(self._weights(done), places[first], self.settings.score)
 
-    def _sheets(self, done: Sequence[Job], places: Mapping[str, Place]) -> "list[SheetGroup]":
+    def _sheets(self, done: Sequence[TrainingJob], places: Mapping[str, DataLocation]) -> "list[SheetGroup]":
         """K-Radar's sheets; their frames are simulated now if they are not there yet."""
         if self.paper != "kradar":
             return []
@@ -369,7 +373,7 @@ class Reproduction:
         data = None if self.simulated else places[first]
         return sheets_of(own, data, self._weights(done), self.settings)
 
-    def _scenarios(self, done: Sequence[Job], scoring: Scoring) -> Tree:
+    def _scenarios(self, done: Sequence[TrainingJob], scoring: ScoringTask) -> Tree:
         seeds = seeds_of(job for job in done if (self._runs / job.folder / WEIGHTS).is_file())
         runs = {
             name: [scoring.detections(self._runs / jobs[name].folder / WEIGHTS, name) for jobs in seeds.values()]

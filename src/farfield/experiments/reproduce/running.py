@@ -9,26 +9,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk import Bulk, Done, Journal, Unit, run
+from farfield.bulk import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.errors import FileFormatError, plain
 from farfield.experiments.plan import Plan
 from farfield.experiments.reproduce.grid import Tree
-from farfield.experiments.reproduce.jobs import Job, waves
-from farfield.experiments.reproduce.scoring import Scoring
+from farfield.experiments.reproduce.jobs import TrainingJob, waves
+from farfield.experiments.reproduce.scoring import ScoringTask
 from farfield.files.atomic import read_bytes, write_text
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 JOURNAL = ".journal.jsonl"
 SCORES, WEIGHTS = "scores.json", "weights.safetensors"
 _MAX_BYTES = 1 << 28
 SPENT = "spent.json"
-"""Of the time that a job has taken while it is not done; see :class:`Spending`."""
+"""Of the time that a job has taken while it is not done; see :class:`CpuTime`."""
 _NOTED_EVERY_S = 10.0
 _STATUS = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
-class Doing:
+class RunTask:
     """Does a job in its folder; the unit's parameters are the job.
 
     Args:
@@ -37,18 +37,18 @@ class Doing:
     """
 
     folder: Path
-    scoring: Scoring
+    scoring: ScoringTask
 
     memory_bytes = 4_000_000_000
     own_process = True
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Train unless the weights are there, score, and write the scores."""
-        job: Job = unit.parameters
+        job: TrainingJob = unit.parameters
         home, began = self.folder / job.folder, time.monotonic()
         weights = home / WEIGHTS
         brought = weights.is_file() and not (home / SPENT).is_file()  # a process killed at scoring left what it spent
-        spending = Spending(home / SPENT)
+        spending = CpuTime(home / SPENT)
         quiet()
         failed = "" if weights.is_file() else _trained(job, home, spending)
         spending.note()
@@ -63,10 +63,10 @@ class Doing:
         clock["processor_s"] = round(spending.seconds, 1)
         _note(home / "clock.jsonl", clock)
         spending.done()
-        return Done(files=(home / SCORES,), clock=clock)
+        return UnitResult(files=(home / SCORES,), clock=clock)
 
 
-class Spending(Report):
+class CpuTime(TrainingReport):
     """The processor's time that a job takes, with what was taken by processes that were killed at it.
 
     Args:
@@ -101,7 +101,7 @@ class Spending(Report):
         self._path.unlink(missing_ok=True)
 
 
-def _trained(job: Job, home: Path, report: Report) -> str:
+def _trained(job: TrainingJob, home: Path, report: TrainingReport) -> str:
     """Train a job; what went wrong if it diverged, which it would do again."""
     try:
         Plan(job.experiment, home).run(report)
@@ -112,7 +112,7 @@ def _trained(job: Job, home: Path, report: Report) -> str:
     return ""
 
 
-def failure(job: Job, why: str) -> Tree:
+def failure(job: TrainingJob, why: str) -> Tree:
     """The scores of a job that has none."""
     return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": {}, "failed": why}
 
@@ -137,9 +137,9 @@ def peak_memory_mb() -> float | None:
 
 
 def do_all(
-    jobs: Sequence[Job],
+    jobs: Sequence[TrainingJob],
     folder: Path,
-    scoring: Scoring,
+    scoring: ScoringTask,
     *,
     workers: int,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
@@ -158,31 +158,31 @@ def do_all(
     Raises:
         BulkError: If jobs killed their workers twice; all others are done.
     """
-    journal = Journal(folder / JOURNAL, scoring.digest)
+    journal = JobJournal(folder / JOURNAL, scoring.digest)
     for wave in waves(jobs):
         units = units_of(wave)
         left = sum(not journal.has(unit) for unit in units)
         if said is not None and left:
             said(f"{left} of {len(units)} runs are left: {_named(wave)}")
-        run(Doing(folder, scoring), units, Bulk(workers=workers, progress=progress), journal=journal)
+        run(RunTask(folder, scoring), units, JobOptions(workers=workers, progress=progress), journal=journal)
 
 
-def _named(wave: Sequence[Job]) -> str:
+def _named(wave: Sequence[TrainingJob]) -> str:
     return ", ".join(dict.fromkeys(name for job in wave for name in job.runs))
 
 
-def units_of(jobs: Iterable[Job]) -> list[Unit]:
+def units_of(jobs: Iterable[TrainingJob]) -> list[Unit]:
     """Jobs as units of work."""
     return [Unit(job.folder, parameters=job) for job in jobs]
 
 
-def done_jobs(jobs: Sequence[Job], folder: Path, scoring: Scoring) -> list[Job]:
+def done_jobs(jobs: Sequence[TrainingJob], folder: Path, scoring: ScoringTask) -> list[TrainingJob]:
     """The jobs whose scores are there."""
-    journal = Journal(folder / JOURNAL, scoring.digest)
+    journal = JobJournal(folder / JOURNAL, scoring.digest)
     return [job for job, unit in zip(jobs, units_of(jobs), strict=True) if journal.has(unit)]
 
 
-def scores_of(job: Job, folder: Path) -> Tree:
+def scores_of(job: TrainingJob, folder: Path) -> Tree:
     """The scores of a finished job.
 
     Raises:
@@ -196,7 +196,7 @@ def scores_of(job: Job, folder: Path) -> Tree:
     return dict(found)
 
 
-def clocks_of(job: Job, folder: Path) -> list[dict[str, Any]]:
+def clocks_of(job: TrainingJob, folder: Path) -> list[dict[str, Any]]:
     """What the clock measured of a job, a line each time that it was done or gone on with."""
     path = folder / job.folder / "clock.jsonl"
     if not path.is_file():

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from farfield.errors import ConfigError
 from farfield.experiments.reproduce.grid import Score, Tree
-from farfield.experiments.reproduce.jobs import Job
+from farfield.experiments.reproduce.jobs import TrainingJob
 from farfield.metrics import Bootstrap, Detections
 from farfield.metrics.deciding import decide, difference, figure, switched, switching_gains
 from farfield.metrics.parts import AZIMUTHS_DEG, parts
@@ -18,9 +18,9 @@ _KINDS, _SWITCHED_BY = ("road", "azimuth"), "road"
 _DDS = figure("dds/0/dds")
 
 
-def seeds_of(jobs: Iterable[Job]) -> dict[int, dict[str, Job]]:
+def seeds_of(jobs: Iterable[TrainingJob]) -> dict[int, dict[str, TrainingJob]]:
     """Jobs of the rows that are named as the patterns, by seed; those seeds that have all of them."""
-    found: dict[int, dict[str, Job]] = {}
+    found: dict[int, dict[str, TrainingJob]] = {}
     for job in jobs:
         for name in PATTERNS:
             if name in job.runs:

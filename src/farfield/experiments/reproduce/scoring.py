@@ -13,12 +13,12 @@ import numpy as np
 from farfield.detection import detect
 from farfield.detectors.runtime import Detector
 from farfield.experiments.reproduce.grid import Score, Tree
-from farfield.experiments.reproduce.jobs import Job, code_digest
-from farfield.experiments.reproduce.needs import Need
-from farfield.experiments.reproduce.places import Place
+from farfield.experiments.reproduce.jobs import TrainingJob, code_digest
+from farfield.experiments.reproduce.needs import RequiredScore
+from farfield.experiments.reproduce.places import DataLocation
 from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
-from farfield.metrics.deciding import Sample, samples
+from farfield.metrics.deciding import ScoreSample, samples
 
 _DECIMALS = 7
 _NO_INTERVALS = Bootstrap(replicates=0)
@@ -27,7 +27,7 @@ _UNKEPT = ("curves", "intervals")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scoring:
+class ScoringTask:
     """How runs are scored.
 
     Args:
@@ -39,9 +39,9 @@ class Scoring:
     """
 
     score: Score
-    places: Mapping[str, Place]
+    places: Mapping[str, DataLocation]
     fingerprints: Mapping[str, str]
-    needs: tuple[Need, ...]
+    needs: tuple[RequiredScore, ...]
     replicates: int
 
     @property
@@ -56,7 +56,7 @@ class Scoring:
         ]
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
-    def of_job(self, job: Job, weights: Path) -> Tree:
+    def of_job(self, job: TrainingJob, weights: Path) -> Tree:
         """The scores of a job as JSON values."""
         found = dict[str, Any]()
         for cloud in job.clouds:
@@ -91,9 +91,9 @@ class Scoring:
             results[table] = {name: value for name, value in result.items() if whole or name not in _UNKEPT}
         return results
 
-    def _samples(self, found: Detections, job: Job, cloud: str) -> Tree:
+    def _samples(self, found: Detections, job: TrainingJob, cloud: str) -> Tree:
         wanted = [need for need in self.needs if need.run in job.runs and need.cloud == cloud]
-        alike: dict[tuple[str, tuple[str, ...]], list[Need]] = defaultdict(list)
+        alike: dict[tuple[str, tuple[str, ...]], list[RequiredScore]] = defaultdict(list)
         for need in wanted:
             alike[need.table, need.matched].append(need)
         kept: Tree = {}
@@ -103,8 +103,8 @@ class Scoring:
         return dict(sorted(kept.items()))
 
     def _drawn(
-        self, found: Detections, table: str, matched: tuple[str, ...], needs: Sequence[Need]
-    ) -> dict[str, Sample]:
+        self, found: Detections, table: str, matched: tuple[str, ...], needs: Sequence[RequiredScore]
+    ) -> dict[str, ScoreSample]:
         settings = self.score.settings_of(table) | _only(self.score.protocol, needs)
         frames = matched_frames(found, matched) if matched else None
         some = found if frames is None else _of_frames(found, frames)
@@ -116,7 +116,7 @@ class Scoring:
         return samples(found, scalars, protocol=protocol, replicates=self.replicates, frames=frames, **settings)
 
 
-def _only(protocol: str, needs: Sequence[Need]) -> Tree:
+def _only(protocol: str, needs: Sequence[RequiredScore]) -> Tree:
     """Settings that leave out figures which no number needs: draws take their time."""
     if protocol != "dds":
         return {}
@@ -179,7 +179,7 @@ def _of_frames(found: Detections, frames: set[Key]) -> Detections | None:
     return replace(found, annotations=kept, boxes={key: each for key, each in found.boxes.items() if key in frames})
 
 
-def json_of_sample(sample: Sample) -> Tree:
+def json_of_sample(sample: ScoreSample) -> Tree:
     """A sample as JSON values; :func:`sample_of` reads it."""
     draws = [None if not np.isfinite(value) else round(float(value), _DECIMALS) for value in sample.draws]
     return {
@@ -191,10 +191,10 @@ def json_of_sample(sample: Sample) -> Tree:
     }
 
 
-def sample_of(kept: Mapping[str, Any]) -> Sample:
+def sample_of(kept: Mapping[str, Any]) -> ScoreSample:
     """Read a sample that was kept as JSON."""
     draws = np.array([np.nan if value is None else value for value in kept["draws"]], dtype=np.float64)
-    return Sample(
+    return ScoreSample(
         value=kept["value"],
         draws=draws,
         drawn=str(kept["drawn"]),

@@ -17,14 +17,14 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.drives import Indices
 from farfield.detection import detect
 from farfield.detectors.runtime import Detector
-from farfield.experiments.reproduce.grid import BudgetSettings, Simulated
-from farfield.experiments.reproduce.places import Place, simulate
+from farfield.experiments.reproduce.grid import BudgetSettings, SimulatedSet
+from farfield.experiments.reproduce.places import DataLocation, simulate
 from farfield.frame import Boxes, Frame
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.inspection.radar_frame import look_at
 from farfield.radar.views import PRODUCTS
 from farfield.reports.figures import Window, in_window
-from farfield.reports.radar_sheets import WINDOW_M, Sheet, SheetGroup
+from farfield.reports.radar_sheets import WINDOW_M, RadarSheet, SheetGroup
 from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.kradar import REGIONS_M
 
@@ -43,7 +43,7 @@ _DIGITS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class SheetFrame:
     """A frame of a data set in the radar's coordinates."""
 
     data: Dataset
@@ -55,10 +55,10 @@ class Moment:
         return 0 if boxes is None else int(in_window(boxes.centre_m, window_m).sum())
 
 
-ByWeather = Mapping[str, Moment]
+ByWeather = Mapping[str, SheetFrame]
 
 
-def sheet_places(settings: BudgetSettings, folder: Path) -> dict[str, Place]:
+def sheet_places(settings: BudgetSettings, folder: Path) -> dict[str, DataLocation]:
     """The small sets of the sheets by weather: roads of the set whose statistics are taken first, with a camera.
 
     Args:
@@ -66,23 +66,23 @@ def sheet_places(settings: BudgetSettings, folder: Path) -> dict[str, Place]:
         folder: Where simulated sets stand.
     """
     base = settings.sets[settings.statistics_on[0]]
-    places: dict[str, Place] = {}
+    places: dict[str, DataLocation] = {}
     for weather in WEATHERS:
         changes = {"sequences": min(ROADS, base.sequences), "frames": 1, "sensors": _SENSORS, "weather": weather}
         wanted = base.model_copy(update=changes)
         said = hashlib.sha256(json.dumps([wanted.model_dump(mode="json"), _TIME]).encode()).hexdigest()[:_DIGITS]
-        places[weather] = Place(
+        places[weather] = DataLocation(
             path=folder / f"sheets-{weather}-{said}", simulated=wanted, options={"reference": _REFERENCE}
         )
     return places
 
 
-def simulate_sheet(wanted: Simulated, path: Path, **how: Any) -> None:
+def simulate_sheet(wanted: SimulatedSet, path: Path, **how: Any) -> None:
     """Simulate the set of one weather, by day; called again it goes on."""
     simulate(wanted, path, time=_TIME, **how)
 
 
-def measure_sheet(places: Mapping[str, Place], folder: Path) -> float:
+def measure_sheet(places: Mapping[str, DataLocation], folder: Path) -> float:
     """Core seconds that a frame of the sheets takes; 0 where none is simulated.
 
     Args:
@@ -100,7 +100,7 @@ def measure_sheet(places: Mapping[str, Place], folder: Path) -> float:
 
 
 def provide_sheets(
-    places: Mapping[str, Place],
+    places: Mapping[str, DataLocation],
     *,
     workers: int = 0,
     progress: "Progress" = iter,
@@ -112,13 +112,13 @@ def provide_sheets(
             simulate_sheet(place.simulated, place.path, workers=workers, progress=progress, report=report)
 
 
-def simulated_moments(places: Mapping[str, Place]) -> list[ByWeather]:
+def simulated_moments(places: Mapping[str, DataLocation]) -> list[ByWeather]:
     """The simulated roads, each in every weather; in the order of their names."""
     opened = {weather: place.opened() for weather, place in places.items()}
     roads = sorted({sequence for data in opened.values() for sequence in data.sequences})
     return [
         {
-            weather: Moment(data, data.sequences.index(road))
+            weather: SheetFrame(data, data.sequences.index(road))
             for weather, data in opened.items()
             if road in data.sequences
         }
@@ -126,7 +126,7 @@ def simulated_moments(places: Mapping[str, Place]) -> list[ByWeather]:
     ]
 
 
-def recorded_moments(place: Place, windows_m: Sequence[Window]) -> list[ByWeather]:
+def recorded_moments(place: DataLocation, windows_m: Sequence[Window]) -> list[ByWeather]:
     """Of a recorded data set the frame of each weather that has most objects, one for each window.
 
     Frames are of the kind of road that is there in most weathers, where a weather has it. Weathers without a frame that
@@ -163,19 +163,19 @@ def _whole(frame: Frame) -> bool:
     return _LIDAR in frame.clouds and any(product in frame.radar for product in PRODUCTS)
 
 
-def _of_road(data: Dataset, drives: Sequence[tuple[bool, Sequence[int]]]) -> list[Moment]:
+def _of_road(data: Dataset, drives: Sequence[tuple[bool, Sequence[int]]]) -> list[SheetFrame]:
     """Frames of the drives on the common kind of road; of all where there is none on it."""
     chosen = [tried for common, tried in drives if common] or [tried for _, tried in drives]
-    return [Moment(data, index) for tried in chosen for index in tried]
+    return [SheetFrame(data, index) for tried in chosen for index in tried]
 
 
-def fullest(moments: Sequence[Moment], window_m: Window) -> Moment:
+def fullest(moments: Sequence[SheetFrame], window_m: Window) -> SheetFrame:
     """The frame with most annotated objects inside a window; among equals the first."""
     return max(moments, key=lambda moment: moment.objects(window_m))
 
 
 def sheets_of(
-    places: Mapping[str, Place], data: Place | None, weights: Mapping[str, Path], settings: BudgetSettings
+    places: Mapping[str, DataLocation], data: DataLocation | None, weights: Mapping[str, Path], settings: BudgetSettings
 ) -> list[SheetGroup]:
     """The sheets of Figures 8, 21 and 22.
 
@@ -258,7 +258,7 @@ def two_roads(roads: Sequence[ByWeather], corridor: Window) -> tuple[ByWeather, 
     return roads[first], second if max(inside) >= max(enough, 1) else roads[first]
 
 
-def sheet_of(moment: Moment, detectors: Mapping[str, Detector]) -> Sheet:
+def sheet_of(moment: SheetFrame, detectors: Mapping[str, Detector]) -> RadarSheet:
     """A frame with what its LiDAR has of each object, and what detectors find in it.
 
     Args:
@@ -270,9 +270,9 @@ def sheet_of(moment: Moment, detectors: Mapping[str, Detector]) -> Sheet:
     boxes = Boxes.empty() if look.boxes is None else look.boxes
     found = {side: _found(detectors[side], moment, DETECTORS[side][1]) for side in detectors}
     returns = count_points_in_boxes(cloud.points_m, boxes, margin_m=BOX_MARGIN_M)
-    return Sheet(look=look, cloud=cloud, returns=returns, **found)
+    return RadarSheet(look=look, cloud=cloud, returns=returns, **found)
 
 
-def _found(detector: Detector, moment: Moment, cloud: str) -> Boxes:
+def _found(detector: Detector, moment: SheetFrame, cloud: str) -> Boxes:
     found = detect(detector, moment.data.select([moment.index]), cloud=cloud)
     return next(iter(found.boxes.values()))

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from farfield.bulk import Bulk, Done, Unit, values
+from farfield.bulk import JobOptions, Unit, UnitResult, values
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError
-from farfield.experiments.claims import Comparison, Row
-from farfield.experiments.reproduce.places import Place
+from farfield.experiments.claims import ClaimSide, Comparison
+from farfield.experiments.reproduce.places import DataLocation
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
 from farfield.metrics.deciding import Difference, measured
 from farfield.vocabulary.patterns import PATTERNS
@@ -24,7 +24,7 @@ _LIDAR = "os2-64"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Objects:
+class AnnotatedObjects:
     """The annotated objects of some sets, row by row.
 
     Args:
@@ -60,26 +60,26 @@ class Objects:
 
 
 @dataclass(frozen=True)
-class _Counting:
+class _PointCounting:
     """Counts the points in the boxes of a frame; the unit's parameters are its index."""
 
     data: Dataset
 
     memory_bytes = 600_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         frame = self.data[unit.parameters]
         if frame.annotation is None:
-            return Done()
+            return UnitResult()
         boxes = frame.annotation.boxes
         named = [name for name in (*PATTERNS, _LIDAR) if name in frame.clouds]
         clouds = {name: frame.cloud(name).points_m for name in named}
         counts = {name: count_points_in_boxes(points, boxes, margin_m=BOX_MARGIN_M) for name, points in clouds.items()}
         rows = (counts, boxes.range_m, frame.sequence, str(frame.conditions.get("weather", "")), boxes.label)
-        return Done(value=rows)
+        return UnitResult(value=rows)
 
 
-def objects_in(places: Mapping[str, Place], bulk: Bulk) -> Objects:
+def objects_in(places: Mapping[str, DataLocation], bulk: JobOptions) -> AnnotatedObjects:
     """Count points on the annotated objects of all sets.
 
     Args:
@@ -90,12 +90,12 @@ def objects_in(places: Mapping[str, Place], bulk: Bulk) -> Objects:
     for place in places.values():
         data = place.opened()
         units = [Unit("/".join(key), parameters=number) for number, key in enumerate(data.keys)]
-        found += [done.value for done in values(_Counting(data), units, bulk) if done.value is not None]
+        found += [done.value for done in values(_PointCounting(data), units, bulk) if done.value is not None]
     roads = {name: number for number, name in enumerate(sorted({sequence for _, _, sequence, _, _ in found}))}
     clouds = sorted({name for counts, *_ in found for name in counts})
     lengths = [len(range_m) for _, range_m, *_ in found]
     missing = [np.full(length, -1, dtype=np.int64) for length in lengths]
-    return Objects(
+    return AnnotatedObjects(
         points={
             name: _joined([counts.get(name, gap) for (counts, *_), gap in zip(found, missing, strict=True)], np.int64)
             for name in clouds
@@ -112,7 +112,7 @@ def _joined(arrays: list[Any], kind: Any) -> Any:
     return np.concatenate(arrays).astype(kind) if arrays else np.zeros(0, dtype=kind)
 
 
-def compared(pair: Comparison, statistic: str, objects: Objects, *, replicates: int) -> Difference:
+def compared(pair: Comparison, statistic: str, objects: AnnotatedObjects, *, replicates: int) -> Difference:
     """The difference of a statistic between two rows of a claim, with its spread over roads.
 
     Args:
@@ -151,7 +151,9 @@ def _share_seen(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) 
     return float(weight @ (points >= LEAST_RETURNS)) / total if total else None
 
 
-def _row_value(row: Row, value: Value, objects: Objects, weight: Float[np.ndarray, " roads"]) -> float | None:
+def _row_value(
+    row: ClaimSide, value: Value, objects: AnnotatedObjects, weight: Float[np.ndarray, " roads"]
+) -> float | None:
     points = objects.points.get(row.cloud)
     if points is None:
         return None
@@ -164,6 +166,8 @@ def _row_value(row: Row, value: Value, objects: Objects, weight: Float[np.ndarra
     return float(found[0]) - (float(found[1]) if len(found) > 1 else 0.0)  # type: ignore[arg-type]
 
 
-def _difference(pair: Comparison, value: Value, objects: Objects, weight: Float[np.ndarray, " roads"]) -> float | None:
+def _difference(
+    pair: Comparison, value: Value, objects: AnnotatedObjects, weight: Float[np.ndarray, " roads"]
+) -> float | None:
     a, b = (_row_value(row, value, objects, weight) for row in (pair.a, pair.b))
     return None if a is None or b is None else a - b

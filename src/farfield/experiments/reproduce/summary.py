@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from farfield.experiments.claims import Claim, Claims
-from farfield.experiments.reproduce.deciding import Decided, Scores, to_json, verdict_of
-from farfield.experiments.reproduce.grid import Grid, Score, Simulated, Tree
-from farfield.experiments.reproduce.statistics import Objects
+from farfield.experiments.reproduce.deciding import DecidedComparison, Scores, to_json, verdict_of
+from farfield.experiments.reproduce.grid import ExperimentGrid, Score, SimulatedSet, Tree
+from farfield.experiments.reproduce.statistics import AnnotatedObjects
 from farfield.experiments.reproduce.tables import classes_of, tables_of
 from farfield.frame.provenance import environment
 from farfield.vocabulary.patterns import PATTERNS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Made:
+class ReproductionSummary:
     """What was done.
 
     Args:
@@ -36,13 +36,18 @@ class Made:
     steps: Mapping[str, int]
     planned: int
     done: int
-    sets: Mapping[str, tuple[str, Simulated | None]]
+    sets: Mapping[str, tuple[str, SimulatedSet | None]]
     failed: Sequence[tuple[str, int, str]] = ()
     trained_on: Sequence[Tree] = ()
 
 
 def summary_of(
-    made: Made, grid: Grid, claims: Claims, scores: Scores, objects: Objects, decided: Sequence[Decided]
+    made: ReproductionSummary,
+    grid: ExperimentGrid,
+    claims: Claims,
+    scores: Scores,
+    objects: AnnotatedObjects,
+    decided: Sequence[DecidedComparison],
 ) -> Tree:
     """Tables, classes, claims and decisions as JSON values.
 
@@ -99,11 +104,11 @@ def _most(item: tuple[str, int]) -> tuple[int, str]:
     return -item[1], item[0]
 
 
-def _set(fingerprint: str, simulated: Simulated | None) -> Tree:
+def _set(fingerprint: str, simulated: SimulatedSet | None) -> Tree:
     return {"fingerprint": fingerprint, "simulated": None if simulated is None else simulated.model_dump(mode="json")}
 
 
-def _claim(claim: Claim, claims: Claims, decided: Sequence[Decided]) -> Tree:
+def _claim(claim: Claim, claims: Claims, decided: Sequence[DecidedComparison]) -> Tree:
     own = [each for each in decided if each.claim.id == claim.id]
     first = [each for each in own if each.first and each.role == "comparison"]
     return {

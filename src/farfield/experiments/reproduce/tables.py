@@ -7,7 +7,7 @@ from typing import Any
 
 from farfield.experiments.claims import Claims
 from farfield.experiments.reproduce.deciding import Scores
-from farfield.experiments.reproduce.grid import BudgetSettings, Grid, Tree
+from farfield.experiments.reproduce.grid import BudgetSettings, ExperimentGrid, Tree
 from farfield.experiments.reproduce.needs import cloud_of, pairs_of
 from farfield.metrics.result import at, value_at
 from farfield.vocabulary.classes import CIRRUS_CLASSES
@@ -15,7 +15,7 @@ from farfield.vocabulary.published_tables import OVERALL, PUBLISHED_TABLES, Publ
 
 
 @dataclass(frozen=True)
-class Row:
+class PaperTableRow:
     """A row of a table: a run on a cloud.
 
     Args:
@@ -29,7 +29,7 @@ class Row:
     published: str = ""
 
 
-def tables_of(claims: Claims, grid: Grid, settings: BudgetSettings, scores: Scores) -> list[Tree]:
+def tables_of(claims: Claims, grid: ExperimentGrid, settings: BudgetSettings, scores: Scores) -> list[Tree]:
     """All tables of the paper whose rows were run, as JSON values."""
     found = []
     for number, table in PUBLISHED_TABLES[claims.paper].items():
@@ -64,21 +64,21 @@ def _parts(table: PublishedTable) -> list[str]:
     return sorted(found, key=OVERALL.__eq__)  # overall last; the order of the others stays
 
 
-def _rows(number: str, claims: Claims, grid: Grid) -> list[Row]:
+def _rows(number: str, claims: Claims, grid: ExperimentGrid) -> list[PaperTableRow]:
     """Rows of a table in the paper's order, then its controls and twins, each once."""
-    printed, others = dict[str, Row](), list[Row]()
+    printed, others = dict[str, PaperTableRow](), list[PaperTableRow]()
     for claim, pair in pairs_of(claims):
         for row in (pair.a, pair.b):
             if row.run not in grid.runs:
                 continue
             table, _, name = row.published.partition(" ")
             if table == number:
-                printed.setdefault(name, Row(row.run, cloud_of(row, grid), name))
+                printed.setdefault(name, PaperTableRow(row.run, cloud_of(row, grid), name))
             elif claim.table == number:
-                others.append(Row(row.run, cloud_of(row, grid)))
+                others.append(PaperTableRow(row.run, cloud_of(row, grid)))
     for name, run in grid.runs.items():
         if number in run.tables:
-            others += [Row(name, cloud) for cloud in run.scored]
+            others += [PaperTableRow(name, cloud) for cloud in run.scored]
     order = [name for name in PUBLISHED_TABLES[claims.paper][number].figures if name in printed]
     first = [printed[name] for name in order]
     known = {(row.run, row.cloud) for row in first}
@@ -86,11 +86,11 @@ def _rows(number: str, claims: Claims, grid: Grid) -> list[Row]:
 
 
 def _line(
-    row: Row,
+    row: PaperTableRow,
     number: str,
     table: PublishedTable,
     claims: Claims,
-    grid: Grid,
+    grid: ExperimentGrid,
     settings: BudgetSettings,
     scores: Scores,
 ) -> Tree | None:
@@ -139,7 +139,7 @@ def spread_of(values: Mapping[int, float | None]) -> Tree:
     }
 
 
-def classes_of(grid: Grid, settings: BudgetSettings, annotated: Mapping[str, int]) -> list[Tree]:
+def classes_of(grid: ExperimentGrid, settings: BudgetSettings, annotated: Mapping[str, int]) -> list[Tree]:
     """Every class of the data set: how many are annotated where runs are scored, and whether the grid learns it.
 
     Args:

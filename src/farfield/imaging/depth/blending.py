@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.imaging.depth.sparse import SLOPE, STEP_M, seen
-from farfield.imaging.depth.surface import Raster
+from farfield.imaging.depth.surface import DepthRaster
 
 SIGMA_PX, RADIUS_PX = 1.5, 4
 _LEAST_WEIGHT = 1e-4
 _HOLE_M = 0.3  # doubt for each pixel to the nearest that is known
 
 
-def blended(raster: Raster, *, compiled: bool | None = None) -> Raster:
+def blended(raster: DepthRaster, *, compiled: bool | None = None) -> DepthRaster:
     """Leave out what is hidden and blend the rest; pixels further than 4 px from all that is known stay empty.
 
     The doubt becomes the mean of the neighbours', plus their spread in depth, plus 0.3 m for each pixel to them.
@@ -39,7 +39,7 @@ def blended(raster: Raster, *, compiled: bool | None = None) -> Raster:
         channels_of(raster.depth_m, raster.doubt_m, SLOPE, STEP_M, channels)
         depth, far = np.full((2, *raster.depth_m.shape), np.inf, dtype=np.float32)
         blend(channels, half, np.array([_LEAST_WEIGHT, SIGMA_PX, _HOLE_M], dtype=np.float32), depth, far)
-        return Raster(depth, far)
+        return DepthRaster(depth, far)
     weight, mean, square, doubt = _smoothed(_channels(raster, channels), half)
     filled = weight > _LEAST_WEIGHT
     divisor = np.where(filled, weight, np.float32(1))
@@ -47,10 +47,10 @@ def blended(raster: Raster, *, compiled: bool | None = None) -> Raster:
     spread = np.sqrt(np.maximum(square / divisor - mean * mean, 0)) / (mean * mean)
     away = SIGMA_PX * np.sqrt(-2 * np.log(np.clip(weight, _LEAST_WEIGHT, 1)))
     total = doubt / divisor + spread + np.float32(_HOLE_M) * away
-    return Raster(np.where(filled, 1 / mean, np.inf), np.where(filled, total, np.inf))
+    return DepthRaster(np.where(filled, 1 / mean, np.inf), np.where(filled, total, np.inf))
 
 
-def _channels(raster: Raster, channels: Float32[np.ndarray, "4 h w"]) -> Float32[np.ndarray, "4 h w"]:
+def _channels(raster: DepthRaster, channels: Float32[np.ndarray, "4 h w"]) -> Float32[np.ndarray, "4 h w"]:
     """Weight, 1 / z, its square and the doubt."""
     shown = seen(raster.depth_m, (3, 3))
     known = np.isfinite(shown)

@@ -13,7 +13,7 @@ from farfield.imaging.depth.blending import blended
 from farfield.imaging.depth.mesh import draw_mesh
 from farfield.imaging.depth.rings import fan, image_span, ring_numbers, steady
 from farfield.imaging.depth.sparse import NEAREST_M, not_hidden, seen, sparse_depth
-from farfield.imaging.depth.surface import Raster, draw_surface
+from farfield.imaging.depth.surface import DepthRaster, draw_surface
 
 Method = Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"]
 METHODS: tuple[str, ...] = get_args(Method)
@@ -157,7 +157,7 @@ def _from_pixels(
     if method == "nearest":
         return _whole(_unsure(nearest_depth(points)), points, method)
     if method == "sparse":
-        return _whole(Raster(points, np.zeros(points.shape)), points, method)
+        return _whole(DepthRaster(points, np.zeros(points.shape)), points, method)
     edge_px = float(np.tan(np.radians(max_gap_deg)) * camera.matrix[0, 0])
     return _whole(blended(draw_mesh(points, max_edge_px=edge_px, compiled=compiled), compiled=compiled), points, method)
 
@@ -180,11 +180,11 @@ def _farthest(depth_m: Float[np.ndarray, "h w"]) -> float:
     return float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
 
 
-def _unsure(depth_m: Float[np.ndarray, "h w"]) -> Raster:
-    return Raster(depth_m, np.full(depth_m.shape, np.nan))
+def _unsure(depth_m: Float[np.ndarray, "h w"]) -> DepthRaster:
+    return DepthRaster(depth_m, np.full(depth_m.shape, np.nan))
 
 
-def _whole(filled: Raster, points_m: Float[np.ndarray, "h w"], method: str, *, exact: bool = True) -> DepthMap:
+def _whole(filled: DepthRaster, points_m: Float[np.ndarray, "h w"], method: str, *, exact: bool = True) -> DepthMap:
     """Put the measured depths where they were measured; inf becomes NaN."""
     measured = np.isfinite(points_m)
     depth = np.where(measured, points_m, filled.depth_m) if exact else filled.depth_m

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.imaging.depth.surface import Raster
+from farfield.imaging.depth.surface import DepthRaster
 
 
-def draw_mesh(depth_m: Float[np.ndarray, "h w"], *, max_edge_px: float, compiled: bool | None = None) -> Raster:
+def draw_mesh(depth_m: Float[np.ndarray, "h w"], *, max_edge_px: float, compiled: bool | None = None) -> DepthRaster:
     """Fill the Delaunay triangles (Delaunay 1934) of the pixels that have a depth.
 
     OpenCV makes them where it is installed, in an eighth of the time of Qhull, which does otherwise. Both take either
@@ -26,7 +26,7 @@ def draw_mesh(depth_m: Float[np.ndarray, "h w"], *, max_edge_px: float, compiled
         Depths, and as doubt the depths' spread over the triangle's corners, times 1.5 less the share of the nearest
         corner: 0 on a corner, all of it in the triangle's middle.
     """
-    drawn = Raster(np.full(depth_m.shape, np.inf), np.zeros(depth_m.shape))
+    drawn = DepthRaster(np.full(depth_m.shape, np.inf), np.zeros(depth_m.shape))
     known = np.isfinite(depth_m)
     drawn.depth_m[known] = depth_m[known]
     corners = _triangles(known)
@@ -76,7 +76,7 @@ def _ordered(corners: Int[np.ndarray, "n 3 2"], max_edge_px: float) -> Int[np.nd
     return corners[to[:, 0, 0] * to[:, 1, 1] != to[:, 0, 1] * to[:, 1, 0]]
 
 
-def _fill(corners: Int[np.ndarray, "n 3 2"], depth_m: Float[np.ndarray, "h w"], drawn: Raster) -> None:
+def _fill(corners: Int[np.ndarray, "n 3 2"], depth_m: Float[np.ndarray, "h w"], drawn: DepthRaster) -> None:
     """Row by row of each triangle, from its left edge to its right one; ``compiled.fill`` says the same."""
     z = depth_m[corners[..., 1], corners[..., 0]].T
     (x0, x1, x2), (y0, y1, y2) = corners.T.astype(np.float64)

@@ -23,7 +23,7 @@ _SPREAD_RAD = np.radians(0.35)  # KITTI's full turns: 0.10 to 0.29, for lasers d
 
 
 @dataclass(frozen=True, eq=False)
-class Fan:
+class RingGrid:
     """Rings at common azimuths, from the lowest to the highest.
 
     Args:
@@ -96,7 +96,7 @@ def fan(
     step_px: float,
     max_gap_rad: float,
     compiled: bool | None = None,
-) -> Fan:
+) -> RingGrid:
     """Sample the rings where the camera looks.
 
     Args:
@@ -130,7 +130,7 @@ def fan(
         for place, (begin, end) in enumerate(pairwise(starts)):
             part = slice(begin, end)
             found[place], spread[place] = _sampled(azimuth[part], homogeneous[part], grid, max_gap_rad)
-    return Fan(found, spread, np.arcsin(np.clip(np.sort(heights), -1, 1)))
+    return RingGrid(found, spread, np.arcsin(np.clip(np.sort(heights), -1, 1)))
 
 
 def _azimuth(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Float[np.ndarray, " n"]:

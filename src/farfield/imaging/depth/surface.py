@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.geometry.cameras import Camera, distort, fold_radius
-from farfield.imaging.depth.rings import Fan
+from farfield.imaging.depth.rings import RingGrid
 
 _MOST_BETWEEN = 64
 
 
-class Raster(NamedTuple):
+class DepthRaster(NamedTuple):
     """Depths by pixel.
 
     Args:
@@ -25,8 +25,8 @@ class Raster(NamedTuple):
 
 
 def draw_surface(
-    fan: Fan, camera: Camera, *, step_rad: float, max_gap_rad: float, compiled: bool | None = None
-) -> Raster:
+    fan: RingGrid, camera: Camera, *, step_rad: float, max_gap_rad: float, compiled: bool | None = None
+) -> DepthRaster:
     """Interpolate between neighbouring rings and draw what comes out.
 
     The doubt is twice the share of the nearer ring's distance times the rings' disagreement in range (0 on a ring,
@@ -40,7 +40,9 @@ def draw_surface(
         compiled: Whether numba does it; where it is installed unless given.
     """
     rows = steps_between(fan, step_rad, max_gap_rad)
-    raster = Raster(np.full((camera.height_px, camera.width_px), np.inf), np.zeros((camera.height_px, camera.width_px)))
+    raster = DepthRaster(
+        np.full((camera.height_px, camera.width_px), np.inf), np.zeros((camera.height_px, camera.width_px))
+    )
     compiled = find_spec("numba") is not None if compiled is None else compiled
     slopes = _slopes(fan, camera, compiled)
     if compiled:
@@ -55,7 +57,7 @@ def draw_surface(
     return raster
 
 
-def steps_between(fan: Fan, step_rad: float, max_gap_rad: float) -> np.ndarray:
+def steps_between(fan: RingGrid, step_rad: float, max_gap_rad: float) -> np.ndarray:
     """Rows of points from each ring up to the next: 1 is the ring alone, where the next is too far or there is none."""
     apart = np.append(np.diff(fan.elevation_rad), np.inf)
     rows = np.clip(np.ceil(apart / step_rad), 1, _MOST_BETWEEN)
@@ -63,7 +65,7 @@ def steps_between(fan: Fan, step_rad: float, max_gap_rad: float) -> np.ndarray:
     return rows.astype(np.int64)
 
 
-def _slopes(fan: Fan, camera: Camera, compiled: bool) -> Float[np.ndarray, "rings columns 4"]:
+def _slopes(fan: RingGrid, camera: Camera, compiled: bool) -> Float[np.ndarray, "rings columns 4"]:
     """How 1 / z changes per pixel to the right and down on the patch above each point, and its least and most there.
 
     A drawn point falls beside its pixel's centre; with the patch's slope its depth is carried there. On grazing ground
@@ -107,12 +109,12 @@ def _patches(
 
 
 def _draw_between(
-    fan: Fan,
+    fan: RingGrid,
     lower: int,
     share: Float[np.ndarray, "k 1"],
     slopes: Float[np.ndarray, "n 4"],
     camera: Camera,
-    raster: Raster,
+    raster: DepthRaster,
 ) -> None:
     first = fan.points[lower]
     points, doubt = first, fan.spread_m[lower]
@@ -133,7 +135,7 @@ def _draw_points(
     doubt: Float[np.ndarray, " n"],
     slopes: Float[np.ndarray, "n 4"],
     camera: Camera,
-    raster: Raster,
+    raster: DepthRaster,
 ) -> None:
     flat = points[:, :2] / points[:, 2:3]
     keep = (flat**2).sum(axis=1) < fold_radius(camera.distortion) ** 2

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Outcome, Unit, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, run
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
@@ -46,7 +46,7 @@ class DepthSettings:
 
 
 @dataclass(frozen=True)
-class Written:
+class DepthSummary:
     """What came of it.
 
     Args:
@@ -63,10 +63,10 @@ def write_depth_maps(
     out: Path | str,
     settings: DepthSettings | None = None,
     *,
-    survey: Bulk = HERE,
-    bulk: Bulk = HERE,
+    survey: JobOptions = HERE,
+    bulk: JobOptions = HERE,
     overwrite: bool = False,
-) -> Written:
+) -> DepthSummary:
     """Write ``depth/SEQUENCE/FRAME.png`` for every frame, ``uncertainty/...`` if asked, and ``depth.json`` at the end.
 
     Args:
@@ -91,12 +91,12 @@ def write_depth_maps(
     ]
     scale = int(settings.scale) if settings.scale != "auto" else _fitting_scale(dataset, out, settings, units, survey)
     setting = f"{dataset.name} {json.dumps(dataset.recipe, sort_keys=True, default=str)} {settings} {scale}"
-    journal = Journal(out / JOURNAL_NAME, setting, overwrite=overwrite)
-    outcome = run(_Writing(dataset, out, settings, scale), units, bulk, journal=journal)
+    journal = JobJournal(out / JOURNAL_NAME, setting, overwrite=overwrite)
+    outcome = run(_MapWriting(dataset, out, settings, scale), units, bulk, journal=journal)
     values = list(journal.values(unit.name for unit in units))
     summary = _summary(dataset, settings, scale, values)
     write_text(out / SUMMARY_NAME, json.dumps(summary, indent=1) + "\n")
-    return Written(outcome, summary)
+    return DepthSummary(outcome, summary)
 
 
 def file_names(dataset: Dataset) -> list[str]:
@@ -118,9 +118,11 @@ def _safe(text: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in text).lstrip(".")
 
 
-def _fitting_scale(dataset: Dataset, out: Path, settings: DepthSettings, units: Sequence[Unit], bulk: Bulk) -> int:
+def _fitting_scale(
+    dataset: Dataset, out: Path, settings: DepthSettings, units: Sequence[Unit], bulk: JobOptions
+) -> int:
     setting = f"{dataset.name} {settings.cloud} {settings.camera}"
-    journal = Journal(out / SURVEY_NAME, setting, files=False)
+    journal = JobJournal(out / SURVEY_NAME, setting, files=False)
     run(_Farthest(dataset, settings.cloud, settings.camera), units, bulk, journal=journal)
     ends = [float(value) for value in journal.values(unit.name for unit in units)]
     return KITTI_SCALE if max(ends, default=0.0) <= farthest_m(KITTI_SCALE) else FAR_SCALE
@@ -135,16 +137,16 @@ class _Farthest:
     camera: str | None
     memory_bytes = 500_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         points, camera = cloud_and_camera(self.dataset[unit.parameters[0]], self.cloud, self.camera)
         rows = rows_ahead(points.points_m, camera)
         pose = camera.camera_T_lidar
         depth = points.points_m[rows].astype(np.float64) @ pose[2, :3] + pose[2, 3]
-        return Done(value=round(float(depth.max(initial=NEAREST_M)), 6))
+        return UnitResult(value=round(float(depth.max(initial=NEAREST_M)), 6))
 
 
 @dataclass(frozen=True)
-class _Writing:
+class _MapWriting:
     """Writes the map of one frame."""
 
     dataset: Dataset
@@ -153,7 +155,7 @@ class _Writing:
     scale: int
     memory_bytes = 700_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         index, name = unit.parameters
         chosen, frame = self.settings, self.dataset[index]
         made = frame_depth(
@@ -176,7 +178,7 @@ class _Writing:
             write_depth(files[1], np.minimum(kept.uncertainty_m, end), scale=self.scale, notes=notes)
         filled = round(float(np.isfinite(kept.depth_m).mean()), 6)
         value = {"method": made.method, "filled": filled, "measured": int(kept.measured.sum()), "beyond": beyond}
-        return Done(files=tuple(files), value=value)
+        return UnitResult(files=tuple(files), value=value)
 
 
 def _summary(dataset: Dataset, settings: DepthSettings, scale: int, values: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -14,15 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from farfield.bulk import HERE, Bulk, Done, Journal, Unit, run
+from farfield.bulk import HERE, JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic, write_bytes
 from farfield.files.images import read_image, write_image
 from farfield.imaging.privacy.covering import covered, mask_of
 from farfield.imaging.privacy.films import FilmCovering, anonymise_films
-from farfield.imaging.privacy.hits import Hits
-from farfield.imaging.privacy.linking import Cover
-from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, left_of, rows_of
+from farfield.imaging.privacy.hits import ImageBoxes
+from farfield.imaging.privacy.linking import CoveredBoxes
+from farfield.imaging.privacy.looking import (
+    AnonymizeOptions,
+    PictureFindings,
+    PictureSummary,
+    covers_of,
+    left_of,
+    rows_of,
+)
 from farfield.imaging.privacy.partners import partners, side_by_side
 from farfield.imaging.privacy.sources import Series, Sources, holds_two_eyes
 
@@ -31,16 +38,16 @@ _QUALITY = 95
 
 
 @dataclass(frozen=True)
-class _Finding:
+class _PictureSearch:
     """Looks at a picture."""
 
-    chosen: Anonymising
+    chosen: AnonymizeOptions
 
     memory_bytes = 1_000_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         image = read_image(unit.sources[0], upright=True)
-        return Done(value=Looked.at(image, self.chosen.finders()).to_json())
+        return UnitResult(value=PictureFindings.at(image, self.chosen.finders()).to_json())
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class _Task:
 
 
 @dataclass(frozen=True)
-class _Covering:
+class _PictureCovering:
     """Covers a picture and writes it; the unit's parameters are the task."""
 
     root: Path
@@ -71,16 +78,16 @@ class _Covering:
 
     memory_bytes = 1_000_000_000
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         task: _Task = unit.parameters
         image = read_image(self.root / task.file, upright=True)
-        hits = Hits.from_rows(task.cover)
+        hits = ImageBoxes.from_rows(task.cover)
         if task.other is not None:
             other = read_image(self.root / task.other[0], upright=True)
-            hits = Hits.joined([hits, partners(other, Hits.from_rows(task.other[1]), image, hits).hits])
+            hits = ImageBoxes.joined([hits, partners(other, ImageBoxes.from_rows(task.other[1]), image, hits).hits])
         height, width = image.shape[:2]
         if task.both and holds_two_eyes(width, height):
-            hits = Hits.joined([hits, side_by_side(image, hits)])
+            hits = ImageBoxes.joined([hits, side_by_side(image, hits)])
         hits = hits.within(width, height)
         path = self.out / task.file
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,7 +95,7 @@ class _Covering:
         write_image(path, covered(image, hits, self.how, noise), quality=_QUALITY)
         share = float(mask_of(hits, width, height).mean())
         value = {"size_px": [width, height], "share": round(share, 6), "rows": hits.to_rows()}
-        return Done(files=(path,), value=value)
+        return UnitResult(files=(path,), value=value)
 
 
 def noise_of(secret: bytes, name: str) -> np.random.Generator:
@@ -99,13 +106,13 @@ def noise_of(secret: bytes, name: str) -> np.random.Generator:
 def anonymise(
     sources: Sources,
     out: Path,
-    chosen: Anonymising | None = None,
+    chosen: AnonymizeOptions | None = None,
     *,
     pairs: Sequence[tuple[int, int]] = (),
     both: Sequence[int] = (),
-    find: Bulk = HERE,
-    cover: Bulk = HERE,
-) -> list[Covered]:
+    find: JobOptions = HERE,
+    cover: JobOptions = HERE,
+) -> list[PictureSummary]:
     """Cover all pictures and films and write them below another folder, with a log that holds no picture.
 
     Args:
@@ -123,11 +130,11 @@ def anonymise(
     Raises:
         ConfigError: If the folder to write into is the root, or below it.
     """
-    chosen = chosen or Anonymising()
+    chosen = chosen or AnonymizeOptions()
     root, folders, films = sources.root, sources.folders, sources.films
     check_apart(root, out)
     found = _found(folders, out, chosen, find)
-    covers: dict[str, Cover] = {}
+    covers: dict[str, CoveredBoxes] = {}
     for series in folders:
         names = [file.as_posix() for file in series.files]
         covers |= dict(zip(names, covers_of([found[name] for name in names], series.times_s, chosen), strict=True))
@@ -152,18 +159,20 @@ def check_apart(root: Path, out: Path) -> None:
         raise ConfigError(f"anonymize: expected a folder to write into that is not {root} nor below it; got {out}")
 
 
-def _found(folders: Sequence[Series], out: Path, chosen: Anonymising, bulk: Bulk) -> dict[str, Looked]:
+def _found(
+    folders: Sequence[Series], out: Path, chosen: AnonymizeOptions, bulk: JobOptions
+) -> dict[str, PictureFindings]:
     """What the first pass says of each picture."""
     units = [Unit(file.as_posix(), (each.root / file,)) for each in folders for file in each.files]
-    journal = Journal(out / FOUND, chosen.setting(), files=False)
-    run(_Finding(chosen), units, bulk, journal=journal)
+    journal = JobJournal(out / FOUND, chosen.setting(), files=False)
+    run(_PictureSearch(chosen), units, bulk, journal=journal)
     names = [unit.name for unit in units]
     told = zip(names, journal.values(names), strict=True) if names else ()
-    return {name: Looked.from_json(each) for name, each in told}
+    return {name: PictureFindings.from_json(each) for name, each in told}
 
 
 def _tasks(
-    folders: Sequence[Series], covers: Mapping[str, Cover], pairs: Sequence[tuple[int, int]], both: Sequence[int]
+    folders: Sequence[Series], covers: Mapping[str, CoveredBoxes], pairs: Sequence[tuple[int, int]], both: Sequence[int]
 ) -> list[_Task]:
     """A task for each picture, with the other eye's where there is one of the same name."""
     partner: dict[str, str] = {}
@@ -180,27 +189,27 @@ def _tasks(
 def _covered(
     root: Path,
     out: Path,
-    chosen: Anonymising,
+    chosen: AnonymizeOptions,
     tasks: Sequence[_Task],
-    covers: Mapping[str, Cover],
+    covers: Mapping[str, CoveredBoxes],
     secret: bytes,
-    bulk: Bulk,
-) -> list[Covered]:
+    bulk: JobOptions,
+) -> list[PictureSummary]:
     """Cover and write all pictures."""
     units = [Unit(f"{task.file} {_digest(task)}", _sources(root, task), task) for task in tasks]
-    journal = Journal(out / JOURNAL, chosen.setting())
-    run(_Covering(root, out, chosen.how, secret), units, bulk, journal=journal)
+    journal = JobJournal(out / JOURNAL, chosen.setting())
+    run(_PictureCovering(root, out, chosen.how, secret), units, bulk, journal=journal)
     values = journal.values(unit.name for unit in units) if units else ()
     done = []
     for task, value in zip(tasks, values, strict=True):
         width, height = value["size_px"]
-        rows = rows_of(Hits.from_rows(value["rows"]), covers[task.file])
-        done.append(Covered(task.file, (width, height), float(value["share"]), rows))
+        rows = rows_of(ImageBoxes.from_rows(value["rows"]), covers[task.file])
+        done.append(PictureSummary(task.file, (width, height), float(value["share"]), rows))
     return done
 
 
-def _hits(each: Covered) -> Hits:
-    return Hits.from_rows([[*row["box_px"], row["score"], row["kind"]] for row in each.rows])
+def _hits(each: PictureSummary) -> ImageBoxes:
+    return ImageBoxes.from_rows([[*row["box_px"], row["score"], row["kind"]] for row in each.rows])
 
 
 def _sources(root: Path, task: _Task) -> tuple[Path, ...]:
@@ -221,7 +230,7 @@ def _secret(out: Path) -> bytes:
     return path.read_bytes()
 
 
-def _write_log(path: Path, done: Iterable[Covered], chosen: Anonymising) -> None:
+def _write_log(path: Path, done: Iterable[PictureSummary], chosen: AnonymizeOptions) -> None:
     """A line of settings, then one a picture: no picture, no hash of covered pixels."""
     with open_atomic(path) as file:
         for line in [{"settings": asdict(chosen), "models": chosen.models()}, *(each.to_json() for each in done)]:

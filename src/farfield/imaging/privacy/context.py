@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.imaging.privacy.hits import PLATE, Hits
+from farfield.imaging.privacy.hits import PLATE, ImageBoxes
 
 GROWTH = 1.2
 _NEAREST_M = 0.3
@@ -50,7 +50,7 @@ def vehicles_px(boxes: Boxes, camera: Camera, *, growth: float = GROWTH) -> Floa
     return np.asarray(cut[(cut[:, 2:] > cut[:, :2]).all(axis=1)])
 
 
-def in_context(hits: Hits, vehicle_px: Float[np.ndarray, "n 4"], strong: float) -> Hits:
+def in_context(hits: ImageBoxes, vehicle_px: Float[np.ndarray, "n 4"], strong: float) -> ImageBoxes:
     """The hits without weak plates whose centre lies in no vehicle.
 
     Args:

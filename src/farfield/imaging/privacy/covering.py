@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from farfield.errors import ConfigError
-from farfield.imaging.privacy.hits import FACE, Hits
+from farfield.imaging.privacy.hits import FACE, ImageBoxes
 
 How = Literal["fill", "pixelate", "blur"]
 
@@ -21,7 +21,7 @@ _GREY = 127
 _Picture = UInt8[np.ndarray, "height width 3"]
 
 
-def covered(image: _Picture, hits: Hits, how: str, rng: np.random.Generator) -> _Picture:
+def covered(image: _Picture, hits: ImageBoxes, how: str, rng: np.random.Generator) -> _Picture:
     """The picture with its boxes covered.
 
     Args:
@@ -47,7 +47,7 @@ def covered(image: _Picture, hits: Hits, how: str, rng: np.random.Generator) -> 
     return result
 
 
-def mask_of(hits: Hits, width: int, height: int) -> Bool[np.ndarray, "height width"]:
+def mask_of(hits: ImageBoxes, width: int, height: int) -> Bool[np.ndarray, "height width"]:
     """Which pixels of a picture lie in a box, those that it touches included."""
     mask = np.zeros((height, width), dtype=bool)
     for left, top, right, bottom in _whole(hits, mask):
@@ -55,7 +55,7 @@ def mask_of(hits: Hits, width: int, height: int) -> Bool[np.ndarray, "height wid
     return mask
 
 
-def _whole(hits: Hits, image: np.ndarray) -> list[tuple[int, int, int, int]]:
+def _whole(hits: ImageBoxes, image: np.ndarray) -> list[tuple[int, int, int, int]]:
     """Boxes in whole pixels: every pixel that they touch."""
     inside = hits.within(image.shape[1], image.shape[0])
     if len(inside) != len(hits):

@@ -16,7 +16,7 @@ from jaxtyping import Float, UInt8
 
 from farfield.errors import FarfieldError, MissingExtraError
 from farfield.files.atomic import read_bytes
-from farfield.imaging.privacy.hits import FACE, Hits, suppressed
+from farfield.imaging.privacy.hits import FACE, ImageBoxes, suppressed
 
 STRIDE, SIDE = 4, 32
 GROWTH, LEAST_MARGIN_PX = 1.5, 3.0
@@ -42,13 +42,13 @@ class FaceDetector:
         self.least_score, self.sizes = least_score, sizes
         self.digest = _network()[1]
 
-    def __call__(self, image: UInt8[np.ndarray, "height width 3"]) -> Hits:
+    def __call__(self, image: UInt8[np.ndarray, "height width 3"]) -> ImageBoxes:
         """Find the faces of an RGB picture; the boxes are grown so that hair line, ears and chin lie inside."""
         found = [self._at(image, size) for size in self.sizes]
-        tight = suppressed(Hits.joined(found), _IOU)
+        tight = suppressed(ImageBoxes.joined(found), _IOU)
         return tight.grown(GROWTH, LEAST_MARGIN_PX).within(image.shape[1], image.shape[0])
 
-    def _at(self, image: UInt8[np.ndarray, "height width 3"], size: float) -> Hits:
+    def _at(self, image: UInt8[np.ndarray, "height width 3"], size: float) -> ImageBoxes:
         import cv2
 
         height, width = (max(SIDE, -(-round(side * size) // SIDE) * SIDE) for side in image.shape[:2])
@@ -65,7 +65,7 @@ def decoded(
     scale: Float[np.ndarray, "2 rows columns"],
     offset: Float[np.ndarray, "2 rows columns"],
     least_score: float,
-) -> Hits:
+) -> ImageBoxes:
     """Boxes from the network's maps at a quarter of the picture's size.
 
     Args:
@@ -77,7 +77,9 @@ def decoded(
     row, column = np.nonzero(heat >= least_score)
     size = np.exp(scale[::-1, row, column].T) * STRIDE  # width, height
     centre = (np.column_stack([column, row]) + offset[::-1, row, column].T + 0.5) * STRIDE
-    return suppressed(Hits.of(FACE, np.column_stack([centre - size / 2, centre + size / 2]), heat[row, column]), _IOU)
+    return suppressed(
+        ImageBoxes.of(FACE, np.column_stack([centre - size / 2, centre + size / 2]), heat[row, column]), _IOU
+    )
 
 
 @lru_cache(maxsize=1)

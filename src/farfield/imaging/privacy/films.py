@@ -15,13 +15,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from farfield.bulk import Bulk, Done, Journal, Unit, run
+from farfield.bulk import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.errors import ConfigError
 from farfield.files.videos import WRITTEN, Film, film_frames, join_films, read_film, write_film
 from farfield.imaging.privacy.covering import covered, mask_of
-from farfield.imaging.privacy.hits import Hits
-from farfield.imaging.privacy.linking import Cover
-from farfield.imaging.privacy.looking import Anonymising, Covered, Looked, covers_of, left_of, rows_of
+from farfield.imaging.privacy.hits import ImageBoxes
+from farfield.imaging.privacy.linking import CoveredBoxes
+from farfield.imaging.privacy.looking import (
+    AnonymizeOptions,
+    PictureFindings,
+    PictureSummary,
+    covers_of,
+    left_of,
+    rows_of,
+)
 
 SEGMENT = 300
 _FOUND, _PARTS_JOURNAL, _DONE, _PARTS = ".found-films.jsonl", "parts.jsonl", ".films.jsonl", ".unfinished-films"
@@ -38,7 +45,7 @@ class FilmCovering:
         secret: Seed of the noise.
     """
 
-    chosen: Anonymising
+    chosen: AnonymizeOptions
     secret: bytes
 
     def noise(self, file: str, frame: int) -> np.random.Generator:
@@ -58,23 +65,23 @@ class _Span:
 
 
 @dataclass(frozen=True)
-class _Finding:
+class _SegmentSearch:
     """Looks at a segment of a film."""
 
-    chosen: Anonymising
+    chosen: AnonymizeOptions
 
     memory_bytes, own_process = 2_000_000_000, True
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         limited()
         span: _Span = unit.parameters
         finders = self.chosen.finders()
         frames = film_frames(read_film(unit.sources[0]), span.first, span.last)
-        return Done(value=[Looked.at(frame, finders).to_json() for frame in frames])
+        return UnitResult(value=[PictureFindings.at(frame, finders).to_json() for frame in frames])
 
 
 @dataclass(frozen=True)
-class _Covering:
+class _SegmentCovering:
     """Covers a segment of a film and writes it as a part."""
 
     covering: FilmCovering
@@ -82,19 +89,19 @@ class _Covering:
 
     memory_bytes, own_process = 2_000_000_000, True
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         limited()
         span: _Span = unit.parameters
         film, path = read_film(unit.sources[0]), self.folder / _part(span)
         shares: list[float] = []
         stamps = film.stamps[span.first : span.last].tolist()
         write_film(path, self._pictures(film, span, shares), stamps, film.time_base)
-        return Done(files=(path,), value=[round(share, 6) for share in shares])
+        return UnitResult(files=(path,), value=[round(share, 6) for share in shares])
 
     def _pictures(self, film: Film, span: _Span, shares: list[float]) -> Iterator[_Picture]:
         for number, picture in enumerate(film_frames(film, span.first, span.last)):
             height, width = picture.shape[:2]
-            hits = Hits.from_rows(span.rows[number]).within(width, height)
+            hits = ImageBoxes.from_rows(span.rows[number]).within(width, height)
             shares.append(float(mask_of(hits, width, height).mean()))
             noise = self.covering.noise(span.file, span.first + number)
             yield covered(picture, hits, self.covering.chosen.how, noise)
@@ -123,8 +130,8 @@ def written_as(file: Path) -> Path:
 
 
 def anonymise_films(
-    root: Path, files: Sequence[Path], out: Path, covering: FilmCovering, *, find: Bulk, cover: Bulk
-) -> list[Covered]:
+    root: Path, files: Sequence[Path], out: Path, covering: FilmCovering, *, find: JobOptions, cover: JobOptions
+) -> list[PictureSummary]:
     """Cover films and write them below another folder.
 
     Args:
@@ -145,16 +152,18 @@ def anonymise_films(
     films = {file.as_posix(): read_film(root / file) for file in files}
     looked = _found(films, out, covering.chosen, find)
     done = []
-    journal = Journal(out / _DONE, covering.chosen.setting())
+    journal = JobJournal(out / _DONE, covering.chosen.setting())
     for file, film in films.items():
         covers = covers_of(looked[file], film.times_s, covering.chosen)
         unit = Unit(f"{file} {_digest(covers)}", (film.path,), (file, film, covers))
-        run(_Whole(out, covering, cover), [unit], journal=journal)
+        run(_FilmTask(out, covering, cover), [unit], journal=journal)
         (shares,) = journal.values([unit.name])
         name = written_as(Path(file)).as_posix()
         frames = zip(looked[file], covers, shares, strict=True)
         done += [
-            Covered(name, each.size_px, float(share), rows_of(cover.hits, cover), frame, left_of(each.hits, cover.hits))
+            PictureSummary(
+                name, each.size_px, float(share), rows_of(cover.hits, cover), frame, left_of(each.hits, cover.hits)
+            )
             for frame, (each, cover, share) in enumerate(frames)
         ]
     shutil.rmtree(out / _PARTS, ignore_errors=True)
@@ -166,31 +175,33 @@ def _spans(file: str, film: Film) -> list[_Span]:
     return [_Span(file, first, min(first + SEGMENT, len(film))) for first in starts]
 
 
-def _found(films: dict[str, Film], out: Path, chosen: Anonymising, bulk: Bulk) -> dict[str, list[Looked]]:
+def _found(
+    films: dict[str, Film], out: Path, chosen: AnonymizeOptions, bulk: JobOptions
+) -> dict[str, list[PictureFindings]]:
     spans = [span for file, film in films.items() for span in _spans(file, film)]
     units = [Unit(f"{span.file} {span.first}", (films[span.file].path,), span) for span in spans]
-    journal = Journal(out / _FOUND, chosen.setting(), files=False)
-    run(_Finding(chosen), units, bulk, journal=journal)
-    looked: dict[str, list[Looked]] = {file: [] for file in films}
+    journal = JobJournal(out / _FOUND, chosen.setting(), files=False)
+    run(_SegmentSearch(chosen), units, bulk, journal=journal)
+    looked: dict[str, list[PictureFindings]] = {file: [] for file in films}
     for span, told in zip(spans, journal.values(unit.name for unit in units), strict=True):
-        looked[span.file] += [Looked.from_json(each) for each in told]
+        looked[span.file] += [PictureFindings.from_json(each) for each in told]
     return looked
 
 
-def _digest(covers: Sequence[Cover]) -> str:
+def _digest(covers: Sequence[CoveredBoxes]) -> str:
     told = json.dumps([cover.hits.to_rows() for cover in covers])
     return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
-class _Whole:
+class _FilmTask:
     """Covers a film in segments, in bulk, and joins them."""
 
     out: Path
     covering: FilmCovering
-    bulk: Bulk
+    bulk: JobOptions
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         file, film, covers = unit.parameters
         folder = self.out / _PARTS / _named(unit.name)
         spans = [
@@ -198,12 +209,12 @@ class _Whole:
             for span in _spans(file, film)
         ]
         units = [Unit(f"{span.first}", (film.path,), span) for span in spans]
-        journal = Journal(folder / _PARTS_JOURNAL, self.covering.chosen.setting())
-        run(_Covering(self.covering, folder), units, self.bulk, journal=journal)
+        journal = JobJournal(folder / _PARTS_JOURNAL, self.covering.chosen.setting())
+        run(_SegmentCovering(self.covering, folder), units, self.bulk, journal=journal)
         shares = [share for part in journal.values(each.name for each in units) for share in part]
         if len(shares) != len(film):
             raise ConfigError(f"{file}: expected {len(film)} covered frames, got {len(shares)}")
         path = self.out / written_as(Path(file))
         path.parent.mkdir(parents=True, exist_ok=True)
         join_films(path, [folder / _part(span) for span in spans])
-        return Done(files=(path,), value=shares)
+        return UnitResult(files=(path,), value=shares)

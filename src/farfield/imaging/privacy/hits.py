@@ -12,7 +12,7 @@ KINDS = (FACE, PLATE)
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class ImageBoxes:
     """Upright boxes in a picture.
 
     Args:
@@ -26,18 +26,18 @@ class Hits:
     kind: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype="<U8"))
 
     @classmethod
-    def of(cls, kind: str, box_px: Float[np.ndarray, "n 4"], score: Float[np.ndarray, " n"]) -> "Hits":
+    def of(cls, kind: str, box_px: Float[np.ndarray, "n 4"], score: Float[np.ndarray, " n"]) -> "ImageBoxes":
         """Boxes of one kind."""
         return cls(np.asarray(box_px, float).reshape(-1, 4), np.asarray(score, float), np.full(len(score), kind, "<U8"))
 
     @classmethod
-    def joined(cls, parts: "Sequence[Hits]") -> "Hits":
+    def joined(cls, parts: "Sequence[ImageBoxes]") -> "ImageBoxes":
         """All boxes of some."""
         parts = parts or [cls()]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("box_px", "score", "kind")))
 
     @classmethod
-    def from_rows(cls, rows: Sequence[Sequence[Any]]) -> "Hits":
+    def from_rows(cls, rows: Sequence[Sequence[Any]]) -> "ImageBoxes":
         """Boxes from what :meth:`to_rows` gave."""
         boxes = np.array([row[:4] for row in rows], dtype=float).reshape(-1, 4)
         scores, kinds = ([row[place] for row in rows] for place in (4, 5))
@@ -51,14 +51,14 @@ class Hits:
     def __len__(self) -> int:
         return len(self.score)
 
-    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "Hits":
-        return Hits(self.box_px[rows], self.score[rows], self.kind[rows])
+    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "ImageBoxes":
+        return ImageBoxes(self.box_px[rows], self.score[rows], self.kind[rows])
 
-    def scaled(self, factor: float | Float[np.ndarray, "2"]) -> "Hits":
+    def scaled(self, factor: float | Float[np.ndarray, "2"]) -> "ImageBoxes":
         """The boxes in a picture that is so many times as large."""
         return replace(self, box_px=self.box_px * np.tile(np.broadcast_to(factor, 2), 2))
 
-    def grown(self, factor: float, least_px: float = 0.0) -> "Hits":
+    def grown(self, factor: float, least_px: float = 0.0) -> "ImageBoxes":
         """The boxes times a factor about their centres, by at least so many pixels at each side."""
         half = (self.box_px[:, 2:] - self.box_px[:, :2]) / 2
         centre = self.box_px[:, :2] + half
@@ -69,7 +69,7 @@ class Hits:
         """Which boxes have a part in a picture."""
         return np.asarray((self.box_px[:, 2:] > 0).all(axis=1) & (self.box_px[:, :2] < [width, height]).all(axis=1))
 
-    def within(self, width: int, height: int) -> "Hits":
+    def within(self, width: int, height: int) -> "ImageBoxes":
         """The boxes cut at a picture's edges, without those that lie outside."""
         seen = self.touch(width, height)
         return replace(self, box_px=self.box_px.clip(0, [width, height, width, height]))[seen]
@@ -83,7 +83,7 @@ def overlap(a_px: Float[np.ndarray, "n 4"], b_px: Float[np.ndarray, "m 4"]) -> F
     return np.asarray(both / np.maximum(of_a[:, None] + of_b[None] - both, 1e-9))
 
 
-def suppressed(hits: Hits, iou: float) -> Hits:
+def suppressed(hits: ImageBoxes, iou: float) -> ImageBoxes:
     """The boxes by falling score, without those that overlap a better one of their kind by more than ``iou``."""
     hits = hits[np.argsort(-hits.score, kind="stable")]
     alike = (overlap(hits.box_px, hits.box_px) > iou) & (hits.kind[:, None] == hits.kind[None])

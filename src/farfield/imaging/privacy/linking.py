@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from farfield.imaging.privacy.hits import Hits, overlap
+from farfield.imaging.privacy.hits import ImageBoxes, overlap
 
 HOWS = ("found", "bridged", "extended")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Linking:
+class LinkSettings:
     """How boxes become tracks.
 
     Args:
@@ -71,7 +71,7 @@ class _Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Cover:
+class CoveredBoxes:
     """What is covered in a picture.
 
     Args:
@@ -80,17 +80,19 @@ class Cover:
         how: Whether each was found, bridged or is a prolonged end, as a number of ``HOWS``.
     """
 
-    hits: Hits
+    hits: ImageBoxes
     track: np.ndarray
     how: np.ndarray
 
-    def within(self, width: int, height: int) -> "Cover":
+    def within(self, width: int, height: int) -> "CoveredBoxes":
         """The boxes cut at a picture's edges, without those that lie outside."""
         seen = self.hits.touch(width, height)
-        return Cover(self.hits[seen].within(width, height), self.track[seen], self.how[seen])
+        return CoveredBoxes(self.hits[seen].within(width, height), self.track[seen], self.how[seen])
 
 
-def linked(found: Sequence[Hits], times_s: Float[np.ndarray, " n"], linking: Linking | None = None) -> list[Cover]:
+def linked(
+    found: Sequence[ImageBoxes], times_s: Float[np.ndarray, " n"], linking: LinkSettings | None = None
+) -> list[CoveredBoxes]:
     """What to cover in the pictures of one camera.
 
     Args:
@@ -98,7 +100,7 @@ def linked(found: Sequence[Hits], times_s: Float[np.ndarray, " n"], linking: Lin
         times_s: When each was taken, rising.
         linking: How boxes become tracks.
     """
-    linking = linking or Linking()
+    linking = linking or LinkSettings()
     tracks = [track for track in _tracks(found, times_s, linking) if max(track.scores) >= linking.strong]
     rows: list[list[tuple[Float[np.ndarray, " 4"], float, str, int, int]]] = [[] for _ in found]
     for number, track in enumerate(tracks):
@@ -107,13 +109,13 @@ def linked(found: Sequence[Hits], times_s: Float[np.ndarray, " n"], linking: Lin
     return [_cover(each) for each in rows]
 
 
-def _cover(rows: list[tuple[Float[np.ndarray, " 4"], float, str, int, int]]) -> Cover:
+def _cover(rows: list[tuple[Float[np.ndarray, " 4"], float, str, int, int]]) -> CoveredBoxes:
     boxes, scores, kinds, tracks, hows = zip(*rows, strict=True) if rows else ((), (), (), (), ())
-    hits = Hits(np.array(boxes).reshape(-1, 4), np.array(scores, dtype=float), np.array(kinds, dtype="<U8"))
-    return Cover(hits, np.array(tracks, dtype=np.int64), np.array(hows, dtype=np.int64))
+    hits = ImageBoxes(np.array(boxes).reshape(-1, 4), np.array(scores, dtype=float), np.array(kinds, dtype="<U8"))
+    return CoveredBoxes(hits, np.array(tracks, dtype=np.int64), np.array(hows, dtype=np.int64))
 
 
-def _tracks(found: Sequence[Hits], times_s: Float[np.ndarray, " n"], linking: Linking) -> list[_Track]:
+def _tracks(found: Sequence[ImageBoxes], times_s: Float[np.ndarray, " n"], linking: LinkSettings) -> list[_Track]:
     ended: list[_Track] = []
     running: list[_Track] = []
     for place, hits in enumerate(found):
@@ -129,7 +131,7 @@ def _tracks(found: Sequence[Hits], times_s: Float[np.ndarray, " n"], linking: Li
 
 
 def _pairs(
-    tracks: Sequence[_Track], hits: Hits, times_s: Float[np.ndarray, " n"], place: int, linking: Linking
+    tracks: Sequence[_Track], hits: ImageBoxes, times_s: Float[np.ndarray, " n"], place: int, linking: LinkSettings
 ) -> list[tuple[int, int]]:
     """Tracks and boxes that belong together: overlapping, or centres nearer than the box is large."""
     if not tracks or not len(hits):
@@ -146,7 +148,7 @@ def _pairs(
 
 
 def _whole(
-    track: _Track, times_s: Float[np.ndarray, " n"], linking: Linking
+    track: _Track, times_s: Float[np.ndarray, " n"], linking: LinkSettings
 ) -> list[tuple[int, Float[np.ndarray, " 4"], float, int]]:
     """A track's boxes with its gaps bridged and both ends prolonged."""
     rows = [(p, b, s, 0) for p, b, s in zip(track.places, track.boxes, track.scores, strict=True)]
@@ -163,7 +165,7 @@ def _place(row: tuple[int, Float[np.ndarray, " 4"], float, int]) -> int:
 
 
 def _end(
-    track: _Track, times_s: Float[np.ndarray, " n"], linking: Linking, *, step: int
+    track: _Track, times_s: Float[np.ndarray, " n"], linking: LinkSettings, *, step: int
 ) -> list[tuple[int, Float[np.ndarray, " 4"], float, int]]:
     """The prolonged end, or begin, of a track."""
     last, box = (track.places[-1], track.boxes[-1]) if step > 0 else (track.places[0], track.boxes[0])

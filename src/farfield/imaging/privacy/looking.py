@@ -11,8 +11,8 @@ from jaxtyping import Float, UInt8
 
 from farfield.imaging.privacy.covering import How
 from farfield.imaging.privacy.faces import FaceDetector
-from farfield.imaging.privacy.hits import Hits, overlap
-from farfield.imaging.privacy.linking import HOWS, Cover, Linking, linked
+from farfield.imaging.privacy.hits import ImageBoxes, overlap
+from farfield.imaging.privacy.linking import HOWS, CoveredBoxes, LinkSettings, linked
 from farfield.imaging.privacy.plates import PlateDetector, available
 
 _DOUBTFUL, _HIDDEN_IOU = 0.3, 0.3
@@ -20,18 +20,18 @@ _PARTS, _CUT, _APART_S = 4, 28.0, 1e4
 
 
 @runtime_checkable
-class Finder(Protocol):
+class ImageFinder(Protocol):
     """Finds one kind of thing in a picture."""
 
     kind: str
     digest: str
 
-    def __call__(self, image: np.ndarray) -> Hits:
+    def __call__(self, image: np.ndarray) -> ImageBoxes:
         """The boxes in an RGB picture, shape (height, width, 3), uint8."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Anonymising:
+class AnonymizeOptions:
     """How pictures are covered.
 
     Args:
@@ -47,10 +47,10 @@ class Anonymising:
     small_faces: bool = False
     plates: bool = True
     least_score: float = 0.1
-    linking: Linking = field(default_factory=Linking)
+    linking: LinkSettings = field(default_factory=LinkSettings)
     together: bool = True
 
-    def finders(self) -> list[Finder]:
+    def finders(self) -> list[ImageFinder]:
         """The detectors.
 
         Raises:
@@ -77,7 +77,7 @@ class Anonymising:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class PictureFindings:
     """What the first pass says of a picture.
 
     Args:
@@ -88,33 +88,35 @@ class Looked:
 
     size_px: tuple[int, int]
     looks: np.ndarray
-    hits: Hits
+    hits: ImageBoxes
 
     @classmethod
-    def at(cls, image: UInt8[np.ndarray, "height width 3"], finders: Iterable[Finder]) -> "Looked":
+    def at(cls, image: UInt8[np.ndarray, "height width 3"], finders: Iterable[ImageFinder]) -> "PictureFindings":
         """Look at a picture."""
         rows = np.array_split(image.mean(axis=2), _PARTS)
         looks = [float(part.mean()) for row in rows for part in np.array_split(row, _PARTS, axis=1) if part.size]
-        hits = Hits.joined([finder(image) for finder in finders])
+        hits = ImageBoxes.joined([finder(image) for finder in finders])
         return cls((image.shape[1], image.shape[0]), np.array(looks).round(), hits)
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> "Looked":
+    def from_json(cls, told: Mapping[str, Any]) -> "PictureFindings":
         """From what :meth:`to_json` gave."""
         width, height = told["size_px"]
-        return cls((int(width), int(height)), np.array(told["looks"], dtype=float), Hits.from_rows(told["hits"]))
+        return cls((int(width), int(height)), np.array(told["looks"], dtype=float), ImageBoxes.from_rows(told["hits"]))
 
     def to_json(self) -> dict[str, Any]:
         """As JSON takes it."""
         return {"size_px": list(self.size_px), "looks": self.looks.tolist(), "hits": self.hits.to_rows()}
 
-    def cut(self, other: "Looked") -> bool:
+    def cut(self, other: "PictureFindings") -> bool:
         """Whether another picture shows something else."""
         alike = self.size_px == other.size_px and self.looks.shape == other.looks.shape
         return not alike or bool(np.abs(self.looks - other.looks).mean() > _CUT)
 
 
-def covers_of(looked: Sequence[Looked], times_s: Float[np.ndarray, " n"], chosen: Anonymising) -> list[Cover]:
+def covers_of(
+    looked: Sequence[PictureFindings], times_s: Float[np.ndarray, " n"], chosen: AnonymizeOptions
+) -> list[CoveredBoxes]:
     """What to cover in each picture of a series; where the picture is suddenly another one, all tracks end."""
     hits = [each.hits for each in looked]
     if chosen.together:
@@ -126,7 +128,7 @@ def covers_of(looked: Sequence[Looked], times_s: Float[np.ndarray, " n"], chosen
 
 
 @dataclass(frozen=True)
-class Covered:
+class PictureSummary:
     """What became of a picture.
 
     Args:
@@ -158,7 +160,7 @@ class Covered:
         )
 
 
-def left_of(seen: Hits, covered: Hits) -> tuple[dict[str, Any], ...]:
+def left_of(seen: ImageBoxes, covered: ImageBoxes) -> tuple[dict[str, Any], ...]:
     """The boxes of the first pass that are not covered, for no strong one is on their track: the strongest first."""
     hidden = overlap(seen.box_px, covered.box_px).max(axis=1, initial=0.0) >= _HIDDEN_IOU
     centre = (seen.box_px[:, None, :2] + seen.box_px[:, None, 2:]) / 2
@@ -168,7 +170,7 @@ def left_of(seen: Hits, covered: Hits) -> tuple[dict[str, Any], ...]:
     return tuple({"kind": row[5], "box_px": row[:4], "score": row[4]} for row in left[order].to_rows())
 
 
-def rows_of(hits: Hits, cover: Cover) -> tuple[dict[str, Any], ...]:
+def rows_of(hits: ImageBoxes, cover: CoveredBoxes) -> tuple[dict[str, Any], ...]:
     """What is covered, a row a box: those of the cover first, then those that come from the other eye."""
     rows = []
     for number, row in enumerate(hits.to_rows()):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from farfield.imaging.privacy.hits import Hits, overlap
+from farfield.imaging.privacy.hits import ImageBoxes, overlap
 
 _ROWS, _COLUMNS = 0.02, 0.25  # how far off a partner may lie, over the picture's height and width
 _ALIKE, _IOU = 0.6, 0.2
@@ -22,11 +22,11 @@ class Partners(NamedTuple):
         lost: Boxes of this picture whose partner was not found: hidden there, or outside of it.
     """
 
-    hits: Hits
-    lost: Hits
+    hits: ImageBoxes
+    lost: ImageBoxes
 
 
-def partners(image: _Picture, hits: Hits, other: _Picture, known: Hits) -> Partners:
+def partners(image: _Picture, hits: ImageBoxes, other: _Picture, known: ImageBoxes) -> Partners:
     """Find the partners of a picture's boxes in the other eye's, which are not among those known there.
 
     A partner lies in about the same rows and has the same looks: normalised correlation of at least 0.6.
@@ -46,11 +46,11 @@ def partners(image: _Picture, hits: Hits, other: _Picture, known: Hits) -> Partn
             found.append(place)
             rows.append(row)
     chosen = hits[np.array(rows, dtype=np.int64)]
-    boxes = Hits(np.array(found).reshape(-1, 4), chosen.score, chosen.kind)
+    boxes = ImageBoxes(np.array(found).reshape(-1, 4), chosen.score, chosen.kind)
     return Partners(boxes, hits[np.array(lost, dtype=np.int64)])
 
 
-def side_by_side(image: _Picture, hits: Hits) -> Hits:
+def side_by_side(image: _Picture, hits: ImageBoxes) -> ImageBoxes:
     """What the halves of a picture that holds both eyes, left and right, lack of one another.
 
     Args:
@@ -67,7 +67,7 @@ def side_by_side(image: _Picture, hits: Hits) -> Hits:
     parts = (hits[middle], replace(hits[~middle], box_px=hits[~middle].box_px - right))
     to_right = partners(eyes[0], parts[0], eyes[1], parts[1]).hits
     to_left = partners(eyes[1], parts[1], eyes[0], parts[0]).hits
-    return Hits.joined([replace(to_right, box_px=to_right.box_px + right), to_left])
+    return ImageBoxes.joined([replace(to_right, box_px=to_right.box_px + right), to_left])
 
 
 def _place(image: _Picture, box: np.ndarray, other: _Picture) -> np.ndarray | None:

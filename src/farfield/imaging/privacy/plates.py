@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from farfield.errors import FarfieldError, MissingExtraError
-from farfield.imaging.privacy.hits import PLATE, Hits, suppressed
+from farfield.imaging.privacy.hits import PLATE, ImageBoxes, suppressed
 
 STRIDE = 4
 HALVINGS = 2
@@ -45,13 +45,13 @@ class PlateDetector:
         self.least_score, self.weights = least_score, weights
         self.digest = _network(weights or _WEIGHTS)[1]
 
-    def __call__(self, image: UInt8[np.ndarray, "height width 3"]) -> Hits:
+    def __call__(self, image: UInt8[np.ndarray, "height width 3"]) -> ImageBoxes:
         """Find the plates of an RGB picture; the boxes are grown so that the rim lies inside."""
         network = _network(self.weights or _WEIGHTS)[0]
         found = []
         for halving, maps in enumerate(looks(network, image)):
             found.append(decoded(maps, min(self.least_score, _WEAK)).scaled(2.0**halving))
-        tight = gathered(Hits.joined(found))
+        tight = gathered(ImageBoxes.joined(found))
         return (
             tight[tight.score >= self.least_score].grown(GROWTH, LEAST_MARGIN_PX).within(image.shape[1], image.shape[0])
         )
@@ -82,7 +82,7 @@ def looks(network: Any, image: UInt8[np.ndarray, "height width 3"]) -> list[Floa
     return maps
 
 
-def decoded(maps: Float[np.ndarray, "5 rows columns"], least_score: float) -> Hits:
+def decoded(maps: Float[np.ndarray, "5 rows columns"], least_score: float) -> ImageBoxes:
     """Boxes from the network's maps at a quarter of the picture's size.
 
     Args:
@@ -97,10 +97,10 @@ def decoded(maps: Float[np.ndarray, "5 rows columns"], least_score: float) -> Hi
     row, column, score = row[kept], column[kept], score[kept]
     size = np.exp(maps[1:3, row, column].T.clip(-3.0, np.log(_LARGEST_CELLS))) * STRIDE
     centre = (np.column_stack([column, row]) + maps[3:5, row, column].T.clip(-1.0, 2.0)) * STRIDE
-    return suppressed(Hits.of(PLATE, np.column_stack([centre - size / 2, centre + size / 2]), score), _IOU)
+    return suppressed(ImageBoxes.of(PLATE, np.column_stack([centre - size / 2, centre + size / 2]), score), _IOU)
 
 
-def gathered(hits: Hits) -> Hits:
+def gathered(hits: ImageBoxes) -> ImageBoxes:
     """One box for what overlaps: by falling score, the box around a hit and the weaker ones that lie upon it.
 
     A wide plate is seen in parts at one size and whole at another: parts of it, or a box shifted along it, alone would

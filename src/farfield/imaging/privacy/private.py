@@ -12,14 +12,14 @@ from farfield.frame.lazy import Lazy
 from farfield.geometry.cameras import Camera
 from farfield.imaging.privacy.context import in_context, vehicles_px
 from farfield.imaging.privacy.covering import covered
-from farfield.imaging.privacy.hits import PLATE, Hits
-from farfield.imaging.privacy.looking import Anonymising
+from farfield.imaging.privacy.hits import PLATE, ImageBoxes
+from farfield.imaging.privacy.looking import AnonymizeOptions
 
 _Picture = UInt8[np.ndarray, "height width 3"]
 
 
 @dataclass(frozen=True)
-class Private:
+class Anonymized:
     """Covers faces and number plates in a frame's images, each image by itself: ``dataset.mapped(Private())``.
 
     Weak boxes of faces are covered too, for no track says which of them are faces; weak ones of plates only within
@@ -30,7 +30,7 @@ class Private:
         chosen: How.
     """
 
-    chosen: Anonymising = field(default_factory=Anonymising)
+    chosen: AnonymizeOptions = field(default_factory=AnonymizeOptions)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame with covered images."""
@@ -48,12 +48,12 @@ class Private:
 
 def _seen(
     load: Callable[[], _Picture],
-    chosen: Anonymising,
+    chosen: AnonymizeOptions,
     annotation: Callable[[], Annotation] | None,
     camera: Camera | None,
 ) -> _Picture:
     image = load()
-    hits = Hits.joined([finder(image) for finder in chosen.finders()])
+    hits = ImageBoxes.joined([finder(image) for finder in chosen.finders()])
     if (hits.kind == PLATE).any():
         vehicles = np.zeros((0, 4))
         if annotation is not None and camera is not None:

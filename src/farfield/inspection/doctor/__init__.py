@@ -2,16 +2,16 @@
 
 from typing import Any
 
-from farfield.bulk import HERE, Bulk
+from farfield.bulk import HERE, JobOptions
 from farfield.datasets.base import Dataset
 from farfield.inspection.doctor import content, conventions, inventory, upright
 from farfield.inspection.doctor.calibration import calibration as check_calibration
-from farfield.inspection.doctor.findings import Finding, Report
+from farfield.inspection.doctor.findings import DoctorReport, Finding
 from farfield.inspection.doctor.kradar import kradar
 from farfield.inspection.doctor.stamps import stamps
 from farfield.inspection.doctor.survey import survey
 
-__all__ = ["Finding", "Report", "examine"]
+__all__ = ["DoctorReport", "Finding", "examine"]
 
 _CHECKS = (
     inventory.inventory,
@@ -29,7 +29,7 @@ _CHECKS = (
 )
 
 
-def examine(dataset: Dataset, *, max_clouds: int = 20, calibration: int = 0, bulk: Bulk = HERE) -> Report:
+def examine(dataset: Dataset, *, max_clouds: int = 20, calibration: int = 0, bulk: JobOptions = HERE) -> DoctorReport:
     """Examine a data set.
 
     Args:
@@ -46,4 +46,4 @@ def examine(dataset: Dataset, *, max_clouds: int = 20, calibration: int = 0, bul
     findings = [finding for check in _CHECKS for finding in check(found, facts)]
     if calibration:
         findings += check_calibration(dataset, calibration, facts)
-    return Report(path=str(dataset.root), format=dataset.name, findings=tuple(findings), facts=facts)
+    return DoctorReport(path=str(dataset.root), format=dataset.name, findings=tuple(findings), facts=facts)

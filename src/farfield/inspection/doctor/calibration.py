@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from farfield.calibration.checking import Check, check_camera
-from farfield.calibration.edges import Views, views_of
+from farfield.calibration.checking import CalibrationCheck, check_camera
+from farfield.calibration.edges import EdgeViews, views_of
 from farfield.calibration.jobs import KRADAR_NODE_M, chosen
 from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_checking import ASKED_M, ASKED_RAD, check_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
@@ -61,7 +61,7 @@ def _pictured(data: Dataset, index: int) -> list[str]:
     return [name for name in frame.cameras if name in frame.images]
 
 
-def _finding(name: str, found: Check, mend: str) -> Finding:
+def _finding(name: str, found: CalibrationCheck, mend: str) -> Finding:
     size = f"{found.degrees:.2f} degrees, {found.cm:.0f} cm" + (f", {found.px:.1f} px" if found.px else "")
     drift = f"{found.drift_degrees:.2f} degrees, {found.drift_cm:.0f} cm"
     what = {
@@ -74,14 +74,14 @@ def _finding(name: str, found: Check, mend: str) -> Finding:
     return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if found.claimed else "")
 
 
-def _lacking(found: Check) -> str:
+def _lacking(found: CalibrationCheck) -> str:
     if not found.needed:
         return "too few, or nothing that both sensors see"
     asked = f"{100 * ASKED_M:.0f} cm and {np.degrees(ASKED_RAD):.0f} degree"
     return f"about {found.needed} frames needed to find errors of {asked}"
 
 
-def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, Views]:
+def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, EdgeViews]:
     """A camera as the data set gives it, and the edges of its frames in time.
 
     Raises:
@@ -108,7 +108,7 @@ def _lidar(clouds: Iterable[str]) -> str | None:
     return next((name for name in clouds if not name.startswith("radar")), None)
 
 
-def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Evidence]:
+def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, RadarEvidence]:
     """A K-Radar radar as the data set gives it, and the objects of its frames.
 
     Raises:
@@ -121,4 +121,4 @@ def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Ev
     pose = invert(sensor.frame_T_sensor)
     x, y, z = (float(value) for value in pose[:3, 3])
     given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
-    return given, Evidence.of(read_moments((data[index] for index in found), node_m=KRADAR_NODE_M))
+    return given, RadarEvidence.of(read_moments((data[index] for index in found), node_m=KRADAR_NODE_M))

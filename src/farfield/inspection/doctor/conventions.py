@@ -15,7 +15,7 @@ from farfield.inspection.doctor.evidence import (
     HEADINGS,
     READINGS,
     SIZE_READINGS,
-    Ballot,
+    ConventionVotes,
     ballots,
     changes_asked_for,
     count_points,
@@ -157,12 +157,16 @@ def _in_decided_order(found: Survey, key: tuple[str, str], boxes: Boxes, facts: 
     return boxes if seen.boxes is None else seen.boxes
 
 
-def _votes(ballot: Ballot) -> str:
+def _votes(ballot: ConventionVotes) -> str:
     return f" ({ballot.votes_for} boxes hold more points so, {ballot.votes_against} as read)"
 
 
 def _size_order(
-    found: Survey, by_name: dict[str, Ballot], changes: list[Ballot], boxes: Boxes, facts: dict[str, Any]
+    found: Survey,
+    by_name: dict[str, ConventionVotes],
+    changes: list[ConventionVotes],
+    boxes: Boxes,
+    facts: dict[str, Any],
 ) -> Iterator[Finding]:
     reader = found.dataset.unwrapped
     read = reader.mapping.labels.size_order if isinstance(reader, Cirrus) else "lwh"
@@ -186,7 +190,7 @@ def _size_order(
     yield Finding(severity="ok", topic="size order", what=what)
 
 
-def _quarter_turn(change: Ballot, boxes: Boxes) -> bool:
+def _quarter_turn(change: ConventionVotes, boxes: Boxes) -> bool:
     """Swapped sizes and a heading off by 90 degrees draw the same boxes; no vehicle is 3.2 m wide, many are long."""
     wide, long = (boxes.size_m[:, 1] > 3.2).sum(), (boxes.size_m[:, 0] > 3.2).sum()
     return change.name == "size 102" and bool(long > wide)
@@ -194,8 +198,8 @@ def _quarter_turn(change: Ballot, boxes: Boxes) -> bool:
 
 def _heading(
     reader: Dataset,
-    by_name: dict[str, Ballot],
-    changes: list[Ballot],
+    by_name: dict[str, ConventionVotes],
+    changes: list[ConventionVotes],
     boxes: Boxes,
     misfit: tuple[float, int],
     facts: dict[str, Any],
@@ -235,7 +239,7 @@ def _heading(
 
 
 def _centre(
-    reader: Dataset, by_name: dict[str, Ballot], changes: list[Ballot], facts: dict[str, Any]
+    reader: Dataset, by_name: dict[str, ConventionVotes], changes: list[ConventionVotes], facts: dict[str, Any]
 ) -> Iterator[Finding]:
     names = {"raised by h/2": "bottom", "lowered by h/2": "top"}
     change = next((ballot for ballot in changes if ballot.name in names), None)

@@ -27,7 +27,7 @@ _TURNS_DEG = tuple(range(15, 180, 15))
 
 
 @dataclass(frozen=True)
-class Reading:
+class BoxConvention:
     """One way to read the boxes: a name, and the change to what was read."""
 
     name: str
@@ -35,7 +35,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Ballot:
+class ConventionVotes:
     """How the boxes vote between the file's reading and another one.
 
     Args:
@@ -81,23 +81,25 @@ def _turned(deg: float | int) -> Callable[[Boxes], Boxes]:
 
 SIZE_READINGS = {f"size {''.join(map(str, order))}": order for order in permutations(range(3)) if order != (0, 1, 2)}
 
-READINGS: tuple[Reading, ...] = (
-    *(Reading(name, _resized(order)) for name, order in SIZE_READINGS.items()),
-    Reading("yaw x 180/pi", lambda boxes: boxes.replace(yaw_rad=boxes.yaw_rad * 180 / np.pi)),
-    Reading("yaw x pi/180", lambda boxes: boxes.replace(yaw_rad=boxes.yaw_rad * np.pi / 180)),
-    Reading("yaw clockwise", lambda boxes: boxes.replace(yaw_rad=-boxes.yaw_rad)),
-    Reading("yaw clockwise from y", lambda boxes: boxes.replace(yaw_rad=np.pi / 2 - boxes.yaw_rad)),
-    Reading("raised by h/2", _raised(0.5)),
-    Reading("lowered by h/2", _raised(-0.5)),
-    Reading("mirrored in y", lambda b: b.replace(centre_m=b.centre_m * [1.0, -1.0, 1.0], yaw_rad=-b.yaw_rad)),
-    *(Reading(f"turned by {deg}", _moved_round(deg)) for deg in (90, 180, 270)),
-    Reading("camera axes", lambda boxes: boxes.replace(centre_m=boxes.centre_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0])),
+READINGS: tuple[BoxConvention, ...] = (
+    *(BoxConvention(name, _resized(order)) for name, order in SIZE_READINGS.items()),
+    BoxConvention("yaw x 180/pi", lambda boxes: boxes.replace(yaw_rad=boxes.yaw_rad * 180 / np.pi)),
+    BoxConvention("yaw x pi/180", lambda boxes: boxes.replace(yaw_rad=boxes.yaw_rad * np.pi / 180)),
+    BoxConvention("yaw clockwise", lambda boxes: boxes.replace(yaw_rad=-boxes.yaw_rad)),
+    BoxConvention("yaw clockwise from y", lambda boxes: boxes.replace(yaw_rad=np.pi / 2 - boxes.yaw_rad)),
+    BoxConvention("raised by h/2", _raised(0.5)),
+    BoxConvention("lowered by h/2", _raised(-0.5)),
+    BoxConvention("mirrored in y", lambda b: b.replace(centre_m=b.centre_m * [1.0, -1.0, 1.0], yaw_rad=-b.yaw_rad)),
+    *(BoxConvention(f"turned by {deg}", _moved_round(deg)) for deg in (90, 180, 270)),
+    BoxConvention(
+        "camera axes", lambda boxes: boxes.replace(centre_m=boxes.centre_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0])
+    ),
 )
-HEADINGS: tuple[Reading, ...] = tuple(Reading(f"heading {deg}", _turned(deg)) for deg in _TURNS_DEG)
+HEADINGS: tuple[BoxConvention, ...] = tuple(BoxConvention(f"heading {deg}", _turned(deg)) for deg in _TURNS_DEG)
 
 
 def count_points(
-    points_m: Float[np.ndarray, "n 3"], boxes: Boxes, readings: Sequence[Reading]
+    points_m: Float[np.ndarray, "n 3"], boxes: Boxes, readings: Sequence[BoxConvention]
 ) -> Int[np.ndarray, "m readings"]:
     """Count the object points in every box under the file's reading (column 0) and each other one.
 
@@ -137,7 +139,7 @@ def _count(points_m: Float[np.ndarray, "n 3"], boxes: Boxes) -> Int[np.ndarray, 
     return np.bincount(owner[inside], minlength=len(boxes))
 
 
-def ballots(counts: Int[np.ndarray, "m k"], readings: Sequence[Reading]) -> list[Ballot]:
+def ballots(counts: Int[np.ndarray, "m k"], readings: Sequence[BoxConvention]) -> list[ConventionVotes]:
     """Let the boxes vote on every reading.
 
     Args:
@@ -147,12 +149,12 @@ def ballots(counts: Int[np.ndarray, "m k"], readings: Sequence[Reading]) -> list
     return [_ballot(reading.name, counts[:, 0], counts[:, 1 + k]) for k, reading in enumerate(readings)]
 
 
-def _ballot(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) -> Ballot:
+def _ballot(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) -> ConventionVotes:
     best = np.maximum(base, other)
     valid = best >= _MIN_POINTS
     clear = _clearly_apart(base, other) & valid
     gain = ((other - base) / np.maximum(best, 1))[valid]
-    return Ballot(
+    return ConventionVotes(
         name,
         int((clear & (other > base)).sum()),
         int((clear & (other < base)).sum()),
@@ -201,7 +203,7 @@ def misfit_is_clear(share: float, boxes: int, *, expected: float = 0.4) -> bool:
 
 def changes_asked_for(
     points: Sequence[Float[np.ndarray, "_ 3"]], boxes: Sequence[Boxes]
-) -> list[tuple[Ballot, Reading]]:
+) -> list[tuple[ConventionVotes, BoxConvention]]:
     """Find the changes that the points support, the most helpful first, each on top of those before.
 
     Args:
@@ -211,7 +213,7 @@ def changes_asked_for(
     Returns:
         Winning ballots and their readings; empty where the points support the file's reading.
     """
-    changes: list[tuple[Ballot, Reading]] = []
+    changes: list[tuple[ConventionVotes, BoxConvention]] = []
     current = list(boxes)
     for _ in range(3):
         counts = np.concatenate([count_points(p, b, READINGS) for p, b in zip(points, current, strict=True)])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.index import Entry, find_labels, numbered_files, spellings
+from farfield.datasets.kradar.index import KRadarFiles, find_labels, numbered_files, spellings
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
 from farfield.datasets.kradar.layout import (
     CAMERAS,
@@ -135,7 +135,7 @@ def _standing_in(topic: str, having: Sequence[str], lacks: Sequence[str]) -> str
 
 
 def _versions(
-    dataset: KRadar, entries: Iterable[Entry], names: Sequence[str], known: dict[str, Any]
+    dataset: KRadar, entries: Iterable[KRadarFiles], names: Sequence[str], known: dict[str, Any]
 ) -> Iterator[Finding]:
     read = Counter(entry.version for entry in entries if entry.label is not None)
     there = {version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES}

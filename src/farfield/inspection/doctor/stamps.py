@@ -10,7 +10,7 @@ from jaxtyping import Int64
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.findings import Finding, counted
 from farfield.inspection.doctor.survey import Survey
-from farfield.timing.stamps import Health, health
+from farfield.timing.stamps import StreamStats, health
 
 FEWEST = 5
 """A sensor's step is judged where so many of its stamps follow each other."""
@@ -18,7 +18,7 @@ FRAMES = "frames"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class StampOffset:
     """One sensor against the frames' times, over all drives.
 
     Args:
@@ -68,7 +68,7 @@ def _streams(found: Survey) -> dict[str, dict[str, Int64[np.ndarray, "n 2"]]]:
     return {name: {drive: np.array(pairs, dtype=np.int64) for drive, pairs in by.items()} for name, by in rows.items()}
 
 
-def _figures(by: Mapping[str, Health], step: Step | None) -> dict[str, Any]:
+def _figures(by: Mapping[str, StreamStats], step: StampOffset | None) -> dict[str, Any]:
     longest = max((each.longest_gap_ns or 0 for each in by.values() if each.gaps), default=0)
     alone = {
         "duplicates": sum(each.duplicates for each in by.values()),
@@ -79,7 +79,7 @@ def _figures(by: Mapping[str, Health], step: Step | None) -> dict[str, Any]:
     return alone | ({} if step is None else dict(vars(step)))
 
 
-def _alone(name: str, by: Mapping[str, Health]) -> Iterator[Finding]:
+def _alone(name: str, by: Mapping[str, StreamStats]) -> Iterator[Finding]:
     """What is wrong with a stream by itself."""
     words = {"duplicates": "twice the same", "backwards": "earlier than the one before"}
     for what, said in words.items():
@@ -97,7 +97,7 @@ def _alone(name: str, by: Mapping[str, Health]) -> Iterator[Finding]:
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, mend=mend)
 
 
-def _breaks(each: Health) -> bool:
+def _breaks(each: StreamStats) -> bool:
     return bool(each.longest_gap_ns and each.period_ns and each.longest_gap_ns > BREAK_PERIODS * each.period_ns)
 
 
@@ -108,7 +108,7 @@ def _named(counts: Mapping[str, int]) -> str:
 
 def _step(
     sensor: Mapping[str, Int64[np.ndarray, "n 2"]], frames: Mapping[str, Int64[np.ndarray, "m 2"]]
-) -> Step | None:
+) -> StampOffset | None:
     """A sensor against the frames; None where they have no frame in common."""
     offsets, wander, elsewhere, apart, periods = [], [0.0], 0, 0, []
     for drive, rows in sensor.items():
@@ -132,7 +132,7 @@ def _step(
         return None
     every = np.concatenate(offsets)
     low, high = np.quantile(every, [0.05, 0.95])
-    return Step(
+    return StampOffset(
         median_ms=float(np.median(every)),
         spread_ms=float(high - low),
         wander_ms=max(wander),
@@ -153,7 +153,7 @@ def _elsewhere(stamp: Int64[np.ndarray, " n"], time: Int64[np.ndarray, " n"]) ->
     return int(nearer.sum())
 
 
-def _together(name: str, step: Step) -> Iterator[Finding]:
+def _together(name: str, step: StampOffset) -> Iterator[Finding]:
     """What is wrong with a sensor against the frames."""
     sync = "`farfield sync` on the recording matches them anew."
     if step.apart:

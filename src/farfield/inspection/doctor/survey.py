@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
+from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud, Frame
@@ -15,7 +15,7 @@ _BLOCK = 10  # frames that a worker reads at a time
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sample:
+class SurveyFrame:
     """One frame whose clouds were read: its key, clouds by name, and boxes (None where not annotated)."""
 
     key: tuple[str, str]
@@ -30,7 +30,7 @@ class Sample:
 
 
 @dataclass(kw_only=True)
-class Reading:
+class SurveyBlock:
     """What some frames hold.
 
     Args:
@@ -56,10 +56,10 @@ class Reading:
     boxes: list[Boxes] = field(default_factory=list)
     raw_labels: dict[str, int] = field(default_factory=dict)
     unlabelled: int = 0
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[SurveyFrame] = field(default_factory=list)
     damaged: list[str] = field(default_factory=list)
 
-    def extend(self, others: "Reading") -> None:
+    def extend(self, others: "SurveyBlock") -> None:
         """Append what further frames hold."""
         for mine, theirs in ((self.sensors, others.sensors), (self.images, others.images)):
             for name, count in theirs.items():
@@ -77,7 +77,7 @@ class Reading:
 
 
 @dataclass(kw_only=True)
-class Survey(Reading):
+class Survey(SurveyBlock):
     """What was read of a whole data set.
 
     Args:
@@ -90,7 +90,7 @@ class Survey(Reading):
         """All annotated boxes of all frames."""
         return Boxes.concatenate([boxes.plain() for boxes in self.boxes]) if self.boxes else Boxes.empty()
 
-    def annotated_samples(self) -> Iterator[tuple[Sample, Boxes]]:
+    def annotated_samples(self) -> Iterator[tuple[SurveyFrame, Boxes]]:
         """Samples with a LiDAR's cloud and at least one box."""
         for sample in self.samples:
             if (
@@ -102,15 +102,15 @@ class Survey(Reading):
 
 
 @dataclass(frozen=True)
-class _Surveying:
+class _BlockSurvey:
     """Reads a block of frames, the clouds of some of them."""
 
     dataset: Dataset
     chosen: frozenset[int]
     memory_bytes = 800_000_000
 
-    def __call__(self, unit: Unit) -> Done:
-        found = Reading()
+    def __call__(self, unit: Unit) -> UnitResult:
+        found = SurveyBlock()
         for index in unit.parameters:
             try:
                 frame = self.dataset[index]
@@ -122,11 +122,11 @@ class _Surveying:
             _note(found, frame)
             boxes = _boxes(found, frame)
             if index in self.chosen:
-                found.samples.append(Sample(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
-        return Done(value=found)
+                found.samples.append(SurveyFrame(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
+        return UnitResult(value=found)
 
 
-def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Survey:
+def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: JobOptions = HERE) -> Survey:
     """Read all annotations and the clouds of some frames, spread evenly.
 
     Args:
@@ -137,12 +137,12 @@ def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: Bulk = HERE) -> Surv
     found, count = Survey(dataset=dataset), len(dataset)
     spread = np.linspace(0, count - 1, min(count, max_clouds or count))
     chosen = frozenset(spread.round().astype(int).tolist())
-    for done in values(_Surveying(dataset, chosen), blocks(count, _BLOCK), bulk):
+    for done in values(_BlockSurvey(dataset, chosen), blocks(count, _BLOCK), bulk):
         found.extend(done.value)
     return found
 
 
-def _note(found: Reading, frame: Frame) -> None:
+def _note(found: SurveyBlock, frame: Frame) -> None:
     for name in frame.clouds:
         found.sensors[name] = found.sensors.get(name, 0) + 1
     for name in frame.images:
@@ -156,7 +156,7 @@ def _note(found: Reading, frame: Frame) -> None:
         found.pair_dt_ms.append((times[1] - times[0]) / 1e6)
 
 
-def _boxes(found: Reading, frame: Frame) -> Boxes | None:
+def _boxes(found: SurveyBlock, frame: Frame) -> Boxes | None:
     try:
         annotation = frame.annotation
         if annotation is None:
@@ -172,7 +172,7 @@ def _boxes(found: Reading, frame: Frame) -> Boxes | None:
     return boxes
 
 
-def _clouds(found: Reading, frame: Frame) -> dict[str, Cloud]:
+def _clouds(found: SurveyBlock, frame: Frame) -> dict[str, Cloud]:
     clouds: dict[str, Cloud] = {}
     for name in frame.clouds:
         try:

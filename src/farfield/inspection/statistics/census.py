@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from farfield.bulk import HERE, Bulk, Done, Unit, blocks, values
+from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
@@ -160,7 +160,7 @@ def range_names() -> list[str]:
     return [*inner, f"{RANGE_EDGES_M[-2]:g} m and more"]
 
 
-def take_census(dataset: Dataset, bulk: Bulk = HERE) -> Census:
+def take_census(dataset: Dataset, bulk: JobOptions = HERE) -> Census:
     """Count the annotations of every frame.
 
     Args:
@@ -174,7 +174,7 @@ def take_census(dataset: Dataset, bulk: Bulk = HERE) -> Census:
     return _census_of_frames(dataset, bulk)
 
 
-def _census_of_kradar(dataset: Dataset, reader: KRadar, bulk: Bulk) -> Census:
+def _census_of_kradar(dataset: Dataset, reader: KRadar, bulk: JobOptions) -> Census:
     """The same counts as over its frames, from the table of all annotations."""
     count = len(dataset)
     entries = [reader.entries[index] for index in dataset.origins]
@@ -217,7 +217,7 @@ def _conditions(rows: Sequence[Mapping[str, str]]) -> dict[str, Shaped[np.ndarra
 
 
 @dataclass(kw_only=True)
-class _Rows:
+class _CensusRows:
     """What some frames say."""
 
     said: list[Mapping[str, str]] = field(default_factory=list)
@@ -229,18 +229,18 @@ class _Rows:
 
 
 @dataclass(frozen=True)
-class _Counting:
+class _AnnotationReading:
     """Reads the annotations of a block of frames."""
 
     dataset: Dataset
 
-    def __call__(self, unit: Unit) -> Done:
-        rows = _Rows()
+    def __call__(self, unit: Unit) -> UnitResult:
+        rows = _CensusRows()
         for index in unit.parameters:
             self._count(index, rows)
-        return Done(value=rows)
+        return UnitResult(value=rows)
 
-    def _count(self, index: int, rows: _Rows) -> None:
+    def _count(self, index: int, rows: _CensusRows) -> None:
         boxes, conditions = None, {}
         try:
             frame = self.dataset[index]
@@ -257,9 +257,9 @@ class _Counting:
         rows.parts += [] if boxes is None else [boxes]
 
 
-def _census_of_frames(dataset: Dataset, bulk: Bulk) -> Census:
-    rows = _Rows()
-    for done in values(_Counting(dataset), blocks(len(dataset), _BLOCK), bulk):
+def _census_of_frames(dataset: Dataset, bulk: JobOptions) -> Census:
+    rows = _CensusRows()
+    for done in values(_AnnotationReading(dataset), blocks(len(dataset), _BLOCK), bulk):
         for name, mine in vars(rows).items():
             mine += getattr(done.value, name)
     said, parts, names, sight, objects = rows.said, rows.parts, rows.names, rows.sight, rows.objects

@@ -11,7 +11,7 @@ from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import aligned_iou
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
-from farfield.metrics.centre.scene import Scene
+from farfield.metrics.centre.scene import CentreScene
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import Curve, Ranking, average_precision, mean_error, weighted_curve
 from farfield.metrics.frames import in_range
@@ -22,7 +22,7 @@ ERRORS = ("trans_err", "scale_err", "orient_err")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matches:
+class GreedyMatches:
     """What each prediction of a scene took, for every epsilon and threshold.
 
     Args:
@@ -37,7 +37,7 @@ class Matches:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Part:
+class PartRankings:
     """The rankings of one part of a scene (a range bin, or all of it), with the errors of the matches.
 
     Args:
@@ -55,7 +55,7 @@ class Part:
     predicted: int
 
 
-def match_scene(scene: Scene, settings: CentreSettings) -> Matches:
+def match_scene(scene: CentreScene, settings: CentreSettings) -> GreedyMatches:
     """Play the greedy game for all epsilons and thresholds at once."""
     confidence = scene.score
     thresholds = list(dict.fromkeys((*settings.thresholds_m, *settings.error_thresholds_m)))
@@ -80,10 +80,10 @@ def match_scene(scene: Scene, settings: CentreSettings) -> Matches:
         limits,
         ignored=scene.ignored,
     )
-    return Matches(order=order, confidence=confidence, taken=dict(zip(variants, taken, strict=True)))
+    return GreedyMatches(order=order, confidence=confidence, taken=dict(zip(variants, taken, strict=True)))
 
 
-def with_confidences(scene: Scene, settings: CentreSettings) -> Scene:
+def with_confidences(scene: CentreScene, settings: CentreSettings) -> CentreScene:
     """Put the scores on the confidence axis, where zero means "nothing" (row 17)."""
     score, kind = scene.score, settings.scores
     if kind == "auto":
@@ -96,14 +96,16 @@ def with_confidences(scene: Scene, settings: CentreSettings) -> Scene:
     return replace(scene, predicted=scene.predicted.replace(score=score))
 
 
-def whole(scene: Scene, matches: Matches, settings: CentreSettings) -> Part:
+def whole(scene: CentreScene, matches: GreedyMatches, settings: CentreSettings) -> PartRankings:
     """All of a scene as one part."""
     return _part(
         scene, matches, settings, np.ones(len(scene.predicted), dtype=bool), np.ones(len(scene.annotated), dtype=bool)
     )
 
 
-def binned(scene: Scene, matches: Matches, settings: CentreSettings, low_m: float, high_m: float) -> Part:
+def binned(
+    scene: CentreScene, matches: GreedyMatches, settings: CentreSettings, low_m: float, high_m: float
+) -> PartRankings:
     """One range bin of a scene that was matched as a whole: matches count where their annotated box is."""
     return _part(
         scene, matches, settings, in_range(scene.predicted, low_m, high_m), in_range(scene.annotated, low_m, high_m)
@@ -111,12 +113,12 @@ def binned(scene: Scene, matches: Matches, settings: CentreSettings, low_m: floa
 
 
 def _part(
-    scene: Scene,
-    matches: Matches,
+    scene: CentreScene,
+    matches: GreedyMatches,
     settings: CentreSettings,
     predicted_in: Bool[np.ndarray, " n"],
     annotated_in: Bool[np.ndarray, " m"],
-) -> Part:
+) -> PartRankings:
     per_group = scene.annotated_per_group(annotated_in)
     group = scene.group[scene.predicted_frame]
     rankings, errors = {}, {}
@@ -131,7 +133,7 @@ def _part(
         if variant[1] in settings.error_thresholds_m:
             rows = rows[hit[rows]]
             errors[variant] = pair_errors(scene.predicted[rows], scene.annotated[taken[rows]], settings)
-    return Part(
+    return PartRankings(
         ranking=rankings,
         error=errors,
         annotated=int(per_group.sum()),
@@ -154,7 +156,7 @@ def pair_errors(predicted: Boxes, annotated: Boxes, settings: CentreSettings) ->
     return errors
 
 
-def statistics(part: Part, settings: CentreSettings, weight: Float[np.ndarray, " groups"]) -> Statistics:
+def statistics(part: PartRankings, settings: CentreSettings, weight: Float[np.ndarray, " groups"]) -> Statistics:
     """All figures of a part under given group weights, None where nothing is annotated.
 
     Names: ``ap/0.5`` and ``errors/trans_err`` at the first epsilon; ``dds/EPSILON/dds``, ``.../map``, ``.../aiou``, or,
@@ -180,7 +182,7 @@ def statistics(part: Part, settings: CentreSettings, weight: Float[np.ndarray, "
 
 
 def statistics_of_many(
-    part: Part, settings: CentreSettings, weights: Float[np.ndarray, "r g"]
+    part: PartRankings, settings: CentreSettings, weights: Float[np.ndarray, "r g"]
 ) -> dict[str, Float[np.ndarray, " r"]]:
     """The figures of :func:`statistics` under each row of group weights; NaN where nothing is annotated."""
     figures: dict[str, np.ndarray] = {}
@@ -209,7 +211,11 @@ def statistics_of_many(
 
 
 def _figures_of_many(
-    part: Part, settings: CentreSettings, variant: Variant, names: Sequence[str], weights: Float[np.ndarray, "r g"]
+    part: PartRankings,
+    settings: CentreSettings,
+    variant: Variant,
+    names: Sequence[str],
+    weights: Float[np.ndarray, "r g"],
 ) -> tuple[Float[np.ndarray, " r"], dict[str, Float[np.ndarray, " r"]]]:
     """Average precisions of one variant, and its errors where those are taken at its threshold."""
     areas: list[np.ndarray] = []
@@ -251,7 +257,12 @@ def _precision(curve: Curve | None, settings: CentreSettings) -> float | None:
 
 
 def _error(
-    part: Part, curves: dict[Variant, Curve | None], settings: CentreSettings, epsilon: float, name: str, method: str
+    part: PartRankings,
+    curves: dict[Variant, Curve | None],
+    settings: CentreSettings,
+    epsilon: float,
+    name: str,
+    method: str,
 ) -> float | None:
     values = []
     for threshold in settings.error_thresholds_m:

@@ -14,9 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.metrics.bootstrap import Bootstrap, replicate_weights
-from farfield.metrics.centre.evaluation import Matches, Part, match_scene, statistics_of_many, whole, with_confidences
+from farfield.metrics.centre.evaluation import (
+    GreedyMatches,
+    PartRankings,
+    match_scene,
+    statistics_of_many,
+    whole,
+    with_confidences,
+)
 from farfield.metrics.centre.matching import DROPPED
-from farfield.metrics.centre.scene import Scene, gather
+from farfield.metrics.centre.scene import CentreScene, gather
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.frames import BoxesByFrame, frame_order
 
@@ -73,7 +80,7 @@ def _between(values: Float[np.ndarray, " r"], tail: float) -> tuple[float, float
     return float(low), float(high)
 
 
-def _names(scene: Scene, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
+def _names(scene: CentreScene, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
     """A number of the object of each annotated box of the scene: boxes there are known by frame and place."""
     numbers: dict[tuple[str, int], int] = {}
     by_place: dict[tuple[int, bytes], int] = {}
@@ -88,8 +95,8 @@ def _names(scene: Scene, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
 
 
 def _by_objects(
-    scene: Scene, matches: Matches, settings: CentreSettings, name: Int[np.ndarray, " m"]
-) -> tuple[Part, int]:
+    scene: CentreScene, matches: GreedyMatches, settings: CentreSettings, name: Int[np.ndarray, " m"]
+) -> tuple[PartRankings, int]:
     """All of the scene as one part whose groups are the objects, and how many these are."""
     part = whole(scene, matches, settings)
     names = np.unique(name[~scene.ignored])
@@ -105,6 +112,6 @@ def _by_objects(
     return replace(part, ranking=rankings), len(names)
 
 
-def _rows(matches: Matches, taken: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+def _rows(matches: GreedyMatches, taken: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
     """The predictions of a ranking of the whole scene, in its order."""
     return matches.order[(taken != DROPPED)[matches.order]]

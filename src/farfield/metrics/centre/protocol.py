@@ -10,7 +10,7 @@ from jaxtyping import Float
 from farfield.frame.drive import Drive
 from farfield.metrics.bootstrap import Statistics, Weighted, intervals
 from farfield.metrics.centre.evaluation import (
-    Part,
+    PartRankings,
     binned,
     match_scene,
     mean_of_parts,
@@ -20,7 +20,7 @@ from farfield.metrics.centre.evaluation import (
     whole,
     with_confidences,
 )
-from farfield.metrics.centre.scene import Scene, gather
+from farfield.metrics.centre.scene import CentreScene, gather
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import FIRST, RECALL, Ranking
 from farfield.metrics.frames import BoxesByFrame
@@ -144,7 +144,9 @@ def evaluate_centre(
     }
 
 
-def too_little_found(parts: Mapping[str, Part], point: Mapping[str, Statistics], settings: CentreSettings) -> list[str]:
+def too_little_found(
+    parts: Mapping[str, PartRankings], point: Mapping[str, Statistics], settings: CentreSettings
+) -> list[str]:
     """Why figures are 0 or 1, the worst, in parts where something was found: recall ends before the averages begin.
 
     nuScenes' averages begin at a recall of 0.11 (``calc_ap`` and ``calc_tp`` of its devkit).
@@ -166,7 +168,10 @@ def too_little_found(parts: Mapping[str, Part], point: Mapping[str, Statistics],
 
 
 def _figures(
-    parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
+    parts: Mapping[str, PartRankings],
+    reached: Sequence[str],
+    settings: CentreSettings,
+    weight: Float[np.ndarray, " groups"],
 ) -> dict[str, Statistics]:
     once = {id(part): statistics(part, settings, weight) for part in {id(p): p for p in parts.values()}.values()}
     found = {name: once[id(part)] for name, part in parts.items()}
@@ -179,7 +184,10 @@ def _reached(settings: CentreSettings, reach_m: float | None) -> list[str]:
 
 
 def _mean_of_bins(
-    parts: Mapping[str, Part], reached: Sequence[str], settings: CentreSettings, weight: Float[np.ndarray, " groups"]
+    parts: Mapping[str, PartRankings],
+    reached: Sequence[str],
+    settings: CentreSettings,
+    weight: Float[np.ndarray, " groups"],
 ) -> Statistics:
     return mean_of_parts([statistics(parts[name], settings, weight) for name in reached])
 
@@ -189,7 +197,7 @@ def _flat(figures: "partial[dict[str, Statistics]]", weight: Float[np.ndarray, "
 
 
 def _flat_of_many(
-    parts: Mapping[str, Part],
+    parts: Mapping[str, PartRankings],
     reached: Sequence[str],
     settings: CentreSettings,
     weights: Float[np.ndarray, "replicates groups"],
@@ -203,7 +211,7 @@ def _flat_of_many(
     return {f"{part}|{name}": values for part, named in found.items() for name, values in named.items()}
 
 
-def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
+def _parts(scene: CentreScene, settings: CentreSettings) -> dict[str, PartRankings]:
     scene = with_confidences(scene, settings)
     matches = match_scene(scene, settings)
     parts = {"overall": whole(scene, matches, settings)}
@@ -220,11 +228,11 @@ def _parts(scene: Scene, settings: CentreSettings) -> dict[str, Part]:
     return parts
 
 
-def _counts(part: Part) -> dict[str, int]:
+def _counts(part: PartRankings) -> dict[str, int]:
     return {"annotated": part.annotated, "predictions": part.predicted, "ignored": part.ignored}
 
 
-def _curves(part: Part, settings: CentreSettings) -> dict[str, dict[str, Ranking]]:
+def _curves(part: PartRankings, settings: CentreSettings) -> dict[str, dict[str, Ranking]]:
     return {
         f"{epsilon:g}": {str(float(threshold)): part.ranking[epsilon, threshold] for threshold in settings.thresholds_m}
         for epsilon in settings.epsilons

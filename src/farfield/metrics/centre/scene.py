@@ -24,7 +24,7 @@ from farfield.metrics.frames import (
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
+class CentreScene:
     """Predicted and annotated boxes of all frames, with the frame of each.
 
     Args:
@@ -62,7 +62,7 @@ class Scene:
         counted = ~self.ignored if keep is None else ~self.ignored & keep
         return np.bincount(self.group[self.annotated_frame[counted]], minlength=self.n_groups)
 
-    def cut(self, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> "Scene":
+    def cut(self, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> "CentreScene":
         """Return the scene with the marked boxes only."""
         if predicted.all() and annotated.all():
             return self
@@ -75,14 +75,14 @@ class Scene:
             ignored=self.ignored[annotated],
         )
 
-    def cut_range(self, low_m: float, high_m: float) -> "Scene":
+    def cut_range(self, low_m: float, high_m: float) -> "CentreScene":
         """Return the scene with the boxes whose 2D range lies in [low, high)."""
         return self.cut(in_range(self.predicted, low_m, high_m), in_range(self.annotated, low_m, high_m))
 
 
 def gather(
     predictions: BoxesByFrame, annotations: BoxesByFrame, settings: CentreSettings, drives: Sequence[Drive] = ()
-) -> Scene:
+) -> CentreScene:
     """Collect one class from all frames and cut it to the region.
 
     Args:
@@ -106,7 +106,7 @@ def gather(
     counted = has_label(annotated, settings.label, settings.relabel) | ignored
     counted &= _enough_points(annotated, settings.min_points)
     group, grouped_by = group_frames(keys, drives)
-    scene = Scene(
+    scene = CentreScene(
         predicted=predicted,
         predicted_frame=np.repeat(np.arange(len(keys)), counts[0]),
         annotated=annotated,

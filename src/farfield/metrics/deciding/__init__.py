@@ -13,17 +13,17 @@ rows and all seeds. The interval D +- t(0.975, df) sqrt(variance) decides: it li
 from farfield.metrics.deciding.decision import Decision, Hypothesis, decide, holm
 from farfield.metrics.deciding.difference import Difference, Spread, difference, difference_of, measured, pooled
 from farfield.metrics.deciding.power import half_width, power
-from farfield.metrics.deciding.samples import Sample, Scalar, figure, sample, samples
-from farfield.metrics.deciding.switching import Switched, best_by, switched, switching_gains
+from farfield.metrics.deciding.samples import Scalar, ScoreSample, figure, sample, samples
+from farfield.metrics.deciding.switching import SwitchingResult, best_by, switched, switching_gains
 
 __all__ = [
     "Decision",
     "Difference",
     "Hypothesis",
-    "Sample",
     "Scalar",
+    "ScoreSample",
     "Spread",
-    "Switched",
+    "SwitchingResult",
     "best_by",
     "decide",
     "difference",

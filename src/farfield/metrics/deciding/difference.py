@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from farfield.errors import ConfigError
-from farfield.metrics.deciding.samples import REPLICATES, Sample, Scalar, drawn_values, sample
+from farfield.metrics.deciding.samples import REPLICATES, Scalar, ScoreSample, drawn_values, sample
 from farfield.metrics.detections import Detections
 from farfield.metrics.protocol import Protocol
 
@@ -157,7 +157,7 @@ def difference(
     return difference_of(*rows)
 
 
-def difference_of(a: Sequence[Sample], b: Sequence[Sample]) -> Difference:
+def difference_of(a: Sequence[ScoreSample], b: Sequence[ScoreSample]) -> Difference:
     """The difference of two rows whose numbers were sampled, seed by seed.
 
     Raises:

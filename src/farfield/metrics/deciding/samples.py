@@ -76,7 +76,7 @@ def figure(name: str, part: str = "overall") -> Scalar:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sample:
+class ScoreSample:
     """One number of one run.
 
     Args:
@@ -102,7 +102,7 @@ def sample(
     replicates: int = REPLICATES,
     seed: int = 0,
     **settings: Any,
-) -> Sample:
+) -> ScoreSample:
     """One number of a run under its own sequences and under draws of them.
 
     Only the parts that the number needs are evaluated; fewer ``epsilons`` or ``ious`` among the settings save time.
@@ -130,7 +130,7 @@ def samples(
     seed: int = 0,
     frames: Collection[Key] | None = None,
     **settings: Any,
-) -> dict[str, Sample]:
+) -> dict[str, ScoreSample]:
     """Several numbers of a run, each part of the result evaluated once a draw.
 
     Args:
@@ -161,10 +161,10 @@ def samples(
     if unknown:
         raise ConfigError(f"part: expected some of {', '.join(weighted.parts)}; got {', '.join(unknown)}")
     beyond = _beyond_reach(resolved, found.reach_m)
-    values = _Valued(weighted, scalars, parts, beyond, place)
+    values = _WeightedScores(weighted, scalars, parts, beyond, place)
     whole, draws = values(np.ones(groups)), _drawn(values, groups, len(scalars), replicates, seed)
     return {
-        name: Sample(value=whole[row], draws=draws[row], drawn=drawn, grouped_by=known[0], groups=known[1])
+        name: ScoreSample(value=whole[row], draws=draws[row], drawn=drawn, grouped_by=known[0], groups=known[1])
         for row, name in enumerate(scalars)
     }
 
@@ -186,7 +186,9 @@ def _of_frames(
     return weighted, place
 
 
-def _drawn(values: "_Valued", groups: int, count: int, replicates: int, seed: int) -> Float[np.ndarray, "count draws"]:
+def _drawn(
+    values: "_WeightedScores", groups: int, count: int, replicates: int, seed: int
+) -> Float[np.ndarray, "count draws"]:
     """Numbers under draws of groups, NaN where they are None; few groups are drawn alike again and again."""
     known: dict[bytes, list[float]] = {}
     found = np.full((count, replicates), np.nan)
@@ -219,7 +221,7 @@ def drawn_values(
     return values
 
 
-class _Valued:
+class _WeightedScores:
     """Numbers under group weights, each None where it is not known."""
 
     def __init__(

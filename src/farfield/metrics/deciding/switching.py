@@ -23,7 +23,7 @@ DDS = figure("dds/0/dds")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Switched:
+class SwitchingResult:
     """What the rule gives.
 
     Args:
@@ -82,7 +82,7 @@ def switch(found: Mapping[str, Detections], choice: Mapping[Key, str]) -> Detect
 
 def switched(
     found: Mapping[str, Detections], kind: str = "road", *, folds: int = 2, seed: int = 0, **learning: Any
-) -> Switched:
+) -> SwitchingResult:
     """The rule "in each scenario the cloud that is best there", learnt on other drives than it is used on.
 
     Args:
@@ -116,7 +116,7 @@ def switched(
         for key, its in zip(keys, fold, strict=True):
             if its == number:
                 choice[key] = learnt.get(first.conditions[key][kind], next(iter(found)))
-    return Switched(found=switch(counted, choice), choices=tuple(choices))
+    return SwitchingResult(found=switch(counted, choice), choices=tuple(choices))
 
 
 def _only(found: Detections, keys: set[Key]) -> Detections:

@@ -8,7 +8,7 @@ from farfield.frame.annotation import Annotation
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti, weighted_kitti
 from farfield.metrics.kitti.settings import KittiSettings
-from farfield.metrics.presenting import CurveLine, CurvePanel, Finding, Presentation, panels
+from farfield.metrics.presenting import CurveLine, CurvePanel, HitRule, Presentation, panels
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import figure_names, value_at
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FACTS = ("truncation", "occlusion", "box_px")
 
 
-class Kitti(Protocol):
+class KittiProtocol(Protocol):
     """KITTI's average precision."""
 
     name = "kitti"
@@ -81,7 +81,7 @@ class Kitti(Protocol):
             about_parts="R11 is the mean precision at 11 recalls, as until 2019.",
             about_curves="Each line is a difficulty of the annotated objects.",
             glossary=_GLOSSARY,
-            finding=Finding("3d", float(least)) if isinstance(least, int | float) else Finding("3d", 0.5),
+            finding=HitRule("3d", float(least)) if isinstance(least, int | float) else HitRule("3d", 0.5),
         )
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from farfield.metrics.counts import ThresholdCounts
 from farfield.metrics.kradar.frames import KRadarFrames
-from farfield.metrics.kradar.matching import Gains, gains
+from farfield.metrics.kradar.matching import OverlapGains, gains
 from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.recall import sample_thresholds
 
@@ -15,7 +15,7 @@ MEASURES = ("3d", "bev")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matched:
+class ClassMatches:
     """One class, matched at every overlap; the predictions stand in the order of falling scores.
 
     Args:
@@ -28,7 +28,7 @@ class Matched:
     score: Float[np.ndarray, " n"]
     frame: Int[np.ndarray, " n"]
     annotated_frame: Int[np.ndarray, " m"]
-    gains: dict[tuple[str, float], Gains]
+    gains: dict[tuple[str, float], OverlapGains]
 
 
 def match(
@@ -39,7 +39,7 @@ def match(
     predicted_in: Bool[np.ndarray, " n"] | None = None,
     annotated_in: Bool[np.ndarray, " m"] | None = None,
     optional: Bool[np.ndarray, " m"] | None = None,
-) -> Matched:
+) -> ClassMatches:
     """Match the boxes of one class, or those of them that lie in a range bin.
 
     Args:
@@ -60,7 +60,7 @@ def match(
     box, detection = row[data.pair[kept, 0]], place[data.pair[kept, 1]]
     may = np.zeros(len(boxes), dtype=bool) if optional is None else optional[boxes]
     frame, score = data.annotated.frame[boxes], data.predicted.score[predictions]
-    found: dict[tuple[str, float], Gains] = {}
+    found: dict[tuple[str, float], OverlapGains] = {}
     for measure in MEASURES:
         overlap = data.overlap[measure][kept]
         for iou in settings.ious:
@@ -74,11 +74,11 @@ def match(
                 score=score,
                 order=predictions,
             )
-    return Matched(score=score, frame=data.predicted.frame[predictions], annotated_frame=frame[~may], gains=found)
+    return ClassMatches(score=score, frame=data.predicted.frame[predictions], annotated_frame=frame[~may], gains=found)
 
 
 def count(
-    matched: Matched, inside: Bool[np.ndarray, " f"] | None, group: Int[np.ndarray, " f"], groups: int
+    matched: ClassMatches, inside: Bool[np.ndarray, " f"] | None, group: Int[np.ndarray, " f"], groups: int
 ) -> dict[tuple[str, float], ThresholdCounts]:
     """True and false positives of a set of frames at its own thresholds, by measure and overlap.
 
@@ -98,7 +98,7 @@ def count(
 
 
 def _count(
-    gain: Gains,
+    gain: OverlapGains,
     rows: Int[np.ndarray, " r"],
     score: Float[np.ndarray, " r"],
     owner: Int[np.ndarray, " r"],

@@ -19,7 +19,7 @@ from farfield.metrics.bootstrap import Bootstrap, Statistics, Weighted, interval
 from farfield.metrics.counts import ThresholdCounts, recall_mean, shifted
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.kradar.conditions import group_conditions
-from farfield.metrics.kradar.counting import MEASURES, Matched, count, match
+from farfield.metrics.kradar.counting import MEASURES, ClassMatches, count, match
 from farfield.metrics.kradar.frames import KRadarFrames, Visibility, gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.result import Result, nest, table
@@ -168,7 +168,7 @@ def _all_counts(
     data: KRadarFrames, settings: KRadarSettings, conditions: Conditions, *, with_visibility: bool
 ) -> tuple[_Parts, dict[str, dict[str, Any]]]:
     """Counts at thresholds by part and class, and the numbers of frames and boxes by part."""
-    tally = _Tally(data, drawn=settings.bootstrap.replicates > 0)
+    tally = _ThresholdTally(data, drawn=settings.bootstrap.replicates > 0)
     subsets = list(_subsets(data, conditions))
     for kind, label in enumerate(settings.classes):
         whole = match(data, settings, kind)
@@ -187,7 +187,7 @@ def _all_counts(
     return tally.parts, tally.counts
 
 
-class _Tally:
+class _ThresholdTally:
     """Counts at thresholds by part and class, and the numbers of frames and boxes by part.
 
     Args:
@@ -202,7 +202,7 @@ class _Tally:
         self.parts: _Parts = {}
         self.counts: dict[str, dict[str, Any]] = {}
 
-    def add(self, part: str, label: str, matched: Matched, inside: Bool[np.ndarray, " f"] | None = None) -> None:
+    def add(self, part: str, label: str, matched: ClassMatches, inside: Bool[np.ndarray, " f"] | None = None) -> None:
         """Count one class in one part: in all frames, or in those marked."""
         self.parts.setdefault(part, {})[label] = count(matched, inside, self.group, self.groups)
         counted = self.data.counted if inside is None else self.data.counted & inside

@@ -26,7 +26,7 @@ Visibility = Mapping[Key, Sequence[str]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Side:
+class ScoredBoxes:
     """Predicted or annotated boxes of the scored classes, ordered by frame, class and place in the file.
 
     Args:
@@ -48,8 +48,8 @@ class Side:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __getitem__(self, index: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "Side":
-        return Side(
+    def __getitem__(self, index: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "ScoredBoxes":
+        return ScoredBoxes(
             box=self.box[index],
             frame=self.frame[index],
             kind=self.kind[index],
@@ -77,8 +77,8 @@ class KRadarFrames:
 
     keys: list[Key]
     counted: Bool[np.ndarray, " f"]
-    predicted: Side
-    annotated: Side
+    predicted: ScoredBoxes
+    annotated: ScoredBoxes
     pair: Int[np.ndarray, "p 2"]
     overlap: dict[str, Float[np.ndarray, " p"]]
     group: Int[np.ndarray, " f"]
@@ -136,7 +136,7 @@ def gather_kradar(
 _NONE = Boxes.empty(scored=True)
 
 
-def _side(parts: list[Boxes], settings: KRadarSettings, *, seen_by: np.ndarray | None, scored: bool) -> Side:
+def _side(parts: list[Boxes], settings: KRadarSettings, *, seen_by: np.ndarray | None, scored: bool) -> ScoredBoxes:
     boxes = flatten(parts, scored=scored)
     kind = np.full(len(boxes), -1)
     for number, name in enumerate(settings.classes):
@@ -148,7 +148,7 @@ def _side(parts: list[Boxes], settings: KRadarSettings, *, seen_by: np.ndarray |
     if settings.boxes_in == "os2-64":
         centre_m = centre_m - np.array(settings.origin_m)
     box = np.column_stack([centre_m, boxes.size_m[rows], boxes.yaw_rad[rows]])
-    return Side(
+    return ScoredBoxes(
         box=box,
         frame=frame[rows],
         kind=kind[rows],
@@ -158,7 +158,7 @@ def _side(parts: list[Boxes], settings: KRadarSettings, *, seen_by: np.ndarray |
     )
 
 
-def _inside(side: Side, settings: KRadarSettings) -> Bool[np.ndarray, " n"]:
+def _inside(side: ScoredBoxes, settings: KRadarSettings) -> Bool[np.ndarray, " n"]:
     bounds_m = settings.bounds_m
     if bounds_m is None:
         return np.ones(len(side), dtype=bool)
@@ -186,7 +186,7 @@ def _written(box: Float[np.ndarray, "n 7"], settings: KRadarSettings) -> Float[n
     return written
 
 
-def _pairs(annotated: Side, predicted: Side, owners: int, classes: int) -> Int[np.ndarray, "p 2"]:
+def _pairs(annotated: ScoredBoxes, predicted: ScoredBoxes, owners: int, classes: int) -> Int[np.ndarray, "p 2"]:
     """Pairs (annotated, predicted) of a frame and class whose circumscribed circles meet, in the boxes' order."""
     box, detection = same_owner(
         annotated.frame * classes + annotated.kind, predicted.frame * classes + predicted.kind, owners

@@ -18,7 +18,7 @@ _ROWS_AT_ONCE = 1 << 20  # of the expanded table: some 60 MB of temporaries
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Gains:
+class OverlapGains:
     """What the predictions of one class add at one overlap.
 
     Args:
@@ -41,7 +41,7 @@ def gains(
     optional: Bool[np.ndarray, " m"],
     score: Float[np.ndarray, " n"],
     order: Int[np.ndarray, " n"],
-) -> Gains:
+) -> OverlapGains:
     """Match one class at one overlap.
 
     Args:
@@ -60,9 +60,9 @@ def gains(
     excused[detection[alone]] = optional[box[alone]]
     found[detection[alone]] = ~optional[box[alone]]
     if alone.all():
-        return Gains(true=true, excused=excused, found=found)
+        return OverlapGains(true=true, excused=excused, found=found)
     rest = ~alone
-    crowd = _Crowd.of(
+    crowd = _ContestedPairs.of(
         box[rest], detection[rest], overlap[rest], frame=frame, optional=optional, score=score, order=order
     )
     taken, chosen = crowd.allowing_all()
@@ -74,11 +74,11 @@ def gains(
     leads[crowd.start] = True
     for total, gain in ((crowd.true, true), (crowd.excused, excused)):
         gain[crowd.detection] = total - np.where(leads, 0, np.roll(total, 1))
-    return Gains(true=true, excused=excused, found=found)
+    return OverlapGains(true=true, excused=excused, found=found)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Crowd:
+class _ContestedPairs:
     """Contested pairs, ranked for choosing, and the frames' contested predictions, the best score first.
 
     A prefix is named by its last prediction: prefix i holds the predictions start[unit] ... i, and "unit" is a frame.
@@ -108,7 +108,7 @@ class _Crowd:
         optional: Bool[np.ndarray, " m"],
         score: Float[np.ndarray, " n"],
         order: Int[np.ndarray, " n"],
-    ) -> "_Crowd":
+    ) -> "_ContestedPairs":
         members, first = np.unique(detection, return_index=True)
         unit_of = frame[box[first]]
         ranking = np.lexsort((order[members], -score[members], unit_of))

@@ -11,7 +11,7 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, weighted_kradar
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
-from farfield.metrics.presenting import CurvePanel, Finding, Presentation, panels
+from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, panels
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import figure_names
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
@@ -23,7 +23,7 @@ _FIRST = ("label_version", "region", "azimuth_deg", "score_cut", "recall_points"
 _UNSAID = ("relabel", "origin_m")
 
 
-class KRadar(Protocol):
+class KRadarProtocol(Protocol):
     """K-Radar's average precision with boxes as they stand."""
 
     name = "kradar"
@@ -137,7 +137,7 @@ class KRadar(Protocol):
             glossary=_GLOSSARY,
             kinds=("weather", "road", "time", "visibility", "azimuth"),
             conditions_first=True,
-            finding=Finding("3d", float(least)),
+            finding=HitRule("3d", float(least)),
         )
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
@@ -192,7 +192,7 @@ def _visibility(found: "Detections") -> dict[Key, tuple[str, ...]]:
     return {key: tuple(a.visibility) for key, a in found.annotations.items() if a.visibility is not None}
 
 
-class KRadarCompat(KRadar):
+class KRadarCompat(KRadarProtocol):
     """K-Radar's average precision as its development kit computes it, by variant.
 
     Args:

@@ -21,7 +21,7 @@ WORST = {"MOTA": 0.0, "recall": 0.0, "MT": 0.0, "FAF": 500.0, "TP": 0.0, "TID": 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Side:
+class ClassBoxes:
     """The boxes of one class, by frame.
 
     Args:
@@ -43,7 +43,7 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Followed:
+class ThresholdMatches:
     """Which predicted box each annotated one got at a threshold.
 
     Args:
@@ -59,7 +59,7 @@ class Followed:
     kept: Bool[np.ndarray, " n"]
 
 
-class Follower:
+class PairFollower:
     """The pairs of a data set that may match, to be followed at any threshold.
 
     Args:
@@ -70,11 +70,15 @@ class Follower:
     """
 
     def __init__(
-        self, annotated: Side, predicted: Side, pair: Int[np.ndarray, "p 2"], distance_m: Float[np.ndarray, " p"]
+        self,
+        annotated: ClassBoxes,
+        predicted: ClassBoxes,
+        pair: Int[np.ndarray, "p 2"],
+        distance_m: Float[np.ndarray, " p"],
     ) -> None:
         self.annotated, self.predicted, self.pair, self.distance_m = annotated, predicted, pair, distance_m
 
-    def follow(self, least: float) -> Followed:
+    def follow(self, least: float) -> ThresholdMatches:
         """Match frame by frame with the tracks of at least a score."""
         kept = self.predicted.score >= least
         usable = np.flatnonzero(kept[self.pair[:, 1]])
@@ -86,7 +90,7 @@ class Follower:
             for place, switched in self._of_frame(part, last):
                 a, b = self.pair[place]
                 row[a], switch[a], distance[a] = b, switched, self.distance_m[place]
-        return Followed(row=row, switch=switch, distance_m=distance, kept=kept)
+        return ThresholdMatches(row=row, switch=switch, distance_m=distance, kept=kept)
 
     def _of_frame(self, part: Int[np.ndarray, " q"], last: dict[int, int]) -> list[tuple[int, bool]]:
         """Places of a frame's matched pairs, and whether each is a switch; brings ``last`` up to date."""
@@ -114,7 +118,7 @@ class Follower:
         return found
 
 
-def thresholds(first: Followed, predicted: Side, annotated: int) -> list[float | None]:
+def thresholds(first: ThresholdMatches, predicted: ClassBoxes, annotated: int) -> list[float | None]:
     """Scores at which recalls 0.1 ... 1 are reached, the highest recall first; None where one is not reached."""
     hit = first.row[(first.row >= 0) & ~first.switch]
     scores = np.sort(predicted.score[hit])[::-1]
@@ -127,7 +131,7 @@ def thresholds(first: Followed, predicted: Side, annotated: int) -> list[float |
 
 
 def figures_at(
-    follower: Follower, found: Followed, step_s: float, bin_m: tuple[float, float] | None = None
+    follower: PairFollower, found: ThresholdMatches, step_s: float, bin_m: tuple[float, float] | None = None
 ) -> dict[str, float]:
     """The rates and counts at one threshold, of all boxes or of a range bin; whole tracks for all boxes only."""
     annotated, predicted = follower.annotated, follower.predicted
@@ -157,7 +161,7 @@ def figures_at(
     return out | {"FAF": 100 * false / max(frames, 1)} | _of_tracks(annotated, found.row >= 0, step_s)
 
 
-def _of_tracks(annotated: Side, hit: Bool[np.ndarray, " m"], step_s: float) -> dict[str, float]:
+def _of_tracks(annotated: ClassBoxes, hit: Bool[np.ndarray, " m"], step_s: float) -> dict[str, float]:
     """What is counted by annotated track: found or lost as a whole, fragments, time to the first match, gaps."""
     order = np.lexsort([annotated.frame, annotated.track])
     track, frame, hit = annotated.track[order], annotated.frame[order], hit[order]
@@ -190,7 +194,7 @@ def _of_tracks(annotated: Side, hit: Bool[np.ndarray, " m"], step_s: float) -> d
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Averaged:
+class AmotaFigures:
     """AMOTA, AMOTP, and the figures at the threshold with the best MOTA.
 
     Args:
@@ -200,11 +204,11 @@ class Averaged:
     """
 
     figures: Figures
-    found: Followed
+    found: ThresholdMatches
     threshold: float | None
 
 
-def average(follower: Follower, *, distance_m: float, step_s: float = 0.5) -> Averaged:
+def average(follower: PairFollower, *, distance_m: float, step_s: float = 0.5) -> AmotaFigures:
     """Score at the recalls from 0.1 to 1; recalls that are not reached count as worst.
 
     Args:
@@ -223,10 +227,10 @@ def average(follower: Follower, *, distance_m: float, step_s: float = 0.5) -> Av
     if not figures:
         count, tracks = float(len(follower.annotated)), float(len(np.unique(follower.annotated.track)))
         rest: Figures = {"ML": tracks, "tracks": tracks, "FN": count, "MOTP": distance_m} | dict.fromkeys(_UNKNOWN)
-        return Averaged(figures=averages | WORST | rest, found=every, threshold=None)
+        return AmotaFigures(figures=averages | WORST | rest, found=every, threshold=None)
     best = max(figures, key=lambda score: (figures[score]["MOTA"], -score))
     chosen: Figures = {name: None if np.isnan(value) else value for name, value in figures[best].items()}
-    return Averaged(figures=averages | chosen, found=by_score[best], threshold=best)
+    return AmotaFigures(figures=averages | chosen, found=by_score[best], threshold=best)
 
 
 _UNKNOWN = ("FP", "IDS", "FRAG", "MOTAR")

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Int
 
 from farfield.metrics.recall import SAMPLES, sample_thresholds
 from farfield.metrics.tracking.pairing import best_pairs
-from farfield.metrics.tracking.scene import Scene
+from farfield.metrics.tracking.scene import TrackingScene
 
 Figures = dict[str, float | None]
 _FOUND_WHOLE, _FOUND_LOST = 0.8, 0.2
@@ -68,7 +68,7 @@ class Clear:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matched:
+class FrameMatches:
     """Which predicted box each annotated one got.
 
     Args:
@@ -82,7 +82,7 @@ class Matched:
     false: Bool[np.ndarray, " n"]
 
 
-def match(scene: Scene, least: float, kept: Bool[np.ndarray, " n"] | None = None) -> Matched:
+def match(scene: TrackingScene, least: float, kept: Bool[np.ndarray, " n"] | None = None) -> FrameMatches:
     """Match all frames.
 
     Args:
@@ -99,10 +99,10 @@ def match(scene: Scene, least: float, kept: Bool[np.ndarray, " n"] | None = None
     row[a[chosen]], of[a[chosen]] = b[chosen], similarity[chosen]
     taken = np.zeros(len(scene.predicted), dtype=bool)
     taken[b[chosen]] = True
-    return Matched(row=row, similarity=of, false=taking & ~taken & ~scene.predicted.aside)
+    return FrameMatches(row=row, similarity=of, false=taking & ~taken & ~scene.predicted.aside)
 
 
-def count(scene: Scene, matched: Matched, bin_m: tuple[float, float] | None = None) -> Clear:
+def count(scene: TrackingScene, matched: FrameMatches, bin_m: tuple[float, float] | None = None) -> Clear:
     """Count what a matching got right and wrong, of a range bin or of all."""
     here, there = np.ones(len(scene.annotated), dtype=bool), np.ones(len(scene.predicted), dtype=bool)
     if bin_m is not None:
@@ -122,7 +122,7 @@ def count(scene: Scene, matched: Matched, bin_m: tuple[float, float] | None = No
     )
 
 
-def _changes(scene: Scene, row: Int[np.ndarray, " m"]) -> tuple[Bool[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+def _changes(scene: TrackingScene, row: Int[np.ndarray, " m"]) -> tuple[Bool[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
     """Annotated boxes at which the identity switches, and at which a fragment begins."""
     order = np.lexsort([scene.annotated.frame, scene.annotated.track])
     track, aside = scene.annotated.track[order], scene.annotated.aside[order]
@@ -153,7 +153,7 @@ def _last_known(
     return np.where(first, -1, known)
 
 
-def _whole_tracks(scene: Scene, hit: Bool[np.ndarray, " m"]) -> dict[str, int]:
+def _whole_tracks(scene: TrackingScene, hit: Bool[np.ndarray, " m"]) -> dict[str, int]:
     """Tracks found as wholes; a match in a track's first frame counts even where it is ignored, as in KITTI."""
     track, valid = scene.annotated.track, ~scene.annotated.aside
     order = np.lexsort([scene.annotated.frame, track])
@@ -180,10 +180,10 @@ class Integrals:
     figures: Figures
     thresholds: tuple[float, ...]
     best: int
-    matched: Matched
+    matched: FrameMatches
 
 
-def integrate(scene: Scene, least: float, *, count_ignored: bool = True) -> Integrals:
+def integrate(scene: TrackingScene, least: float, *, count_ignored: bool = True) -> Integrals:
     """Cut the tracks at the scores of 40 recalls and average what is left.
 
     Recalls that are not reached count 0. The scores of matches place the thresholds, and, with ``count_ignored``, those

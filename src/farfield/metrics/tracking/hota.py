@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from farfield.metrics.tracking.clear import Figures
 from farfield.metrics.tracking.pairing import best_pairs
-from farfield.metrics.tracking.scene import Scene
+from farfield.metrics.tracking.scene import TrackingScene
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 _ON_IGNORED = 0.5
@@ -19,7 +19,7 @@ _EPSILON = float(np.finfo(float).eps)
 _NAMES = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
 
 
-def without_ignored(scene: Scene) -> Scene:
+def without_ignored(scene: TrackingScene) -> TrackingScene:
     """The boxes that count for HOTA and identity F1."""
     near = np.flatnonzero(scene.similarity >= _ON_IGNORED - _EPSILON)
     a, b = scene.pair[near].T
@@ -37,7 +37,7 @@ class Hota:
         scene: Boxes that count, see :func:`without_ignored`.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: TrackingScene) -> None:
         self.scene = scene
         a, b = scene.pair.T
         rows = np.bincount(a, scene.similarity, minlength=len(scene.annotated))
@@ -88,7 +88,7 @@ class Hota:
         return (float(np.sqrt(detected * shares[0])), detected, shares[0], recall, precision, *shares[1:], place)
 
 
-def identity_f1(scene: Scene, least: float) -> float | None:
+def identity_f1(scene: TrackingScene, least: float) -> float | None:
     """Identity F1: the share of boxes that bear the one right identity; None where nothing is annotated.
 
     Args:
@@ -114,7 +114,7 @@ def _lengths(track: Int[np.ndarray, " n"]) -> Int[np.ndarray, " t"]:
     return np.bincount(track, minlength=1)
 
 
-def _track_pairs(scene: Scene) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " p"]]:
+def _track_pairs(scene: TrackingScene) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " p"]]:
     """Pairs of tracks that touch, and which of them each pair of boxes belongs to."""
     named = np.column_stack([scene.annotated.track[scene.pair[:, 0]], scene.predicted.track[scene.pair[:, 1]]])
     of_pair, number = np.unique(named, axis=0, return_inverse=True)

@@ -15,7 +15,7 @@ from farfield.metrics.frames import check_frames, flatten, frame_order, has_labe
 from farfield.metrics.options import check_range_bins, json_options
 from farfield.metrics.protocol import Protocol
 from farfield.metrics.result import Result, table, value_at
-from farfield.metrics.tracking.amota import Follower, Side, average, figures_at
+from farfield.metrics.tracking.amota import ClassBoxes, PairFollower, average, figures_at
 from farfield.metrics.tracking.clear import Figures
 from farfield.metrics.tracking.scene import collect_rows
 
@@ -134,7 +134,7 @@ class NuScenesTracking(Protocol):
         return ("label", "range_bins_m")
 
 
-def gather_sides(found: "Detections", settings: NuScenesTrackingSettings) -> Follower:
+def gather_sides(found: "Detections", settings: NuScenesTrackingSettings) -> PairFollower:
     """Collect one class of all frames: in the world where there are poses, tracks filled over missing frames."""
     keys = sorted(found.annotations, key=frame_order)
     given = [found.annotations[key].boxes for key in keys]
@@ -150,7 +150,7 @@ def gather_sides(found: "Detections", settings: NuScenesTrackingSettings) -> Fol
     a, b = same_owner(annotated.frame, predicted.frame, len(keys))
     gap_m = np.hypot(*(annotated.place_m[a] - predicted.place_m[b]).T)
     near = gap_m < settings.distance_m
-    return Follower(annotated, predicted, np.column_stack([a[near], b[near]]), gap_m[near])
+    return PairFollower(annotated, predicted, np.column_stack([a[near], b[near]]), gap_m[near])
 
 
 def _times(found: "Detections", keys: list[Key]) -> Int[np.ndarray, " frames"]:
@@ -170,7 +170,7 @@ def _side(
     settings: NuScenesTrackingSettings,
     *,
     what: str,
-) -> Side:
+) -> ClassBoxes:
     reach = np.inf if settings.most_range_m is None else settings.most_range_m
     parts = [boxes[boxes.range_m < reach] for boxes in parts]
     boxes = flatten(parts, scored=what == "predictions")
@@ -185,11 +185,11 @@ def _side(
     moved = [part.transform(poses[key]) if key in poses else part for key, part in zip(keys, parts, strict=True)]
     place = np.concatenate([np.zeros((0, 2)), *(part.centre_m[:, :2] for part in moved)])[used]
     return _filled(
-        Side(frame=rows.frame, track=rows.track, place_m=place, range_m=rows.range_m, score=rows.score), times
+        ClassBoxes(frame=rows.frame, track=rows.track, place_m=place, range_m=rows.range_m, score=rows.score), times
     )
 
 
-def _filled(side: Side, times: Int[np.ndarray, " frames"]) -> Side:
+def _filled(side: ClassBoxes, times: Int[np.ndarray, " frames"]) -> ClassBoxes:
     """Tracks with boxes in the frames between, linear in time; the kit gives the later box the earlier one's weight."""
     order = np.lexsort([side.frame, side.track])
     left, right = order[:-1], order[1:]
@@ -204,7 +204,7 @@ def _filled(side: Side, times: Int[np.ndarray, " frames"]) -> Side:
     # In a frame the filled boxes follow the others, in the order in which their tracks begin.
     late = np.r_[np.arange(len(side)), len(side) + seen_first[side.track[a]]]
     order = np.lexsort([late, np.r_[side.frame, frame]])
-    return Side(
+    return ClassBoxes(
         frame=np.r_[side.frame, frame][order],
         track=np.r_[side.track, side.track[a]][order],
         place_m=np.concatenate([side.place_m, _between(side.place_m[a], side.place_m[b], share[:, None])])[order],

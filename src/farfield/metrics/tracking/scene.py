@@ -24,7 +24,7 @@ DONTCARE_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Rows:
+class BoxTable:
     """Boxes of all frames, in the order of the frames.
 
     Args:
@@ -44,12 +44,12 @@ class Rows:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __getitem__(self, rows: Bool[np.ndarray, " n"]) -> "Rows":
-        return Rows(**{name: values[rows] for name, values in vars(self).items()})
+    def __getitem__(self, rows: Bool[np.ndarray, " n"]) -> "BoxTable":
+        return BoxTable(**{name: values[rows] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
+class TrackingScene:
     """Annotated and predicted boxes of one class, and how alike those of a frame are.
 
     Args:
@@ -60,13 +60,13 @@ class Scene:
         notes: What was assumed, one sentence each.
     """
 
-    annotated: Rows
-    predicted: Rows
+    annotated: BoxTable
+    predicted: BoxTable
     pair: Int[np.ndarray, "p 2"]
     similarity: Float[np.ndarray, " p"]
     notes: tuple[str, ...] = ()
 
-    def cut(self, annotated: Bool[np.ndarray, " m"], predicted: Bool[np.ndarray, " n"]) -> "Scene":
+    def cut(self, annotated: Bool[np.ndarray, " m"], predicted: Bool[np.ndarray, " n"]) -> "TrackingScene":
         """Some of the rows, with the pairs of these."""
         kept = annotated[self.pair[:, 0]] & predicted[self.pair[:, 1]]
         number = np.column_stack([(np.cumsum(m) - 1)[self.pair[kept, i]] for i, m in enumerate((annotated, predicted))])
@@ -79,7 +79,7 @@ class Scene:
         )
 
 
-def gather(found: "Detections", settings: TrackingSettings) -> Scene:
+def gather(found: "Detections", settings: TrackingSettings) -> TrackingScene:
     """Collect one class of all frames.
 
     Raises:
@@ -103,7 +103,7 @@ def gather(found: "Detections", settings: TrackingSettings) -> Scene:
     pair = np.column_stack(same_owner(rows.frame, tracks.frame, len(keys)))
     similarity = _similarity(annotated, predicted, pair, settings)
     alike = similarity > 0
-    scene = Scene(
+    scene = TrackingScene(
         annotated=rows,
         predicted=tracks,
         pair=pair[alike],
@@ -123,7 +123,7 @@ def collect_rows(
     aside: Bool[np.ndarray, " n"],
     *,
     what: str,
-) -> Rows:
+) -> BoxTable:
     """The used rows of all frames' boxes with their tracks, which are checked.
 
     Args:
@@ -131,7 +131,7 @@ def collect_rows(
         parts: The boxes of each.
         boxes: All of them.
         used: Which of them.
-        aside: Which of them are ignored or harmless, see :class:`Rows`.
+        aside: Which of them are ignored or harmless, see :class:`BoxTable`.
         what: Whose boxes, for messages.
 
     Raises:
@@ -155,7 +155,7 @@ def collect_rows(
     track = np.unique(np.column_stack([sequence, track_id]), axis=0, return_inverse=True)[1].reshape(-1)
     score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
     mean = np.bincount(track, score[used]) / np.maximum(np.bincount(track), 1)
-    return Rows(frame=frame, track=track, range_m=boxes.range_m[used], aside=aside[used], score=mean[track])
+    return BoxTable(frame=frame, track=track, range_m=boxes.range_m[used], aside=aside[used], score=mean[track])
 
 
 def _similarity(

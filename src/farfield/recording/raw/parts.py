@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.bulk import Done, Unit
+from farfield.bulk import Unit, UnitResult
 from farfield.bulk.folders import STAGING
 from farfield.errors import DatasetError
-from farfield.recording.settings import Recording
+from farfield.recording.settings import RecordingOptions
 
 if TYPE_CHECKING:
-    from farfield.simulation.raw.clocks import Schedule, Stream
-    from farfield.simulation.rigs.drive import Drive
+    from farfield.simulation.raw.clocks import Schedule, SensorStream
+    from farfield.simulation.rigs.drive import SimulatedDrive
 
 PART_S = 5.0
 """So many seconds stand in one file of a bag."""
@@ -28,7 +28,7 @@ def parts_of(sweeps: int) -> int:
     return max(1, int(np.ceil(sweeps / 10 / PART_S - 1e-9)))
 
 
-def units_of(recording: Recording) -> list[Unit]:
+def units_of(recording: RecordingOptions) -> list[Unit]:
     """One unit a file; those of a drive go together, for its world is made once."""
     return [
         Unit(f"{sequence}/{part}", parameters=(sequence, part), group=str(sequence))
@@ -37,19 +37,19 @@ def units_of(recording: Recording) -> list[Unit]:
     ]
 
 
-def bag_folder(recording: Recording, sequence: int) -> Path:
+def bag_folder(recording: RecordingOptions, sequence: int) -> Path:
     """The folder of a drive's bag."""
     return recording.out / recording.preset.segment(sequence).name
 
 
-def streams_of(recording: Recording) -> tuple[str, ...]:
+def streams_of(recording: RecordingOptions) -> tuple[str, ...]:
     """The streams that are recorded: the sensors that were asked for, and what every car has."""
     from farfield.simulation.raw.clocks import KINDS
 
     return tuple(name for name in KINDS if name in recording.sensors or name not in ("gaussian", "uniform", "camera"))
 
 
-def kinds_of(recording: Recording) -> dict[str, str]:
+def kinds_of(recording: RecordingOptions) -> dict[str, str]:
     """Type of the messages of each topic."""
     from farfield.files import ros_messages as ros
 
@@ -69,10 +69,10 @@ class RecordStreams:
         recording: What is written where; its plan counts sweeps.
     """
 
-    recording: Recording
+    recording: RecordingOptions
     memory_bytes: int = field(default=700_000_000, init=False)
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Write one file.
 
         Raises:
@@ -98,26 +98,26 @@ class RecordStreams:
                 f"{wanted.out}: the disk is full. The files written so far are whole and stay; make room and run the "
                 "same command again to go on."
             ) from error
-        return Done(files=(path,), value=value)
+        return UnitResult(files=(path,), value=value)
 
 
-def _messages(drive: "Drive", plan: "Schedule", part: int, parts: int) -> Any:
+def _messages(drive: "SimulatedDrive", plan: "Schedule", part: int, parts: int) -> Any:
     """Topic, time of recording and bytes of the messages of a file, by time of recording."""
     rows = []
     for name, stream in plan.streams.items():
         place = np.clip((stream.log_ns - plan.epoch_ns) / (PART_S * 1e9), 0, parts - 1).astype(np.int64)
         rows += [(int(stream.log_ns[row]), name, int(row)) for row in np.flatnonzero(place == part)]
-    made = _Makers(drive, plan)
+    made = _MessageMakers(drive, plan)
     if part == 0:
         yield f"/{STATIC}", plan.epoch_ns - 1_000_000_000, made.static()
     for log_ns, name, row in sorted(rows):
         yield f"/{name}", log_ns, made.message(plan.streams[name], row)
 
 
-class _Makers:
+class _MessageMakers:
     """Measures and serialises single messages; those of IMU and GPS are measured once for all."""
 
-    def __init__(self, drive: "Drive", plan: "Schedule") -> None:
+    def __init__(self, drive: "SimulatedDrive", plan: "Schedule") -> None:
         self.drive, self.plan, self._tables = drive, plan, dict[str, Any]()
 
     def static(self) -> bytes:
@@ -127,7 +127,7 @@ class _Makers:
 
         return serialised(transforms_message(self.plan.epoch_ns, BASE, mounts(self.drive)))
 
-    def message(self, stream: "Stream", row: int) -> bytes:
+    def message(self, stream: "SensorStream", row: int) -> bytes:
         """One message of a stream."""
         from farfield.files import ros_messages as ros
         from farfield.simulation.raw import measure
@@ -151,7 +151,7 @@ class _Makers:
             made = ros.imu_message(table.angular_rad_s[row], table.acceleration_m_s2[row], stamp_ns, name)
         return ros.serialised(made)
 
-    def _table(self, stream: "Stream") -> Any:
+    def _table(self, stream: "SensorStream") -> Any:
         from farfield.simulation.raw import measure
 
         if stream.name not in self._tables:

@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk import Bulk, Journal, run
+from farfield.bulk import JobJournal, JobOptions, run
 from farfield.bulk.runs import Progress
 from farfield.errors import ConfigError, DatasetError
 from farfield.recording.frames import JOURNAL_NAME
 from farfield.recording.planning import frames_of_sequences
 from farfield.recording.raw.parts import RecordStreams, bag_folder, kinds_of, parts_of, streams_of, units_of
 from farfield.recording.raw.truth import truth_path, write_truth
-from farfield.recording.settings import Recording, claim
+from farfield.recording.settings import RecordingOptions, claim
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -34,7 +34,7 @@ class RawRecorded:
         truths: What is known of each, JSON.
     """
 
-    recording: Recording
+    recording: RecordingOptions
     written: int
     bags: tuple[Path, ...]
     truths: tuple[Path, ...]
@@ -95,7 +95,7 @@ def record_streams(
         changes["uniform_offset_ms"] = (uniform_offset_ms, uniform_offset_ms)
     chosen = _chosen(preset, {name: value for name, value in changes.items() if value is not None})
     named = sensors.replace(" ", "").split(",") if isinstance(sensors, str) and sensors else sensors
-    recording = Recording(
+    recording = RecordingOptions(
         preset=chosen,
         seed=chosen.seed if seed is None else seed,
         sensors=check_sensors(chosen, tuple(named or CIRRUS_SENSORS)),
@@ -108,7 +108,7 @@ def record_streams(
         _announce(recording, count, count, report or _silent)
         (report or _silent)(f"{recording.out} gets what it has not yet; nothing is written now")
         return RawRecorded(recording=recording, written=0, bags=(), truths=())
-    bulk = Bulk(workers=workers, engine=engine, progress=progress)
+    bulk = JobOptions(workers=workers, engine=engine, progress=progress)
     return _run(recording, bulk, report or _silent)
 
 
@@ -124,11 +124,11 @@ def _chosen(preset: "str | Preset", changes: dict[str, Any]) -> "Preset":
     return replace(chosen, stride_s=PERIOD_S)
 
 
-def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> RawRecorded:
+def _run(recording: RecordingOptions, bulk: JobOptions, report: Callable[[str], object]) -> RawRecorded:
     claim(recording)
     units, work = units_of(recording), RecordStreams(recording)
     setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
-    journal = Journal(recording.out / JOURNAL_NAME, setting)
+    journal = JobJournal(recording.out / JOURNAL_NAME, setting)
     left = sum(not journal.has(unit) for unit in units)
     _announce(recording, left, len(units), report)
     if left:
@@ -145,7 +145,7 @@ def _run(recording: Recording, bulk: Bulk, report: Callable[[str], object]) -> R
     return RawRecorded(recording=recording, written=outcome.written, bags=tuple(bags), truths=tuple(truths))
 
 
-def _announce(recording: Recording, left: int, count: int, report: Callable[[str], object]) -> None:
+def _announce(recording: RecordingOptions, left: int, count: int, report: Callable[[str], object]) -> None:
     report(
         f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * PERIOD_S:g} s of raw streams "
         f"in {len(recording.plan)} bags, {left} of {count} files still to write"
@@ -154,13 +154,13 @@ def _announce(recording: Recording, left: int, count: int, report: Callable[[str
     report(f"  {', '.join(streams_of(recording))}; {room}; into {recording.out}")
 
 
-def _bytes_needed(recording: Recording, share: float) -> float:
+def _bytes_needed(recording: RecordingOptions, share: float) -> float:
     preset = recording.preset
     sweep = sum(name != "camera" for name in recording.sensors) * preset.lines * preset.columns * _POINT_BYTES
     return share * sum(recording.plan) * (sweep + _REST_BYTES)
 
 
-def _check_room(recording: Recording, share: float) -> None:
+def _check_room(recording: RecordingOptions, share: float) -> None:
     """Refuse to begin what cannot be finished.
 
     Args:
@@ -179,7 +179,7 @@ def _check_room(recording: Recording, share: float) -> None:
         )
 
 
-def _clear(recording: Recording) -> None:
+def _clear(recording: RecordingOptions) -> None:
     """Take away what would make an unfinished folder a bag, and files of a longer recording."""
     for sequence, sweeps in enumerate(recording.plan):
         folder = bag_folder(recording, sequence)
@@ -190,7 +190,7 @@ def _clear(recording: Recording) -> None:
                 path.unlink()
 
 
-def _finish(recording: Recording, journal: Journal, sequence: int, sweeps: int) -> None:
+def _finish(recording: RecordingOptions, journal: JobJournal, sequence: int, sweeps: int) -> None:
     """The truth of a drive, then what makes its files a bag."""
     from farfield.files.bag_writing import write_bag_metadata
 

@@ -9,20 +9,20 @@ import numpy as np
 
 from farfield.files.atomic import write_text
 from farfield.recording.raw.parts import streams_of
-from farfield.recording.settings import Recording
+from farfield.recording.settings import RecordingOptions
 
 if TYPE_CHECKING:
-    from farfield.simulation.rigs.drive import Drive
+    from farfield.simulation.rigs.drive import SimulatedDrive
 
 POSE_STEP_S = 0.02
 
 
-def truth_path(recording: Recording, sequence: int) -> Path:
+def truth_path(recording: RecordingOptions, sequence: int) -> Path:
     """The file beside the bag of a drive."""
     return recording.out / f"{recording.preset.segment(sequence).name}_truth.json"
 
 
-def truth(recording: Recording, sequence: int) -> dict[str, Any]:
+def truth(recording: RecordingOptions, sequence: int) -> dict[str, Any]:
     """All that is known of a drive.
 
     ``streams`` tells of each stream how its clock reads (``offset_ms`` at ``epoch_ns`` and ``drift_ppm`` against GPS
@@ -50,7 +50,7 @@ def truth(recording: Recording, sequence: int) -> dict[str, Any]:
     }
 
 
-def _poses(drive: "Drive", epoch_ns: int, span_s: float) -> dict[str, Any]:
+def _poses(drive: "SimulatedDrive", epoch_ns: int, span_s: float) -> dict[str, Any]:
     from farfield.simulation.raw.measure import ego_poses
 
     time_s = np.arange(round((span_s + 0.2) / POSE_STEP_S) + 1) * POSE_STEP_S
@@ -58,7 +58,7 @@ def _poses(drive: "Drive", epoch_ns: int, span_s: float) -> dict[str, Any]:
     return {"time_ns": (epoch_ns + np.rint(time_s * 1e9).astype(np.int64)).tolist(), "world_T_base": rows.tolist()}
 
 
-def write_truth(recording: Recording, sequence: int) -> Path:
+def write_truth(recording: RecordingOptions, sequence: int) -> Path:
     """Write it."""
     path = truth_path(recording, sequence)
     write_text(path, json.dumps(truth(recording, sequence)) + "\n")

@@ -82,7 +82,7 @@ _LIT_SHARE = 0.28
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class Appearance:
     """Triangles as a camera sees them.
 
     Args:
@@ -98,10 +98,10 @@ class Looks:
     material: UInt8[np.ndarray, " f"]
 
 
-_KNOWN: WeakKeyDictionary[Tracer, Looks] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[Tracer, Appearance] = WeakKeyDictionary()
 
 
-def looks_of(tracer: Tracer, *, moving: bool) -> Looks:
+def looks_of(tracer: Tracer, *, moving: bool) -> Appearance:
     """Looks of a tracer's triangles; worked out once a tracer.
 
     Args:
@@ -110,7 +110,7 @@ def looks_of(tracer: Tracer, *, moving: bool) -> Looks:
     """
     if tracer not in _KNOWN:
         mesh = tracer.mesh
-        _KNOWN[tracer] = Looks(
+        _KNOWN[tracer] = Appearance(
             face_normals(mesh), albedo_of(mesh, moving=moving), _glow(mesh, moving), mesh.material.astype(np.uint8)
         )
     return _KNOWN[tracer]

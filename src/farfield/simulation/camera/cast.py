@@ -10,7 +10,7 @@ from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.camera.appearance import looks_of
 from farfield.simulation.trace import Tracer
-from farfield.simulation.world.scene import Window, at_knots
+from farfield.simulation.world.scene import SceneWindow, at_knots
 
 _NEAR_M = 0.1
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)])
@@ -36,7 +36,7 @@ class RayGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedBody:
     """One body at the reference moment: its tracer, pose, road user (-1: fixed), and its first triangle among all."""
 
     tracer: Tracer
@@ -46,7 +46,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class RayImage:
     """What every ray of a grid hit first.
 
     Args:
@@ -97,12 +97,12 @@ def _ray_grid(matrix: bytes, distortion: bytes, width_px: int, height_px: int, s
     )
 
 
-def place(window: Window) -> list[Placed]:
+def place(window: SceneWindow) -> list[PlacedBody]:
     """All bodies of a window at its reference moment, their triangles counted in this order."""
     placed, first = [], 0
     for body in window.bodies:
         placed.append(
-            Placed(body.tracer, at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0], body.actor, first)
+            PlacedBody(body.tracer, at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0], body.actor, first)
         )
         first += len(body.tracer.mesh.faces)
     return placed
@@ -137,10 +137,10 @@ def pixels_towards(grid: RayGrid, corners_m: Float[np.ndarray, "8 3"]) -> tuple[
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1), least
 
 
-def take_picture(placed: list[Placed], grid: RayGrid, world_T_camera: Float[np.ndarray, "4 4"]) -> Picture:
+def take_picture(placed: list[PlacedBody], grid: RayGrid, world_T_camera: Float[np.ndarray, "4 4"]) -> RayImage:
     """Cast one ray a pixel: every ray at what is fixed, then at each road user within its bounds, nearest first."""
     directions = grid.directions @ world_T_camera[:3, :3].astype(np.float32).T
-    picture = Picture(
+    picture = RayImage(
         np.full(len(directions), np.inf, dtype=np.float32),
         np.full(len(directions), -1, dtype=np.int32),
         directions,
@@ -163,7 +163,7 @@ def take_picture(placed: list[Placed], grid: RayGrid, world_T_camera: Float[np.n
     return picture
 
 
-def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | None) -> None:
+def _cast_one(picture: RayImage, body: PlacedBody, chosen: Int32[np.ndarray, " k"] | None) -> None:
     """Cast the chosen rays, or all, at one body and keep what is nearer than before."""
     if chosen is not None and chosen.size == 0:
         return
@@ -186,8 +186,8 @@ def _cast_one(picture: Picture, body: Placed, chosen: Int32[np.ndarray, " k"] | 
 
 
 def sunlit(
-    placed: list[Placed],
-    picture: Picture,
+    placed: list[PlacedBody],
+    picture: RayImage,
     chosen: Int[np.ndarray, " k"],
     sun: Float32[np.ndarray, " 3"],
     normal: Float32[np.ndarray, "k 3"],
@@ -225,8 +225,8 @@ def sunlit(
 
 
 def mirror_images(
-    placed: list[Placed],
-    picture: Picture,
+    placed: list[PlacedBody],
+    picture: RayImage,
     chosen: Int[np.ndarray, " k"],
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
@@ -281,7 +281,7 @@ class FaceTable:
     moving_from: int
 
 
-def face_table(placed: list[Placed], lit: list[bool]) -> FaceTable:
+def face_table(placed: list[PlacedBody], lit: list[bool]) -> FaceTable:
     """Collect the looks of all bodies.
 
     Args:

@@ -6,11 +6,11 @@ from jaxtyping import Float, Float32
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 from farfield.simulation.camera.cast import place, ray_grid, take_picture
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 
 def true_depth(
-    window: Window, camera: Camera, world_T_lidar: Float[np.ndarray, "4 4"]
+    window: SceneWindow, camera: Camera, world_T_lidar: Float[np.ndarray, "4 4"]
 ) -> Float32[np.ndarray, "height width"]:
     """Depth along the optical axis of what each pixel's ray hits first, at the window's reference moment.
 

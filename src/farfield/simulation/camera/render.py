@@ -8,9 +8,9 @@ from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.camera.cast import (
     FaceTable,
-    Picture,
-    Placed,
+    PlacedBody,
     RayGrid,
+    RayImage,
     face_table,
     mirror_images,
     pixels_towards,
@@ -22,7 +22,7 @@ from farfield.simulation.camera.cast import (
 from farfield.simulation.camera.lens import Exposure, finish
 from farfield.simulation.camera.sky import Sky, make_sky
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 _MOVING_M_S = 0.3  # slower road users have their lamps off
 _HEAD_LIGHT, _STREET_LIGHT = 90.0, 7.0
@@ -33,7 +33,7 @@ _SHADOW_M = 250.0  # shadows farther off are left out
 
 
 def render(
-    window: Window,
+    window: SceneWindow,
     camera: Camera,
     world_T_lidar: Float[np.ndarray, "4 4"],
     weather: Weather,
@@ -69,7 +69,7 @@ def render(
 
 
 def radiance(
-    window: Window,
+    window: SceneWindow,
     camera: Camera,
     world_T_lidar: Float[np.ndarray, "4 4"],
     weather: Weather,
@@ -91,9 +91,9 @@ def radiance(
 
 
 def _shade(
-    window: Window,
-    placed: list[Placed],
-    picture: Picture,
+    window: SceneWindow,
+    placed: list[PlacedBody],
+    picture: RayImage,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
     sky: Sky,
@@ -119,7 +119,7 @@ def _shade(
 
 
 def _sunlight(
-    placed: list[Placed], picture: Picture, table: FaceTable, grid: RayGrid, sky: Sky
+    placed: list[PlacedBody], picture: RayImage, table: FaceTable, grid: RayGrid, sky: Sky
 ) -> Float32[np.ndarray, " n"]:
     """Whether the sun reaches what each ray hit, cast at one pixel in four and spread from there."""
     from farfield.simulation.camera import shadow_kernels
@@ -156,8 +156,8 @@ def _one_in_four(grid: RayGrid) -> Int[np.ndarray, " k"]:
 
 
 def _mirrored(
-    placed: list[Placed],
-    picture: Picture,
+    placed: list[PlacedBody],
+    picture: RayImage,
     table: FaceTable,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
@@ -174,8 +174,8 @@ def _mirrored(
 
 
 def _contact_shadows(
-    placed: list[Placed],
-    picture: Picture,
+    placed: list[PlacedBody],
+    picture: RayImage,
     table: FaceTable,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
@@ -204,7 +204,7 @@ def _contact_shadows(
 
 
 def _lamps(
-    window: Window, placed: list[Placed], on: list[bool], picture: Picture
+    window: SceneWindow, placed: list[PlacedBody], on: list[bool], picture: RayImage
 ) -> tuple[Float32[np.ndarray, "m 12"], int]:
     """Lamps that light the scene at night: the ego vehicle's own two first, then others' and the street's nearest.
 
@@ -246,7 +246,7 @@ def _lamp(
     return np.concatenate([place_m, unit, [cone_cos], power * np.array(rgb), [reach_m**2, head]])
 
 
-def _street_lamps(placed: list[Placed], picture: Picture) -> list[Float[np.ndarray, " 12"]]:
+def _street_lamps(placed: list[PlacedBody], picture: RayImage) -> list[Float[np.ndarray, " 12"]]:
     """The nearest lamps of the fixed world, one for all lamp triangles within the same 2 m."""
     found = []
     for body in placed:

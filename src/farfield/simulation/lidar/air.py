@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from farfield.simulation.lidar.echoes import Echoes
+from farfield.simulation.lidar.echoes import LidarEchoes
 from farfield.simulation.lidar.model import LidarModel
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.weather.beam import Beam
@@ -56,7 +56,7 @@ def window_gain(
 
 
 @dataclass(frozen=True, eq=False)
-class Sprayed:
+class SprayEffect:
     """Spray in the way: factor on each shot's signal, and the echo of the densest part met (strength 0: none)."""
 
     gain: Float32[np.ndarray, " shots"]
@@ -70,7 +70,7 @@ def spray(
     plumes: list[Plume],
     world_T_sensor: Float[np.ndarray, "4 4"],
     range_m: Float32[np.ndarray, " shots"],
-) -> Sprayed:
+) -> SprayEffect:
     """Extinction and echo of the plumes behind fast vehicles, where they stand at the reference time.
 
     Args:
@@ -81,7 +81,7 @@ def spray(
         range_m: How far each shot's middle gets, inf if it hits nothing.
     """
     count, beam = len(range_m), beam_of(model)
-    out = Sprayed(*(np.zeros(count, dtype=np.float32) for _ in range(3)))
+    out = SprayEffect(*(np.zeros(count, dtype=np.float32) for _ in range(3)))
     out.gain[:] = 1
     middle = scan.rays[:, 0].reshape(3, -1)
     for plume in plumes:
@@ -106,10 +106,10 @@ def spray(
 def compete(
     model: LidarModel,
     weather: Weather,
-    echoes: Echoes,
+    echoes: LidarEchoes,
     open_m: Float32[np.ndarray, " shots"],
     gain: Float32[np.ndarray, " shots"] | None,
-    sprayed: Sprayed | None,
+    sprayed: SprayEffect | None,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, " shots"], Float32[np.ndarray, " shots"], UInt8[np.ndarray, " shots"]]:
     """Let what hangs and falls in the air compete with the surfaces' echoes: each shot reports the strongest.
@@ -167,6 +167,6 @@ def _offer(
     range_m[chosen], strength[chosen], kind[chosen] = at_m[wins], power[wins], what
 
 
-def _heard(sprayed: Sprayed, through: Float32[np.ndarray, " shots"]) -> tuple[np.ndarray, np.ndarray]:
+def _heard(sprayed: SprayEffect, through: Float32[np.ndarray, " shots"]) -> tuple[np.ndarray, np.ndarray]:
     shots = sprayed.strength > _WORTH
     return sprayed.range_m[shots], (sprayed.strength * through)[shots]

@@ -11,7 +11,7 @@ from farfield.vocabulary.patterns import PATTERNS
 
 
 @dataclass(frozen=True)
-class Beams:
+class BeamTable:
     """The rows of a spinning sensor, from the highest down.
 
     Args:
@@ -27,20 +27,20 @@ class Beams:
     @classmethod
     def table(
         cls, top_deg: float, bottom_deg: float, rows: int, cycle_deg: tuple[float, ...], origin_m: float
-    ) -> "Beams":
+    ) -> "BeamTable":
         """Evenly spaced rows whose azimuth offsets repeat a cycle."""
         elevation = tuple(float(value) for value in np.linspace(top_deg, bottom_deg, rows))
         return cls(elevation, tuple(cycle_deg[row % len(cycle_deg)] for row in range(rows)), origin_m)
 
-    def every_second(self) -> "Beams":
+    def every_second(self) -> "BeamTable":
         """The rows 0, 2, 4..."""
-        return Beams(self.elevation_deg[::2], self.offset_deg[::2], self.origin_m)
+        return BeamTable(self.elevation_deg[::2], self.offset_deg[::2], self.origin_m)
 
 
-OS1_128_BEAMS = Beams.table(20.95, -21.82, 128, (4.21, 1.41, -1.40, -4.21), 0.0158)
-OS2_128_BEAMS = Beams.table(10.76, -11.09, 128, (2.08, 0.70, -0.68, -2.05), 0.0138)
+OS1_128_BEAMS = BeamTable.table(20.95, -21.82, 128, (4.21, 1.41, -1.40, -4.21), 0.0158)
+OS2_128_BEAMS = BeamTable.table(10.76, -11.09, 128, (2.08, 0.70, -0.68, -2.05), 0.0138)
 OS2_64_BEAMS = OS2_128_BEAMS.every_second()
-HDL_64E_BEAMS = Beams(
+HDL_64E_BEAMS = BeamTable(
     (*np.linspace(2.0, -8.7, 32).tolist(), *np.linspace(-9.2, -24.9, 32).tolist()), offset_deg=(0.0,) * 64, origin_m=0.0
 )
 """The two blocks of 32 lasers of KITTI's Velodyne HDL-64E, the upper one denser, from +2.0 to -24.9 degrees.

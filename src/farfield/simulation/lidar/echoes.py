@@ -12,7 +12,7 @@ _CHUNK = 32_768
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class SurfaceReflectance:
     """What every triangle sends back: ``diffuse * cos + rough + gloss * cos^20``, at index -1 nothing.
 
     The values are reflectances at the sensor's wavelength.
@@ -23,7 +23,7 @@ class Looks:
     gloss: Float32[np.ndarray, " f"]
 
     @classmethod
-    def of(cls, material: Int[np.ndarray, " f"], reflectance: Float32[np.ndarray, " f"]) -> "Looks":
+    def of(cls, material: Int[np.ndarray, " f"], reflectance: Float32[np.ndarray, " f"]) -> "SurfaceReflectance":
         """From materials and reflectances; reflectance 0 and material -1 stand for nothing."""
         rough = BACKSCATTER.astype(np.float32)[material]
         gloss = np.where(material >= 0, GLOSS[material], 0.0).astype(np.float32)
@@ -45,7 +45,7 @@ class Looks:
 
 
 @dataclass(frozen=True, eq=False)
-class Echoes:
+class LidarEchoes:
     """The strongest echo of every shot.
 
     Args:
@@ -61,7 +61,7 @@ class Echoes:
 
 def strongest(
     model: LidarModel, range_m: Float32[np.ndarray, "rays n"], power: Float32[np.ndarray, "rays n"]
-) -> Echoes:
+) -> LidarEchoes:
     """Merge the hits of each beam's rays into echoes and keep the strongest one.
 
     Hits closer to the next than ``model.merge_m`` make one echo: their powers add up, and its range is their mean
@@ -86,7 +86,7 @@ def strongest(
     apart = np.flatnonzero(at.max(axis=0) - near > model.merge_m)
     if apart.size:
         mean[apart], total[apart], ray[apart] = _apart(model, at[:, apart], power[:, apart])
-    return Echoes(mean, total, ray)
+    return LidarEchoes(mean, total, ray)
 
 
 def _apart(
@@ -112,7 +112,7 @@ def _apart(
 
 def surface_echoes(
     model: LidarModel,
-    looks: Looks,
+    looks: SurfaceReflectance,
     weights: Float32[np.ndarray, " rays"],
     range_m: Float32[np.ndarray, "rays n"],
     cosine: Float32[np.ndarray, "rays n"],
@@ -120,7 +120,7 @@ def surface_echoes(
     *,
     extinction_per_m: float = 0.0,
     gain: Float32[np.ndarray, " n"] | Float32[np.ndarray, "rays n"] | None = None,
-) -> Echoes:
+) -> LidarEchoes:
     """The strongest echo from surfaces, of each shot.
 
     Args:
@@ -134,7 +134,7 @@ def surface_echoes(
         gain: Further factor on the signal of each shot or ray (window, spray, changed ground), or None.
     """
     n = range_m.shape[1]
-    out = Echoes(np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32), np.empty(n, dtype=np.int64))
+    out = LidarEchoes(np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32), np.empty(n, dtype=np.int64))
     scale = (weights * np.float32(model.reference_range_m**2 / REFERENCE_REFLECTANCE))[:, None]
     for first in range(0, n, _CHUNK):
         part = slice(first, min(first + _CHUNK, n))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from farfield.simulation.lidar.air import BLANKING_M, SURFACE, beam_of, compete
-from farfield.simulation.lidar.echoes import Echoes
+from farfield.simulation.lidar.echoes import LidarEchoes
 from farfield.simulation.lidar.model import (
     HDL_64E,
     OS1_128,
@@ -26,7 +26,7 @@ from farfield.simulation.lidar.model import (
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.fog import FOG_MOR_M, soft_echo
 from farfield.simulation.weather.icing import WindowField
-from farfield.simulation.weather.laid import CLEAR, Laid
+from farfield.simulation.weather.laid import CLEAR, OverlaidWeather
 from farfield.simulation.weather.optics import extinction_per_m, film_transmission, haze_extinction_per_m
 from farfield.simulation.weather.precipitation import Strongest, falling, strongest_particle
 
@@ -39,7 +39,7 @@ _LEVELS = 255  # intensities are written in so many steps
 
 
 @dataclass(frozen=True, eq=False)
-class Overlaid:
+class WeatheredSweep:
     """What weather makes of a sweep.
 
     Args:
@@ -56,7 +56,7 @@ class Overlaid:
 
 
 @dataclass(frozen=True, eq=False)
-class LaidWindow:
+class WindowEffect:
     """A window as it is laid over one frame.
 
     Args:
@@ -72,7 +72,7 @@ class LaidWindow:
     covered: float
 
     @classmethod
-    def draw(cls, model: LidarModel, laid: Laid) -> "LaidWindow":
+    def draw(cls, model: LidarModel, laid: OverlaidWeather) -> "WindowEffect":
         """Draw what covers a sensor's window."""
         clear = film_transmission(laid.weather.film_mm, model.wavelength_nm)
         share = laid.weather.icing_at(0.0)
@@ -101,11 +101,11 @@ def overlay(
     points_m: Float32[np.ndarray, "n 3"],
     intensity: Float32[np.ndarray, " n"],
     model: LidarModel,
-    laid: Laid,
+    laid: OverlaidWeather,
     rng: np.random.Generator,
     *,
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Overlaid:
+) -> WeatheredSweep:
     """Lay weather over a sweep.
 
     Args:
@@ -121,12 +121,12 @@ def overlay(
     range_m = np.maximum(np.hypot(flat, offset[:, 2]), np.float32(0.1))
     azimuth, elevation = np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(offset[:, 2], flat)
     seen = np.column_stack([azimuth, elevation]).astype(np.float32)
-    window = LaidWindow.draw(model, laid)
+    window = WindowEffect.draw(model, laid)
     through = window.gain(seen)
     before = np.maximum(intensity / REFERENCE_REFLECTANCE * (model.reference_range_m / range_m) ** 2, _LEAST_SIGNAL)
     alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR, model.wavelength_nm)
     left = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
-    echoes = Echoes(range_m, left, np.zeros(len(left), dtype=np.int64))
+    echoes = LidarEchoes(range_m, left, np.zeros(len(left), dtype=np.int64))
     at_m, strength, kind = compete(model, laid.weather, echoes, range_m, through, None, rng)
     lucky, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
     kept = surface & (lucky < detection_probability(model, strength) / detection_probability(model, before))
@@ -135,14 +135,14 @@ def overlay(
     own = _returns((offset / range_m[:, None])[heard], at_m[heard], strength[heard], model, rng)
     sky = _open_sky(seen, model, laid.weather, window, rng)
     points_m, shown = (np.concatenate(pair) for pair in zip(own, sky, strict=True))
-    return Overlaid(kept, gain, points_m + np.array(origin_m, dtype=np.float32), shown)
+    return WeatheredSweep(kept, gain, points_m + np.array(origin_m, dtype=np.float32), shown)
 
 
 def _open_sky(
     seen_rad: Float32[np.ndarray, "n 2"],
     model: LidarModel,
     weather: Weather,
-    window: "LaidWindow",
+    window: "WindowEffect",
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "m 3"], Float32[np.ndarray, " m"]]:
     """What the shots that met no surface bring back, of the sensor: points and intensities."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.simulation.bodies.materials import BACKSCATTER, GLOSS
-from farfield.simulation.lidar.beams import HDL_64E_BEAMS, OS1_128_BEAMS, OS2_64_BEAMS, Beams
+from farfield.simulation.lidar.beams import HDL_64E_BEAMS, OS1_128_BEAMS, OS2_64_BEAMS, BeamTable
 
 REFERENCE_REFLECTANCE = 0.1
 
@@ -54,7 +54,7 @@ class LidarModel:
     """
 
     name: str = "luminar-h2"
-    beams: Beams | None = None
+    beams: BeamTable | None = None
     lines: int = 64
     columns: int = 938
     azimuth_deg: float = 60.0

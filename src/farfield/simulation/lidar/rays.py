@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.trace import Body, Hits
+from farfield.simulation.trace import Body, RayHits
 
 _PANES = 2  # a ray passes through so many panes of glass at most
 _BEYOND_GLASS_M = np.float32(0.01)
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class SensorPath:
     """A sensor's pose relative to a body, at each knot; linear in between.
 
     Args:
@@ -29,7 +29,7 @@ class Path:
     @classmethod
     def towards(
         cls, body: Body, world_T_sensor: Float[np.ndarray, "k 4 4"], knots_s: Float[np.ndarray, " k"]
-    ) -> "Path":
+    ) -> "SensorPath":
         """The path of a sensor as seen from a body; coordinates count from the anchor of the body's tracer."""
         turn = np.swapaxes(body.world_T_body[:, :3, :3], 1, 2)
         poses = turn @ (world_T_sensor[:, :3] - np.pad(body.world_T_body[:, :3, 3:], ((0, 0), (0, 0), (3, 0))))
@@ -76,7 +76,7 @@ def _starts(
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ShotBlock:
     """Which shots may hit a body.
 
     Args:
@@ -104,7 +104,7 @@ def _wrap(angle_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
-def block_towards(scan: Scan, body: Body, path: Path) -> Block:
+def block_towards(scan: Scan, body: Body, path: SensorPath) -> ShotBlock:
     """Bound the shots that may hit a body by the angles of its bounding box at all knots.
 
     Args:
@@ -117,7 +117,7 @@ def block_towards(scan: Scan, body: Body, path: Path) -> Block:
     sensor = path.poses[:, :, 3] + body.tracer.anchor_m
     gap = np.maximum(np.maximum(low - sensor, sensor - high), 0.0)
     nearest, flat = float(np.linalg.norm(gap, axis=1).min()) - 0.3, float(np.hypot(gap[:, 0], gap[:, 1]).min())
-    every = Block(np.ones(rings, dtype=bool), np.ones(columns, dtype=bool), max(nearest, 0.0))
+    every = ShotBlock(np.ones(rings, dtype=bool), np.ones(columns, dtype=bool), max(nearest, 0.0))
     if flat < 0.5:
         return every
     offset = body.tracer.corners_m[None] - sensor[:, None]
@@ -132,10 +132,10 @@ def block_towards(scan: Scan, body: Body, path: Path) -> Block:
     bottom = np.arctan2(z.min(), near if z.min() < 0 else far)
     across, up = scan.margin_rad
     chosen = np.abs(_wrap(scan.azimuth_rad - centre)) <= half + across
-    return Block((scan.elevation_rad >= bottom - up) & (scan.elevation_rad <= top + up), chosen, max(nearest, 0.0))
+    return ShotBlock((scan.elevation_rad >= bottom - up) & (scan.elevation_rad <= top + up), chosen, max(nearest, 0.0))
 
 
-class Casting:
+class NearestHits:
     """The nearest hit of every ray.
 
     Args:
@@ -164,7 +164,7 @@ class Casting:
         self.range_m: Float32[np.ndarray, "rays shots"] = np.full(shape, np.inf, dtype=np.float32)
         self.cosine: Float32[np.ndarray, "rays shots"] = np.zeros(shape, dtype=np.float32)
         self.face: Int32[np.ndarray, "rays shots"] = np.full(shape, -1, dtype=np.int32)
-        paths = [Path.towards(body, world_T_sensor, knots_s) for body in bodies]
+        paths = [SensorPath.towards(body, world_T_sensor, knots_s) for body in bodies]
         blocks = [block_towards(scan, body, path) for body, path in zip(bodies, paths, strict=True)]
         order = sorted(range(len(bodies)), key=lambda i: (bodies[i].actor >= 0, blocks[i].nearest_m))
         self.bodies = [bodies[i] for i in order]
@@ -216,7 +216,7 @@ class Casting:
         index: int,
         ray: Int[np.ndarray, " m"],
         shots: Int[np.ndarray, " m"],
-        hits: Hits,
+        hits: RayHits,
         beyond_m: Float32[np.ndarray, " m"] | np.float32,
     ) -> None:
         """Keep the hits that are nearer than what the rays have hit so far."""

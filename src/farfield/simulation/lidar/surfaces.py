@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float32, Int, Int32
 
 from farfield.simulation.bodies.materials import SURFACES, Material, reflectance_at
-from farfield.simulation.lidar.echoes import Looks
+from farfield.simulation.lidar.echoes import SurfaceReflectance
 from farfield.simulation.lidar.model import LidarModel
-from farfield.simulation.lidar.rays import Casting
+from farfield.simulation.lidar.rays import NearestHits
 from farfield.simulation.trace import Body
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.ground import GROUND, ROAD, SNOW_GRADES, grade_factor, snow_grades, wet_factor
@@ -28,12 +28,12 @@ class Surfaces:
     """
 
     face: Int32[np.ndarray, "rays shots"]
-    looks: Looks
+    looks: SurfaceReflectance
     actor: Int[np.ndarray, " faces"]
     wet: Float32[np.ndarray, "rays shots"] | None
 
     @classmethod
-    def of(cls, casting: Casting, model: LidarModel, weather: Weather) -> "Surfaces":
+    def of(cls, casting: NearestHits, model: LidarModel, weather: Weather) -> "Surfaces":
         """Look up what was hit, and cover the ground with water or snow.
 
         Args:
@@ -55,7 +55,7 @@ class Surfaces:
                 factor = wet_factor(weather.water_mm, model.wavelength_nm)
                 step = np.minimum(casting.cosine * (len(factor) - 1), len(factor) - 1).astype(np.int16)
                 wet = np.where(ground[face], factor[step], np.float32(1))
-        return cls(face, Looks.of(material, bright), actor, wet)
+        return cls(face, SurfaceReflectance.of(material, bright), actor, wet)
 
 
 def _with_snow(table: np.ndarray, value: float | int) -> np.ndarray:
@@ -71,7 +71,7 @@ def _is_ground(body: Body) -> np.ndarray:
 
 
 def _snowed(
-    casting: Casting, ground: np.ndarray, material: Int[np.ndarray, " faces"], cover: float
+    casting: NearestHits, ground: np.ndarray, material: Int[np.ndarray, " faces"], cover: float
 ) -> Int32[np.ndarray, "rays shots"]:
     """Faces with those replaced by snow on which it lies; on roads it lies less, for traffic wears it."""
     face = casting.face.copy()

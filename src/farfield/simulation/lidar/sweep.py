@@ -8,28 +8,28 @@ from jaxtyping import Float, Float32, Int, Shaped, UInt8
 from farfield.frame import Cloud
 from farfield.geometry.poses import invert
 from farfield.simulation.lidar.air import SURFACE, compete, spray, window_gain
-from farfield.simulation.lidar.echoes import Echoes, surface_echoes
+from farfield.simulation.lidar.echoes import LidarEchoes, surface_echoes
 from farfield.simulation.lidar.model import LidarModel
-from farfield.simulation.lidar.rays import Casting, Path, turned
+from farfield.simulation.lidar.rays import NearestHits, SensorPath, turned
 from farfield.simulation.lidar.returns import Returns, ambient_counts, measure, reflectivity, signal_counts
 from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.surfaces import Surfaces
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.optics import extinction_per_m
 from farfield.simulation.weather.spray import plumes
-from farfield.simulation.world.scene import Window, at_knots
+from farfield.simulation.world.scene import SceneWindow, at_knots
 
 DRY = Weather()
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class SimulatedSweep:
     """What one sensor measured in one frame.
 
     Args:
         cloud: Points in the sensor's frame at the reference time, by ring and column. ``extra`` holds ring, column,
             time_ns (relative to the reference time), and for spinning sensors reflectivity, ambient, range_mm, signal.
-        actor: Row of the road user each point lies on, within ``Window.actors``; -1 for none.
+        actor: Row of the road user each point lies on, within ``SceneWindow.actors``; -1 for none.
         kind: What each point comes from: a constant of ``air``: SURFACE 0, PRECIPITATION 1, FOG 2, SPRAY 3.
         aimed: How many shots would have met each road user with a clean window in clear air and no losses; None where
             that was not counted.
@@ -44,13 +44,13 @@ class Sweep:
 def sweep(
     scan: Scan,
     model: LidarModel,
-    window: Window,
+    window: SceneWindow,
     ego_T_sensor: Float[np.ndarray, "4 4"],
     rng: np.random.Generator,
     *,
     weather: Weather | None = None,
     window_seed: np.random.SeedSequence | None = None,
-) -> Sweep:
+) -> SimulatedSweep:
     """Measure one frame.
 
     Every ray leaves from where the sensor is at its time and meets each body where it is then. A window with a single
@@ -67,7 +67,7 @@ def sweep(
     """
     surface_rng, air_rng = rng.spawn(2)
     world_T_sensor = window.world_T_ego @ ego_T_sensor
-    casting = Casting(scan, window.bodies, world_T_sensor, window.knots_s)
+    casting = NearestHits(scan, window.bodies, world_T_sensor, window.knots_s)
     count = casting.range_m.shape[1]
     passes = np.greater_equal(surface_rng.random(count, dtype=np.float32), model.glass_return)
     casting.see_through(passes)
@@ -86,20 +86,20 @@ def sweep(
     seen = surfaces.actor[casting.face[0]]
     aimed = np.bincount(seen[(seen >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors))
     actor = np.where(solid, surfaces.actor[face], -1)
-    return Sweep(Cloud(points, intensity, extra), actor, kind[returns.shot], aimed)
+    return SimulatedSweep(Cloud(points, intensity, extra), actor, kind[returns.shot], aimed)
 
 
 def _echoes(
     scan: Scan,
     model: LidarModel,
-    window: Window,
-    casting: Casting,
+    window: SceneWindow,
+    casting: NearestHits,
     surfaces: Surfaces,
     world_T_sensor: Float[np.ndarray, "4 4"],
     weather: Weather | None,
     window_seed: np.random.SeedSequence | None,
     rng: np.random.Generator,
-) -> tuple[Echoes, UInt8[np.ndarray, " shots"]]:
+) -> tuple[LidarEchoes, UInt8[np.ndarray, " shots"]]:
     """The echo of each shot, of a surface or of something in the air, and which of them it is."""
     dirt = None
     if weather is not None and window_seed is not None:
@@ -120,7 +120,7 @@ def _echoes(
     if weather is None:
         return echoes, np.zeros(len(echoes.range_m), dtype=np.uint8)
     range_m, strength, kind = compete(model, weather, echoes, casting.range_m[0], dirt, sprayed, rng)
-    return Echoes(range_m, strength, echoes.ray), kind
+    return LidarEchoes(range_m, strength, echoes.ray), kind
 
 
 def _points(
@@ -137,7 +137,7 @@ def _points(
     points = origin + scan.rays[:, 0, ring, column] * returns.range_m
     if not model.compensated or len(knots_s) == 1:
         return np.ascontiguousarray(points.T)
-    path = Path((invert(now) @ world_T_sensor)[:, :3], knots_s)
+    path = SensorPath((invert(now) @ world_T_sensor)[:, :3], knots_s)
     pose = path.at(scan.times_s[ring, column])
     return turned(pose, points) + pose[:, :, 3]
 

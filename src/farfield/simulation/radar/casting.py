@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.trace import Body
-from farfield.simulation.world.scene import Window, at_knots
+from farfield.simulation.world.scene import SceneWindow, at_knots
 
 FAN_STEP_DEG = (0.5, 0.75)
 FAN_REACH_DEG = (55.0, 20.0)
@@ -16,7 +16,7 @@ _NEAREST_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Cast:
+class CastRays:
     """What every ray hit first, in the radar's frame.
 
     Args:
@@ -51,8 +51,8 @@ class Cast:
 
 
 def cast_rays(
-    window: Window, world_T_radar: Float[np.ndarray, "4 4"], reach_m: float, rng: np.random.Generator
-) -> Cast:
+    window: SceneWindow, world_T_radar: Float[np.ndarray, "4 4"], reach_m: float, rng: np.random.Generator
+) -> CastRays:
     """Cast the fan and the aimed rays at everything, at the window's reference moment.
 
     Args:
@@ -70,7 +70,7 @@ def cast_rays(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
     )
     n = len(direction)
-    cast = Cast(
+    cast = CastRays(
         direction, solid, owner, np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), -direction,
         np.full(n, -1), np.full(n, -1), np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), np.full(n, -1),
     )  # fmt: skip
@@ -81,7 +81,7 @@ def cast_rays(
     return cast
 
 
-def now(window: Window, body: Body) -> Float[np.ndarray, "4 4"]:
+def now(window: SceneWindow, body: Body) -> Float[np.ndarray, "4 4"]:
     """Pose of a body in the world at the reference moment."""
     return np.asarray(at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0])
 
@@ -112,7 +112,7 @@ def _angles(corners_m: Float[np.ndarray, "k 3"]) -> tuple[float, float, float, f
 
 
 def _rays(
-    window: Window, corners: list[Float[np.ndarray, "8 3"]], reach_m: float, rng: np.random.Generator
+    window: SceneWindow, corners: list[Float[np.ndarray, "8 3"]], reach_m: float, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Azimuth, elevation, solid angle and owner of all rays; the fan's rays each within a cell of their own."""
     (step_az, step_el), (reach_az, reach_el) = np.radians(FAN_STEP_DEG), np.radians(FAN_REACH_DEG)
@@ -157,7 +157,7 @@ def _towards(
 
 
 def _cast_body(
-    cast: Cast, row: int, body: Body, radar_T_body: Float[np.ndarray, "4 4"], rays: Int[np.ndarray, " k"]
+    cast: CastRays, row: int, body: Body, radar_T_body: Float[np.ndarray, "4 4"], rays: Int[np.ndarray, " k"]
 ) -> None:
     """Cast rays at one body and keep what is nearer than before, for all and for the road user's own rays."""
     body_T_radar = invert(radar_T_body)

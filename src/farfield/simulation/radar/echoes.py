@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from farfield.simulation.radar.model import RadarModel
 
 
-class Kind(IntEnum):
+class ScattererKind(IntEnum):
     """What a scatterer is."""
 
     SURFACE = 0
@@ -31,7 +31,7 @@ class Scatterers:
         velocity_m_s: Radial velocity relative to the radar, positive when receding, shape (n,).
         rcs_m2: Radar cross section, multipath and fluctuation included, shape (n,).
         actor: Row of the road user in the window, -1 for none, shape (n,).
-        kind: A :class:`Kind`, shape (n,).
+        kind: A :class:`ScattererKind`, shape (n,).
         loss_db: Two-way loss on the path: air, rain, radome, shape (n,).
     """
 
@@ -50,7 +50,7 @@ class Scatterers:
         rcs_m2: Float[np.ndarray, " n"],
         *,
         actor: Int[np.ndarray, " n"] | int = -1,
-        kind: Kind = Kind.SURFACE,
+        kind: ScattererKind = ScattererKind.SURFACE,
     ) -> "Scatterers":
         """Scatterers of one kind on a path without loss."""
         n = len(position_m)

@@ -14,7 +14,7 @@ from farfield.simulation.radar.scatterers import scatterers
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 from farfield.simulation.radar.visibility import masked_db, object_snr_db
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
 OUTPUTS = ("mean", "tensor")
 
@@ -52,7 +52,7 @@ class RadarFrame:
 
 
 def measure(
-    window: Window,
+    window: SceneWindow,
     model: RadarModel,
     world_T_radar: Float[np.ndarray, "4 4"],
     weather: Weather,

@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.simulation.bodies.actors import Actor
-from farfield.simulation.radar.echoes import Kind
-from farfield.simulation.radar.points import Points
+from farfield.simulation.radar.echoes import ScattererKind
+from farfield.simulation.radar.points import ScatterPoints
 
 _DEVELOPMENT_M, _CRANK_M, _WHEEL_M = 5.0, 0.17, 0.34
 
 
-class _Part(NamedTuple):
+class _LimbPart(NamedTuple):
     height: float  # share of the body's height
     side: float  # share of the body's width, from the middle to the left
     swing: float  # of the foot's
@@ -26,13 +26,13 @@ class _Part(NamedTuple):
 
 
 _WALKER = (
-    _Part(0.93, 0.0, 0.0, 0.0, 0.08),
-    _Part(0.78, 0.0, 0.0, 0.0, 0.25),
-    _Part(0.60, 0.0, 0.0, 0.0, 0.22),
-    *(_Part(0.62, side, 0.35, phase, 0.04) for side, phase in ((0.35, 0.5), (-0.35, 0.0))),
-    *(_Part(0.46, side, 0.60, phase, 0.03) for side, phase in ((0.38, 0.5), (-0.38, 0.0))),
-    *(_Part(0.28, side, 0.50, phase, 0.10) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
-    *(_Part(0.05, side, 1.00, phase, 0.055) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
+    _LimbPart(0.93, 0.0, 0.0, 0.0, 0.08),
+    _LimbPart(0.78, 0.0, 0.0, 0.0, 0.25),
+    _LimbPart(0.60, 0.0, 0.0, 0.0, 0.22),
+    *(_LimbPart(0.62, side, 0.35, phase, 0.04) for side, phase in ((0.35, 0.5), (-0.35, 0.0))),
+    *(_LimbPart(0.46, side, 0.60, phase, 0.03) for side, phase in ((0.38, 0.5), (-0.38, 0.0))),
+    *(_LimbPart(0.28, side, 0.50, phase, 0.10) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
+    *(_LimbPart(0.05, side, 1.00, phase, 0.055) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
 )
 
 
@@ -42,7 +42,7 @@ def limb_points(
     heading: Float[np.ndarray, " 3"],
     velocity_m_s: Float[np.ndarray, " 3"],
     time_s: float,
-) -> Points:
+) -> ScatterPoints:
     """Eleven points of a walker or a cyclist, whose cross sections add up to 1.
 
     Args:
@@ -60,8 +60,8 @@ def limb_points(
     up = np.array([0.0, 0.0, 1.0])
     left = np.cross(up, heading)
     axes = np.stack([heading, left / max(float(np.linalg.norm(left)), 1e-9), up])
-    still = Points.fixed(base_m + offset @ axes, share, Kind.LIMB)
-    return Points(still.position_m, velocity_m_s + swing @ axes, share, still.actor, still.kind)
+    still = ScatterPoints.fixed(base_m + offset @ axes, share, ScattererKind.LIMB)
+    return ScatterPoints(still.position_m, velocity_m_s + swing @ axes, share, still.actor, still.kind)
 
 
 _Swing = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.simulation.bodies.materials import Material
-from farfield.simulation.radar.casting import Cast
-from farfield.simulation.radar.echoes import Kind
-from farfield.simulation.radar.points import Points
+from farfield.simulation.radar.casting import CastRays
+from farfield.simulation.radar.echoes import ScattererKind
+from farfield.simulation.radar.points import ScatterPoints
 
 _FLAT = (Material.METAL, Material.CONCRETE, Material.BRICK, Material.GLASS)
 _MAX_MIRRORS, _LEAST_RAYS = 8, 10
@@ -42,7 +42,7 @@ class Mirror:
         return np.asarray(along / np.linalg.norm(along))
 
 
-def find_mirrors(cast: Cast) -> list[Mirror]:
+def find_mirrors(cast: CastRays) -> list[Mirror]:
     """Planes that many rays of the fan hit: same direction within 6 degrees, same distance within 0.75 m."""
     rows = np.flatnonzero(
         (cast.owner < 0) & (cast.actor < 0) & np.isfinite(cast.range_m)
@@ -79,7 +79,7 @@ def _gap_m(mirror: Mirror, along_m: Float[np.ndarray, " n"]) -> Float[np.ndarray
     return np.asarray(np.minimum(np.abs(hit[right] - along_m), np.abs(hit[right - 1] - along_m)))
 
 
-def ghosts(points: Points, mirrors: list[Mirror], level_db: float) -> Points:
+def ghosts(points: ScatterPoints, mirrors: list[Mirror], level_db: float) -> ScatterPoints:
     """Images of road users in mirrors, where the straight way to the image crosses what was hit of the mirror.
 
     Both ways go by the mirror: the image stands in the mirror's direction at the whole way's length and moves as the
@@ -91,7 +91,7 @@ def ghosts(points: Points, mirrors: list[Mirror], level_db: float) -> Points:
         level_db: Power relative to the original.
     """
     parts = []
-    solid = points.take(np.flatnonzero((points.kind == Kind.OBJECT) | (points.kind == Kind.LIMB)))
+    solid = points.take(np.flatnonzero((points.kind == ScattererKind.OBJECT) | (points.kind == ScattererKind.LIMB)))
     for mirror in mirrors:
         side = solid.position_m @ mirror.normal + mirror.distance_m
         image = solid.position_m - 2 * side[:, None] * mirror.normal
@@ -104,12 +104,12 @@ def ghosts(points: Points, mirrors: list[Mirror], level_db: float) -> Points:
         rows = np.flatnonzero(inside & (side > 0.3) & (step > 0) & (step < 1))
         velocity = solid.velocity_m_s - 2 * (solid.velocity_m_s @ mirror.normal)[:, None] * mirror.normal
         level = solid.rcs_m2[rows] * 10 ** (level_db / 10)
-        kind = np.full(len(rows), int(Kind.GHOST))
-        parts.append(Points(image[rows], velocity[rows], level, solid.actor[rows], kind))
-    return Points.join(parts)
+        kind = np.full(len(rows), int(ScattererKind.GHOST))
+        parts.append(ScatterPoints(image[rows], velocity[rows], level, solid.actor[rows], kind))
+    return ScatterPoints.join(parts)
 
 
-def posts(mirrors: list[Mirror], world_T_radar: Float[np.ndarray, "4 4"], rng: np.random.Generator) -> Points:
+def posts(mirrors: list[Mirror], world_T_radar: Float[np.ndarray, "4 4"], rng: np.random.Generator) -> ScatterPoints:
     """Posts of guard rails every 4 m, 0 to 5 dBsm, where rays hit the rail nearby; counted in the world's frame."""
     parts = []
     for mirror in mirrors:
@@ -123,5 +123,5 @@ def posts(mirrors: list[Mirror], world_T_radar: Float[np.ndarray, "4 4"], rng: n
         near = _gap_m(mirror, at) < _POST_GAP_M
         place = -mirror.distance_m * mirror.normal + at[near, None] * mirror.along
         place[:, 2] = float(np.median(hits[:, 2]))
-        parts.append(Points.fixed(place, 10 ** (rng.uniform(*_POST_DB, len(place)) / 10), Kind.POST))
-    return Points.join(parts)
+        parts.append(ScatterPoints.fixed(place, 10 ** (rng.uniform(*_POST_DB, len(place)) / 10), ScattererKind.POST))
+    return ScatterPoints.join(parts)

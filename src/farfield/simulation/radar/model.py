@@ -209,7 +209,7 @@ def virtual_array(model: RadarModel) -> VirtualArray:
     )
 
 
-class Beams(NamedTuple):
+class BeamWeights(NamedTuple):
     """Weights of the digital beam forming, split into real and imaginary parts.
 
     Args:
@@ -226,14 +226,14 @@ class Beams(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def beams(model: RadarModel) -> Beams:
+def beams(model: RadarModel) -> BeamWeights:
     """Conjugate steering vectors of every azimuth and elevation of the axes, without the phase errors."""
     array = virtual_array(model)
     azimuth = np.pi * np.outer(array.azimuth_slot, np.sin(np.radians(model.axes.azimuth_deg)))
     elevation = np.pi * np.outer(np.sin(np.radians(model.axes.elevation_deg)), array.elevation_slot)
     a, e = np.sqrt(len(azimuth)), np.sqrt(elevation.shape[1])
     parts = (np.cos(azimuth) / a, -np.sin(azimuth) / a, np.cos(elevation) / e, -np.sin(elevation) / e)
-    return Beams(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    return BeamWeights(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def radar_mount(ego_T_lidar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

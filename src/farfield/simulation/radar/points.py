@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.simulation.radar.echoes import Kind, Scatterers
+from farfield.simulation.radar.echoes import ScattererKind, Scatterers
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class ScatterPoints:
     """Scattering points of the scene, in the radar's axes.
 
     Args:
@@ -18,7 +18,7 @@ class Points:
         velocity_m_s: Relative to the world, in the radar's axes, shape (n, 3).
         rcs_m2: Mean radar cross section, shape (n,).
         actor: Road user, -1 for none, shape (n,).
-        kind: A :class:`Kind`, shape (n,).
+        kind: A :class:`ScattererKind`, shape (n,).
     """
 
     position_m: Float[np.ndarray, "n 3"]
@@ -28,24 +28,26 @@ class Points:
     kind: Int[np.ndarray, " n"]
 
     @classmethod
-    def fixed(cls, position_m: Float[np.ndarray, "n 3"], rcs_m2: Float[np.ndarray, " n"], kind: Kind) -> "Points":
+    def fixed(
+        cls, position_m: Float[np.ndarray, "n 3"], rcs_m2: Float[np.ndarray, " n"], kind: ScattererKind
+    ) -> "ScatterPoints":
         """Points that stand still and belong to nobody."""
         n = len(position_m)
         return cls(position_m, np.zeros((n, 3)), rcs_m2, np.full(n, -1), np.full(n, int(kind)))
 
     @classmethod
-    def join(cls, parts: Sequence["Points"]) -> "Points":
+    def join(cls, parts: Sequence["ScatterPoints"]) -> "ScatterPoints":
         """All points of some sets."""
         if not parts:
-            return cls.fixed(np.zeros((0, 3)), np.zeros(0), Kind.SURFACE)
+            return cls.fixed(np.zeros((0, 3)), np.zeros(0), ScattererKind.SURFACE)
         return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
 
     def __len__(self) -> int:
         return len(self.rcs_m2)
 
-    def take(self, rows: Int[np.ndarray, " k"]) -> "Points":
+    def take(self, rows: Int[np.ndarray, " k"]) -> "ScatterPoints":
         """Some of them."""
-        return Points(*(getattr(self, column.name)[rows] for column in fields(self)))
+        return ScatterPoints(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def seen_from(self, velocity_m_s: Float[np.ndarray, " 3"]) -> Scatterers:
         """What a radar of this velocity (in its own axes) sees: radial velocities."""

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.radar.echoes import Kind, Scatterers
+from farfield.simulation.radar.echoes import ScattererKind, Scatterers
 from farfield.simulation.radar.model import LIGHT_M_S, RadarModel
 from farfield.simulation.weather.conditions import Weather
 
@@ -176,4 +176,4 @@ def rain_clutter(
     drawn = (_INVERSE_GAMMA_SHAPE - 1.0) / rng.gamma(_INVERSE_GAMMA_SHAPE, 1.0, count)
     spread = np.hypot(model.clutter_spread_m_s, 0.3 * weather.wind_m_s)
     speed = -towards @ velocity_m_s + rng.normal(0.0, spread, count)
-    return Scatterers.of(towards * range_m[:, None], speed, eta * volume_m3 / count * drawn, kind=Kind.RAIN)
+    return Scatterers.of(towards * range_m[:, None], speed, eta * volume_m3 / count * drawn, kind=ScattererKind.RAIN)

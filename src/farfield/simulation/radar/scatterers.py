@@ -7,18 +7,18 @@ from jaxtyping import Float, Int
 
 from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.bodies.actors import Actor
-from farfield.simulation.radar.casting import Cast, cast_rays
-from farfield.simulation.radar.echoes import Kind, Scatterers, cell_snr
+from farfield.simulation.radar.casting import CastRays, cast_rays
+from farfield.simulation.radar.echoes import ScattererKind, Scatterers, cell_snr
 from farfield.simulation.radar.limbs import limb_points
 from farfield.simulation.radar.mirrors import find_mirrors, ghosts, posts
 from farfield.simulation.radar.model import RadarModel
-from farfield.simulation.radar.points import Points
+from farfield.simulation.radar.points import ScatterPoints
 from farfield.simulation.radar.propagation import rain_clutter, two_way_loss_db
 from farfield.simulation.radar.rcs import mean_rcs_dbsm, part_share, slow_db, surface_rcs_m2_m2
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.world.scene import Window
+from farfield.simulation.world.scene import SceneWindow
 
-__all__ = ["Kind", "Scatterers", "radar_velocity_m_s", "scatterers"]
+__all__ = ["ScattererKind", "Scatterers", "radar_velocity_m_s", "scatterers"]
 
 _WALKERS = ("pedestrian", "bicycle")
 _VEHICLES = ("vehicle", "large_vehicle", "trailer", "motorcycle")
@@ -28,7 +28,7 @@ _SAME_M = 0.05
 
 
 def scatterers(
-    window: Window,
+    window: SceneWindow,
     model: RadarModel,
     world_T_radar: Float[np.ndarray, "4 4"],
     weather: Weather,
@@ -55,14 +55,14 @@ def scatterers(
     parts = [_surfaces(cast, weather), users, posts(mirrors, world_T_radar, streams[1])]
     parts.append(ghosts(users, mirrors, model.ghost_db))
     speed = radar_velocity_m_s(window, world_T_radar) @ world_T_radar[:3, :3]
-    seen = _merged(Points.join(parts).seen_from(speed), model)
+    seen = _merged(ScatterPoints.join(parts).seen_from(speed), model)
     seen = replace(seen, rcs_m2=seen.rcs_m2 * streams[2].exponential(1.0, len(seen)))
     everything = Scatterers.join([seen, rain_clutter(weather, model, speed, streams[3])])
     everything = replace(everything, loss_db=two_way_loss_db(everything.range_m, weather, model, window.time_s))
     return _strongest(everything, model)
 
 
-def radar_velocity_m_s(window: Window, world_T_radar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 3"]:
+def radar_velocity_m_s(window: SceneWindow, world_T_radar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 3"]:
     """Velocity of the radar at its mount in the world, turning included where the window has knots."""
     if len(window.knots_s) < 2:
         return window.ego_velocity_m_s
@@ -71,16 +71,18 @@ def radar_velocity_m_s(window: Window, world_T_radar: Float[np.ndarray, "4 4"]) 
     return np.asarray((last - first) / (window.knots_s[-1] - window.knots_s[0]))
 
 
-def _surfaces(cast: Cast, weather: Weather) -> Points:
+def _surfaces(cast: CastRays, weather: Weather) -> ScatterPoints:
     """Patches of the fixed surroundings that the fan hit: sigma_0 times the patch's area."""
     rows = np.flatnonzero((cast.owner < 0) & (cast.actor < 0) & np.isfinite(cast.range_m))
     range_m, cosine = cast.range_m[rows], np.maximum(cast.cosine[rows], 1e-3)
     area_m2 = range_m**2 * cast.solid_angle_sr[rows] / cosine
     rcs_m2 = surface_rcs_m2_m2(cast.material[rows], cosine, weather) * area_m2
-    return Points.fixed(cast.direction[rows] * range_m[:, None], rcs_m2, Kind.SURFACE)
+    return ScatterPoints.fixed(cast.direction[rows] * range_m[:, None], rcs_m2, ScattererKind.SURFACE)
 
 
-def _road_users(window: Window, model: RadarModel, world_T_radar: Float[np.ndarray, "4 4"], cast: Cast) -> Points:
+def _road_users(
+    window: SceneWindow, model: RadarModel, world_T_radar: Float[np.ndarray, "4 4"], cast: CastRays
+) -> ScatterPoints:
     """Every road user that is within reach: what is seen of it, and what shows under the vehicle that hides it."""
     radar_T_world = invert(world_T_radar)
     parts = []
@@ -91,21 +93,23 @@ def _road_users(window: Window, model: RadarModel, world_T_radar: Float[np.ndarr
         bottom = transform_points(radar_T_world, window.bottom_m[row][None])[0]
         aspect = float(np.arctan2(*(world_T_radar[:3, 3] - window.bottom_m[row])[[1, 0]]) - window.yaw_rad[row])
         level_db = mean_rcs_dbsm(actor, aspect, float(np.linalg.norm(bottom))) + slow_db(actor)
-        whole = Points.fixed(cast.direction[rays] * cast.own_range_m[rays, None], _weights(cast, rays), Kind.OBJECT)
+        whole = ScatterPoints.fixed(
+            cast.direction[rays] * cast.own_range_m[rays, None], _weights(cast, rays), ScattererKind.OBJECT
+        )
         whole = replace(whole, rcs_m2=whole.rcs_m2 * 10 ** (level_db / 10), actor=np.full(len(rays), row))
         moving = replace(whole, velocity_m_s=_body_velocity(window, cast.own_body[rays], whole, world_T_radar))
         parts += _seen_and_hidden(window, model, cast, rays, moving, actor, int(row), float(bottom[2]), radar_T_world)
-    return Points.join(parts)
+    return ScatterPoints.join(parts)
 
 
-def _weights(cast: Cast, rays: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+def _weights(cast: CastRays, rays: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """Shares of a body's cross section: equal angles, more from bare metal and from faces turned to the radar."""
     share = part_share(cast.own_material[rays]) * cast.solid_angle_sr[rays] * (0.1 + cast.own_cosine[rays] ** 2)
     return np.asarray(share / share.sum())
 
 
 def _body_velocity(
-    window: Window, body: Int[np.ndarray, " k"], points: Points, world_T_radar: Float[np.ndarray, "4 4"]
+    window: SceneWindow, body: Int[np.ndarray, " k"], points: ScatterPoints, world_T_radar: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "k 3"]:
     """Velocities of points of bodies in the world, in the radar's axes, turning included where there are knots."""
     out = np.empty_like(points.position_m)
@@ -124,16 +128,16 @@ def _body_velocity(
 
 
 def _seen_and_hidden(
-    window: Window,
+    window: SceneWindow,
     model: RadarModel,
-    cast: Cast,
+    cast: CastRays,
     rays: Int[np.ndarray, " k"],
-    body: Points,
+    body: ScatterPoints,
     actor: Actor,
     row: int,
     ground_m: float,
     radar_T_world: Float[np.ndarray, "4 4"],
-) -> list[Points]:
+) -> list[ScatterPoints]:
     """Split a road user's points by what hides them: nothing, another vehicle (a way under it remains), or more."""
     free = (cast.own_range_m[rays] <= cast.range_m[rays] + _SAME_M) | (cast.actor[rays] == row)
     share = float(body.rcs_m2[free].sum() / body.rcs_m2.sum())
@@ -151,11 +155,13 @@ def _seen_and_hidden(
         image = body.take(np.flatnonzero(under))
         mirrored = image.position_m * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * ground_m]
         lower = image.rcs_m2 * 10 ** (model.bounce_db / 10)
-        parts.append(replace(image, position_m=mirrored, rcs_m2=lower, kind=np.full(len(image), int(Kind.BOUNCE))))
+        parts.append(
+            replace(image, position_m=mirrored, rcs_m2=lower, kind=np.full(len(image), int(ScattererKind.BOUNCE)))
+        )
     return parts
 
 
-def _two_ray(points: Points, model: RadarModel, ground_m: float) -> Float[np.ndarray, " n"]:
+def _two_ray(points: ScatterPoints, model: RadarModel, ground_m: float) -> Float[np.ndarray, " n"]:
     """Power factor of the direct way and the one by the road, |F|^4 over its mean, for the level includes the latter.
 
     F = 1 + g exp(-4 pi j h_r h_t / (lambda R)); a rough road lowers g by exp(-(4 pi s sin)^2 / (2 lambda^2)).
@@ -179,7 +185,7 @@ def _merged(seen: Scatterers, model: RadarModel) -> Scatterers:
     if not rows.size:
         return seen.take(rows)
     seen = seen.take(rows)
-    speed = np.where(seen.kind == Kind.LIMB, np.round(seen.velocity_m_s / model.axes.doppler_step_m_s), 0)
+    speed = np.where(seen.kind == ScattererKind.LIMB, np.round(seen.velocity_m_s / model.axes.doppler_step_m_s), 0)
     keys = [
         seen.actor, seen.kind, np.floor(range_m[rows] / (_MERGE_BINS * model.axes.range_step_m)),
         np.floor(azimuth[rows] / _MERGE_AZIMUTH_DEG), np.floor(elevation[rows] / _MERGE_ELEVATION_DEG), speed,

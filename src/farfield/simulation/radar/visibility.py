@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.simulation.radar.echoes import Kind, Scatterers, cell_snr
+from farfield.simulation.radar.echoes import ScattererKind, Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel
 
 VISIBLE_SNR_DB = 15.0
@@ -32,7 +32,7 @@ def object_snr_db(scatterers: Scatterers, model: RadarModel, actors: int) -> Flo
         actors: Number n of road users.
     """
     best = np.zeros(actors)
-    mine = (scatterers.actor >= 0) & (scatterers.kind != Kind.GHOST)
+    mine = (scatterers.actor >= 0) & (scatterers.kind != ScattererKind.GHOST)
     own = scatterers.take(np.flatnonzero(mine))
     if len(own):
         cells = np.stack(
@@ -59,7 +59,7 @@ def masked_db(scatterers: Scatterers, model: RadarModel, actors: int) -> Float[n
     snr = cell_snr(scatterers, model)
     bins = np.round(scatterers.range_m / model.axes.range_step_m).astype(np.int64)
     excess = np.full(actors, -np.inf)
-    solid = scatterers.kind != Kind.GHOST
+    solid = scatterers.kind != ScattererKind.GHOST
     for actor in np.unique(scatterers.actor[(scatterers.actor >= 0) & solid]):
         own = np.flatnonzero((scatterers.actor == actor) & solid)
         peak = own[np.argmax(snr[own])]

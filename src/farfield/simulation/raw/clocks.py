@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedDrive
 from farfield.simulation.sequence import frame_time_ns
 
 SWEEP_S = 2 * HALF_SWEEP_S
@@ -87,7 +87,7 @@ _HOST, _DRIFT_PPM, _OFFSET_MS = 7, 20.0, 2.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Stream:
+class SensorStream:
     """One stream of a recording as it ran.
 
     Args:
@@ -142,10 +142,10 @@ class Schedule:
     epoch_ns: int
     span_s: float
     host: SensorClock
-    streams: dict[str, Stream]
+    streams: dict[str, SensorStream]
 
 
-def schedule(drive: Drive, sweeps: int, names: tuple[str, ...]) -> Schedule:
+def schedule(drive: SimulatedDrive, sweeps: int, names: tuple[str, ...]) -> Schedule:
     """Draw the clocks of a drive and let its streams run: the same for the same drive, whatever streams are asked for.
 
     Args:
@@ -162,11 +162,13 @@ def schedule(drive: Drive, sweeps: int, names: tuple[str, ...]) -> Schedule:
     return Schedule(epoch_ns, span_s, host, streams)
 
 
-def _rng(drive: Drive, number: int) -> np.random.Generator:
+def _rng(drive: SimulatedDrive, number: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence((drive.seed, drive.sequence), spawn_key=(9, number)))
 
 
-def _run(name: str, drive: Drive, span_s: float, epoch_ns: int, host: SensorClock, phase_s: float | None) -> Stream:
+def _run(
+    name: str, drive: SimulatedDrive, span_s: float, epoch_ns: int, host: SensorClock, phase_s: float | None
+) -> SensorStream:
     kind, rng = KINDS[name], _rng(drive, KINDS[name].number)
     offset_ms, drift_ppm = rng.uniform(-1, 1, 2) * (kind.offset_ms, kind.drift_ppm)
     clock = SensorClock(float(offset_ms), float(drift_ppm), kind.jitter_ms)
@@ -178,7 +180,7 @@ def _run(name: str, drive: Drive, span_s: float, epoch_ns: int, host: SensorCloc
     noise = rng.standard_normal(count) * kind.jitter_ms * 1e-3
     arrived_s = time_s + kind.busy_s + way_ms * 1e-3 + rng.exponential(kind.rest_ms * 1e-3, count)
     kept = np.flatnonzero(rng.random(count) >= kind.lost)
-    return Stream(
+    return SensorStream(
         name=name,
         clock=clock,
         phase_s=phase,

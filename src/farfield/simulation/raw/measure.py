@@ -12,7 +12,7 @@ from farfield.geometry.poses import invert, pose
 from farfield.simulation.camera.rig import cirrus_camera
 from farfield.simulation.lidar.model import LidarModel
 from farfield.simulation.rigs.cirrus import CirrusMoment
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedDrive
 
 IMAGE_WIDTH_PX = 320
 IMU_PLACES_M = {"imu_front": (1.2, 0.1, 0.5), "imu_rear": (-1.1, -0.2, 0.6)}
@@ -37,7 +37,7 @@ class RawMoment(CirrusMoment):
         time_s: The moment: a sweep's middle.
     """
 
-    def __init__(self, drive: Drive, number: int, time_s: float) -> None:
+    def __init__(self, drive: SimulatedDrive, number: int, time_s: float) -> None:
         super().__init__(drive, number)
         self.time_s = time_s
 
@@ -71,14 +71,14 @@ def small_camera() -> Camera:
     )
 
 
-def cloud_of_sweep(drive: Drive, pattern: str, number: int, begins_s: float) -> Cloud:
+def cloud_of_sweep(drive: SimulatedDrive, pattern: str, number: int, begins_s: float) -> Cloud:
     """One raw sweep: its points with ``t``, nanoseconds since it began."""
     cloud = RawMoment(drive, number, begins_s + HALF_SWEEP_S).swept(pattern)
     since = cloud.extra["time_ns"].astype(np.int64) + round(HALF_SWEEP_S * 1e9)
     return Cloud(cloud.points_m, cloud.intensity, {"t": since.astype(np.uint32), "ring": cloud.extra["ring"]})
 
 
-def mounts(drive: Drive) -> dict[str, Float[np.ndarray, "4 4"]]:
+def mounts(drive: SimulatedDrive) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Pose of each sensor in the car (x forward, y left, z up, from its bottom's middle); the camera looks along z."""
     mounted = drive.mounted
     origin = np.array(mounted.uniform_origin_m, dtype=np.float64)
@@ -91,7 +91,7 @@ def mounts(drive: Drive) -> dict[str, Float[np.ndarray, "4 4"]]:
     }
 
 
-def ego_poses(drive: Drive, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+def ego_poses(drive: SimulatedDrive, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
     """Poses of the car in the world."""
     return np.stack([drive.scene.ego_pose(float(moment)) for moment in np.maximum(time_s, 0.0)])
 
@@ -109,7 +109,7 @@ class ImuTable:
     acceleration_m_s2: Float[np.ndarray, "n 3"]
 
 
-def imu_truth(drive: Drive, name: str, time_s: Float[np.ndarray, " n"]) -> ImuTable:
+def imu_truth(drive: SimulatedDrive, name: str, time_s: Float[np.ndarray, " n"]) -> ImuTable:
     """Angular velocity and specific force at moments, by central differences of the car's poses over 10 ms."""
     from scipy.spatial.transform import Rotation
 
@@ -126,7 +126,9 @@ def imu_biases(rng: np.random.Generator) -> dict[str, Float[np.ndarray, " 3"]]:
     return {name: spread * rng.standard_normal(3) for name, spread in _BIAS.items()}
 
 
-def imu_measured(drive: Drive, name: str, number: Int64[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]) -> ImuTable:
+def imu_measured(
+    drive: SimulatedDrive, name: str, number: Int64[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]
+) -> ImuTable:
     """What an IMU says, with its constant errors and noise; ``number`` draws the noise."""
     true, (bias_rng, noise_rng) = imu_truth(drive, name, time_s), _streams(drive, name)
     bias, last = imu_biases(bias_rng), int(number.max(initial=-1)) + 1
@@ -137,19 +139,21 @@ def imu_measured(drive: Drive, name: str, number: Int64[np.ndarray, " n"], time_
     )
 
 
-def biases_of(drive: Drive, name: str) -> dict[str, list[float]]:
+def biases_of(drive: SimulatedDrive, name: str) -> dict[str, list[float]]:
     """The constant errors of one IMU of a drive."""
     return {what: values.tolist() for what, values in imu_biases(_streams(drive, name)[0]).items()}
 
 
-def _streams(drive: Drive, name: str) -> tuple[np.random.Generator, np.random.Generator]:
+def _streams(drive: SimulatedDrive, name: str) -> tuple[np.random.Generator, np.random.Generator]:
     number = ("imu_front", "imu_rear", "gps").index(name)
     key = np.random.SeedSequence((drive.seed, drive.sequence), spawn_key=(10, number))
     bias, noise = np.random.default_rng(key).spawn(2)
     return bias, noise
 
 
-def fixes(drive: Drive, number: Int64[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+def fixes(
+    drive: SimulatedDrive, number: Int64[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
     """What the GPS says, with noise of 1 cm: latitude and longitude in degrees, height in metres, shape (n, 3)."""
     place = (ego_poses(drive, time_s) @ mounts(drive)["gps"])[:, :3, 3]
     noise = _streams(drive, "gps")[1].standard_normal((int(number.max(initial=-1)) + 1, 3))[number]

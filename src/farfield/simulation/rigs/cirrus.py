@@ -16,21 +16,21 @@ from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import cirrus_camera
 from farfield.simulation.lidar.model import LUMINAR_H2, LidarModel
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
-from farfield.simulation.world.scene import Window
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedFrame
+from farfield.simulation.world.scene import SceneWindow
 
 
-class CirrusMoment(Moment):
+class CirrusMoment(SimulatedFrame):
     """One frame of the Cirrus car."""
 
     @cached_property
-    def window(self) -> Window:
+    def window(self) -> SceneWindow:
         """The scene while the Gaussian sensor sweeps."""
         return self.drive.scene.window(self.time_s, half_span_s=HALF_SWEEP_S, behind_m=self._behind_m)
 
     @cached_property
-    def later(self) -> Window:
+    def later(self) -> SceneWindow:
         """The scene while the uniform sensor sweeps."""
         offset_s = self.drive.mounted.uniform_offset_s
         if offset_s == 0:
@@ -41,7 +41,9 @@ class CirrusMoment(Moment):
     def _behind_m(self) -> float:
         return 20.0 if self.drive.mounted.ego_T_lidar[0, 0] > 0 else 260.0
 
-    def _sweep(self, pattern: str, window: Window, origin_m: tuple[float | int, float | int, float | int]) -> Sweep:
+    def _sweep(
+        self, pattern: str, window: SceneWindow, origin_m: tuple[float | int, float | int, float | int]
+    ) -> SimulatedSweep:
         drive = self.drive
         ego_T_sensor = drive.mounted.ego_T_lidar @ pose(np.eye(3), np.asarray(origin_m, dtype=np.float64))
         model = self.model
@@ -64,18 +66,20 @@ class CirrusMoment(Moment):
         )
 
     @cached_property
-    def gaussian(self) -> Sweep:
+    def gaussian(self) -> SimulatedSweep:
         """The Gaussian sensor's sweep."""
         return self._sweep("gaussian", self.window, (0.0, 0.0, 0.0))
 
     @cached_property
-    def uniform(self) -> Sweep:
+    def uniform(self) -> SimulatedSweep:
         """The uniform sensor's sweep, in the Gaussian sensor's frame of this moment."""
         origin_m = self.drive.mounted.uniform_origin_m
         swept = self._sweep("uniform", self.later, origin_m)
         offset = pose(np.eye(3), np.asarray(origin_m, dtype=np.float64))
         world_T_uniform = self.later.world_T_ego_now @ self.drive.mounted.ego_T_lidar @ offset
-        return Sweep(swept.cloud.transform(invert(self.world_T_lidar) @ world_T_uniform), swept.actor, swept.kind)
+        return SimulatedSweep(
+            swept.cloud.transform(invert(self.world_T_lidar) @ world_T_uniform), swept.actor, swept.kind
+        )
 
     def cloud(self, pattern: str) -> Cloud:
         """One pattern's cloud."""
@@ -100,7 +104,7 @@ class CirrusMoment(Moment):
         )
 
     @cached_property
-    def annotation(self) -> labels.Annotation:
+    def annotation(self) -> labels.VisibleObjects:
         """Boxes of the road users that the two patterns see, where the Gaussian pattern's points show them."""
         window = self.window
         full = labels.full_boxes(
@@ -121,7 +125,7 @@ class CirrusMoment(Moment):
         chosen = full[kept].replace(point_count=counts["gaussian"][kept])
         joined = np.concatenate(points)[rows >= 0]
         visible = labels.visible_boxes(chosen, joined, rows[rows >= 0]) if len(chosen) else chosen
-        return labels.Annotation(visible, chosen, counts["gaussian"][kept], counts["uniform"][kept])
+        return labels.VisibleObjects(visible, chosen, counts["gaussian"][kept], counts["uniform"][kept])
 
     def _owners(self) -> dict[str, Int[np.ndarray, " _"]]:
         """Row of this moment's road user that each point lies on; -1 for none."""

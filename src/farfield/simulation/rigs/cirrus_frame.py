@@ -9,14 +9,14 @@ from jaxtyping import UInt8
 from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
 from farfield.simulation import labels
 from farfield.simulation.camera.rig import cirrus_camera
-from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.simulation.rigs.drive import PlannedFrame, SimulatedDrive
 from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
     from farfield.simulation.rigs.cirrus import CirrusMoment
 
 
-class PlannedCirrus(Planned):
+class PlannedCirrus(PlannedFrame):
     """A frame of the Cirrus car before it is measured."""
 
     @cached_property
@@ -42,7 +42,7 @@ class PlannedCirrus(Planned):
         )
 
 
-def cirrus_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
+def cirrus_frame(drive: SimulatedDrive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
     """A frame without its pose; nothing is simulated before it is read."""
     planned = PlannedCirrus(drive, index)
     times = {"gaussian": time_ns, "uniform": time_ns + round(drive.mounted.uniform_offset_s * 1e9)}

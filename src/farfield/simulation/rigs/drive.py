@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.frame import Annotation, Cloud, Given, Lazy
+from farfield.frame import Annotation, Cloud, Constant, Lazy
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.presets import Mounting, Number, Preset, Segment
 from farfield.simulation.weather.conditions import Weather, draw_weather
-from farfield.simulation.world.scene import Scene, Window
+from farfield.simulation.world.scene import SceneWindow, WorldScene
 
 HALF_SWEEP_S = 0.05  # every LiDAR turns at 10 Hz, half before and half after a frame's moment
 
@@ -43,7 +43,7 @@ _STREAMS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Mounted:
+class DrawnMounting:
     """What was drawn from a preset's :class:`~farfield.simulation.presets.Mounting` for one sequence."""
 
     ego_T_lidar: Float[np.ndarray, "4 4"]
@@ -55,7 +55,7 @@ class Mounted:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class SimulatedDrive:
     """One sequence.
 
     Args:
@@ -77,9 +77,9 @@ class Drive:
         return self.preset.segment(self.sequence)
 
     @cached_property
-    def scene(self) -> Scene:
+    def scene(self) -> WorldScene:
         """Its world."""
-        return Scene(
+        return WorldScene(
             self.segment.road,
             self._seeds[0],
             duration_s=self.segment.duration_s,
@@ -93,12 +93,12 @@ class Drive:
         return draw_weather(self.segment.condition, self.segment.time, np.random.default_rng(self._seeds[1]))
 
     @cached_property
-    def mounted(self) -> Mounted:
+    def mounted(self) -> DrawnMounting:
         """How its sensors are mounted."""
         return self._choices[1]
 
     @cached_property
-    def _choices(self) -> tuple[str, Mounted]:
+    def _choices(self) -> tuple[str, DrawnMounting]:
         rng = np.random.default_rng(self._seeds[2])
         sizes = self.preset.sizes[int(rng.random() * len(self.preset.sizes))]
         mounting = self.preset.mountings[int(rng.random() * len(self.preset.mountings))]
@@ -129,23 +129,23 @@ def _draw(span: tuple[Number, Number], rng: np.random.Generator) -> float:
     return float(span[0] + (span[1] - span[0]) * rng.random())
 
 
-def _mount(mounting: Mounting, rng: np.random.Generator) -> Mounted:
+def _mount(mounting: Mounting, rng: np.random.Generator) -> DrawnMounting:
     height_m, focus_deg, sigma_deg = (
         _draw(span, rng) for span in (mounting.height_m, mounting.focus_deg, mounting.sigma_deg)
     )
     facing = mounting.facing_deg[int(rng.random() * len(mounting.facing_deg))]
     uniform_s, radar_s = (_draw(span, rng) / 1000 for span in (mounting.uniform_offset_ms, mounting.radar_offset_ms))
     ego_T_lidar = pose_from_yaw(float(np.deg2rad(facing)), (0.0, 0.0, height_m))
-    return Mounted(ego_T_lidar, focus_deg, sigma_deg, mounting.uniform_origin_m, uniform_s, radar_s)
+    return DrawnMounting(ego_T_lidar, focus_deg, sigma_deg, mounting.uniform_origin_m, uniform_s, radar_s)
 
 
 @lru_cache(maxsize=2)
-def drive_of(preset: Preset, seed: int, sequence: int) -> Drive:
+def drive_of(preset: Preset, seed: int, sequence: int) -> SimulatedDrive:
     """The sequence of a preset; building its world takes a fraction of a second, so the last ones are kept."""
-    return Drive(preset, seed, sequence)
+    return SimulatedDrive(preset, seed, sequence)
 
 
-class Moment(ABC):
+class SimulatedFrame(ABC):
     """One frame of a sequence; everything is measured when it is first asked for.
 
     Args:
@@ -153,13 +153,13 @@ class Moment(ABC):
         index: Number of the frame.
     """
 
-    def __init__(self, drive: Drive, index: int) -> None:
+    def __init__(self, drive: SimulatedDrive, index: int) -> None:
         self.drive, self.index = drive, index
         self.time_s = drive.time_s(index)
 
     @cached_property
     @abstractmethod
-    def window(self) -> Window:
+    def window(self) -> SceneWindow:
         """The scene while the reference LiDAR sweeps."""
 
     @cached_property
@@ -168,7 +168,7 @@ class Moment(ABC):
         return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
 
 
-class Planned(ABC):
+class PlannedFrame(ABC):
     """One frame of a sequence before it is measured: it pickles without what was measured so far.
 
     Args:
@@ -176,7 +176,7 @@ class Planned(ABC):
         index: Number of the frame.
     """
 
-    def __init__(self, drive: Drive, index: int) -> None:
+    def __init__(self, drive: SimulatedDrive, index: int) -> None:
         self.drive, self.index = drive, index
 
     @cached_property
@@ -197,7 +197,7 @@ class Planned(ABC):
         known = {"preset": self.drive.preset.name, "seed": self.drive.seed}
         return Lazy(
             {
-                **{name: Given(value) for name, value in known.items()},
+                **{name: Constant(value) for name, value in known.items()},
                 "weather": partial(getattr, self.drive, "weather"),
             }
         )

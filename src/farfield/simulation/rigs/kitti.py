@@ -17,11 +17,11 @@ from farfield.simulation import labels
 from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import kitti_camera
 from farfield.simulation.lidar.model import HDL_64E, LidarModel
-from farfield.simulation.lidar.rays import Casting
+from farfield.simulation.lidar.rays import NearestHits
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
-from farfield.simulation.world.scene import Window
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedFrame
+from farfield.simulation.world.scene import SceneWindow
 
 _REACH_M = 120.0
 _MIN_HITS = 5
@@ -46,11 +46,11 @@ class KittiAnnotation:
     truncation: Float[np.ndarray, " n"]
 
 
-class KittiMoment(Moment):
+class KittiMoment(SimulatedFrame):
     """One frame of the KITTI car."""
 
     @cached_property
-    def window(self) -> Window:
+    def window(self) -> SceneWindow:
         """The scene while the LiDAR turns."""
         return self.drive.scene.window(
             self.time_s, half_span_s=HALF_SWEEP_S, reach_m=_REACH_M, behind_m=HDL_64E.max_range_m
@@ -67,7 +67,7 @@ class KittiMoment(Moment):
         return Scan.draw(self.model, np.random.default_rng(0))
 
     @cached_property
-    def sweep(self) -> Sweep:
+    def sweep(self) -> SimulatedSweep:
         """Its sweep."""
         drive = self.drive
         return sweep(
@@ -133,6 +133,6 @@ class KittiMoment(Moment):
         window = self.window
         bodies = [body for body in window.bodies if body.actor == row]
         world_T_sensor = window.world_T_ego @ self.drive.mounted.ego_T_lidar
-        casting = Casting(self.scan, bodies, world_T_sensor, window.knots_s)
+        casting = NearestHits(self.scan, bodies, world_T_sensor, window.knots_s)
         casting.see_through(np.ones(casting.range_m.shape[1], dtype=np.bool_))
         return int((casting.range_m[0] < self.model.max_range_m).sum())

@@ -10,7 +10,7 @@ from farfield.errors import ConfigError
 from farfield.frame import Annotation, CameraField, Frame, Lazy, Sensor, camera_sensor
 from farfield.simulation import labels
 from farfield.simulation.camera.rig import kitti_camera
-from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.simulation.rigs.drive import PlannedFrame, SimulatedDrive
 
 if TYPE_CHECKING:
     from farfield.simulation.rigs.kitti import KittiMoment
@@ -19,7 +19,7 @@ MOST_FRAMES = 1000
 """Frames of a sequence that have a number of their own among KITTI's six digits; there are as many sequences."""
 
 
-class PlannedKitti(Planned):
+class PlannedKitti(PlannedFrame):
     """A frame of the KITTI car before it is measured."""
 
     @cached_property
@@ -45,7 +45,7 @@ class PlannedKitti(Planned):
         )
 
 
-def kitti_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
+def kitti_frame(drive: SimulatedDrive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
     """A frame without its pose; nothing is simulated before it is read.
 
     Raises:

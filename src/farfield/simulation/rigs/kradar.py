@@ -21,12 +21,12 @@ from farfield.simulation.camera.render import render
 from farfield.simulation.camera.rig import kradar_cameras
 from farfield.simulation.lidar.model import OS1_128, OS2_64
 from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.lidar.sweep import Sweep, sweep
+from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
 from farfield.simulation.radar.frame import RadarFrame, measure
 from farfield.simulation.radar.model import RadarModel, radar_mount
 from farfield.simulation.radar.visibility import availability
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Moment
-from farfield.simulation.world.scene import Window
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedFrame
+from farfield.simulation.world.scene import SceneWindow
 
 LIDAR_T_RADAR = radar_mount(np.eye(4))
 OS2_T_OS1 = pose(np.eye(3), np.array([0.35, 0.0, -0.25]))
@@ -52,16 +52,16 @@ class KRadarAnnotation:
     snr_db: Float[np.ndarray, " n"]
 
 
-class KRadarMoment(Moment):
+class KRadarMoment(SimulatedFrame):
     """One frame of the K-Radar car."""
 
     @cached_property
-    def window(self) -> Window:
+    def window(self) -> SceneWindow:
         """The scene while the LiDARs turn."""
         return self.drive.scene.window(self.time_s, half_span_s=HALF_SWEEP_S, reach_m=_BEHIND_M, behind_m=_BEHIND_M)
 
     @cached_property
-    def radar_window(self) -> Window:
+    def radar_window(self) -> SceneWindow:
         """The scene when the radar measures; it has no common clock with the LiDARs."""
         time_s = max(self.time_s + self.drive.mounted.radar_offset_s, 0.0)
         return self.drive.scene.window(
@@ -69,11 +69,11 @@ class KRadarMoment(Moment):
         )
 
     @cached_property
-    def sweeps(self) -> dict[str, Sweep]:
+    def sweeps(self) -> dict[str, SimulatedSweep]:
         """Sweeps made so far, by sensor."""
         return {}
 
-    def sweep(self, name: str) -> Sweep:
+    def sweep(self, name: str) -> SimulatedSweep:
         """The sweep of "os2-64" or "os1-128", in that sensor's own frame."""
         if name not in self.sweeps:
             drive = self.drive

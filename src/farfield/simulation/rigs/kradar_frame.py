@@ -10,7 +10,7 @@ from farfield.frame import Annotation, Frame, Lazy, Sensor, camera_sensor
 from farfield.radar.cells import RadarCells
 from farfield.simulation import labels
 from farfield.simulation.camera.rig import kradar_cameras
-from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.simulation.rigs.drive import PlannedFrame, SimulatedDrive
 from farfield.vocabulary.kradar import OUSTER_LINES
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _CAMERA_HZ = 30
 _RADAR_LEAD = 5  # the radar's recording began half a second before the LiDARs'
 
 
-class PlannedKRadar(Planned):
+class PlannedKRadar(PlannedFrame):
     """A frame of the K-Radar car before it is measured."""
 
     @cached_property
@@ -51,7 +51,7 @@ class PlannedKRadar(Planned):
         )
 
 
-def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
+def kradar_frame(drive: SimulatedDrive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
     """A frame without its pose; nothing is simulated before it is read."""
     planned = PlannedKRadar(drive, index)
     eyes = [name + side for name in _CAMERAS if name in sensors for side in ("", "-right")]
@@ -76,7 +76,7 @@ def kradar_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: in
     )
 
 
-def _indices(drive: Drive, index: int) -> dict[str, int]:
+def _indices(drive: SimulatedDrive, index: int) -> dict[str, int]:
     """Numbers of the sensors' files: the cameras count three times as fast, LiDARs count from 1."""
     lidar = round(index * drive.preset.stride_s * 10) + 1
     camera = (lidar - 1) * _CAMERA_HZ // 10 + 2
@@ -84,7 +84,7 @@ def _indices(drive: Drive, index: int) -> dict[str, int]:
     return numbers | {"cam-lrr": camera}
 
 
-def _mounted(drive: Drive, sensors: tuple[str, ...], time_ns: int) -> dict[str, Sensor]:
+def _mounted(drive: SimulatedDrive, sensors: tuple[str, ...], time_ns: int) -> dict[str, Sensor]:
     """The os2-64, in whose coordinates the frame is; the os1-128 and the radar's products, which keep their own."""
     from farfield.simulation.rigs.kradar import LIDAR_T_RADAR, OS2_T_OS1
 

@@ -23,8 +23,8 @@ from farfield.simulation.radar.turning import (
     strengths,
 )
 from farfield.simulation.radar.visibility import object_snr_db
-from farfield.simulation.rigs.drive import HALF_SWEEP_S, Drive, Moment
-from farfield.simulation.world.scene import Window
+from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedDrive, SimulatedFrame
+from farfield.simulation.world.scene import SceneWindow
 
 _REACH_M, _HALF_SPAN_S = 110.0, 0.02
 _LABEL_M = 100.0
@@ -34,7 +34,7 @@ TURN_MIDDLE_S = 0.1
 """How long after its own time a turn is at its middle: the first one begins when the sequence has begun."""
 
 
-class RadiateMoment(Moment):
+class RadiateMoment(SimulatedFrame):
     """One turn of the radar.
 
     Args:
@@ -42,21 +42,21 @@ class RadiateMoment(Moment):
         index: Number of the turn.
     """
 
-    def __init__(self, drive: Drive, index: int) -> None:
+    def __init__(self, drive: SimulatedDrive, index: int) -> None:
         super().__init__(drive, index)
         self.time_s = drive.time_s(index) - HALF_SWEEP_S + TURN_MIDDLE_S
         self.radar = TurningRadar()
 
     @cached_property
-    def window(self) -> Window:
+    def window(self) -> SceneWindow:
         """The scene in the middle of the turn."""
         return self._window(self.time_s)
 
-    def _window(self, time_s: float) -> Window:
+    def _window(self, time_s: float) -> SceneWindow:
         return self.drive.scene.window(time_s, half_span_s=_HALF_SPAN_S, reach_m=_REACH_M, behind_m=_REACH_M)
 
     @cached_property
-    def sectors(self) -> list[tuple[Window, Scatterers]]:
+    def sectors(self) -> list[tuple[SceneWindow, Scatterers]]:
         """The scene in the middle of each sector's time, and what its antenna meets, along the sector's middle."""
         seeds = self.drive.seeds("turning", self.index).spawn(SECTORS)
         found = []

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from farfield.frame import Annotation, Cloud, Frame, Lazy, Sensor
 from farfield.radar.turning import strongest_cells
 from farfield.simulation import labels
-from farfield.simulation.rigs.drive import Drive, Planned
+from farfield.simulation.rigs.drive import PlannedFrame, SimulatedDrive
 
 if TYPE_CHECKING:
     from farfield.simulation.rigs.radiate import RadiateMoment
@@ -18,7 +18,7 @@ RADAR_SHARE = 0.02
 """Share of the picture's cells that the cloud gets, as RADIATE's reader gives it unless asked otherwise."""
 
 
-class PlannedRadiate(Planned):
+class PlannedRadiate(PlannedFrame):
     """A turn before it is measured."""
 
     @cached_property
@@ -43,7 +43,7 @@ class PlannedRadiate(Planned):
         return Annotation(boxes=self.moment.boxes, moving=labels.moving(self.moment.boxes))
 
 
-def radiate_frame(drive: Drive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
+def radiate_frame(drive: SimulatedDrive, index: int, sensors: tuple[str, ...], time_ns: int) -> Frame:
     """A frame without its pose; nothing is simulated before it is read."""
     planned = PlannedRadiate(drive, index)
     kept = Sensor(kind="radar", frame_T_sensor=np.eye(4), in_frame=False, time_ns=time_ns)

@@ -19,7 +19,7 @@ _DRAWS = 200  # of each condition: its bounds are known to a hundredth of their 
 
 
 @dataclass(frozen=True, eq=False)
-class Laid:
+class OverlaidWeather:
     """What is laid over one frame.
 
     Args:

@@ -48,7 +48,7 @@ class FarLand:
     hills_m: float = 0.6
 
 
-class Noise:
+class HeightNoise:
     """A smooth height field over (s, d): waves of 9 to 60 m, of standard deviation about 1."""
 
     def __init__(self, rng: np.random.Generator, *, shortest_m: float = 9.0, longest_m: float = 60.0) -> None:
@@ -86,7 +86,7 @@ class Land:
         below_m: float = 0.15,
     ) -> None:
         self.road, self.far, self._below_m = road, far, below_m
-        self._noise, self._hills = Noise(rng), Noise(rng, shortest_m=50.0, longest_m=220.0)
+        self._noise, self._hills = HeightNoise(rng), HeightNoise(rng, shortest_m=50.0, longest_m=220.0)
 
         self.d_m = np.concatenate([-_edges(right, "width_m")[::-1], [0.0], _edges(left, "width_m")])
         self.z_m = np.concatenate([_edges(right, "rise_m")[::-1], [0.0], _edges(left, "rise_m")])

@@ -14,7 +14,7 @@ CHUNK_M = 100.0
 
 
 @dataclass(frozen=True)
-class Placement:
+class FixedObject:
     """One fixed object: where along the road it belongs, and what builds it."""
 
     s_m: float
@@ -22,7 +22,7 @@ class Placement:
 
 
 @dataclass(eq=False)
-class Layout:
+class RoadLayout:
     """A road and what stands beside it, built in pieces of ``CHUNK_M``.
 
     Args:
@@ -38,7 +38,7 @@ class Layout:
     population: Population
     seed: np.random.SeedSequence
     running: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = field(default_factory=list)
-    placements: list[Placement] = field(default_factory=list)
+    placements: list[FixedObject] = field(default_factory=list)
     breaks_m: tuple[float, ...] = ()
 
     def chunk(self, index: int) -> Mesh:

@@ -10,7 +10,7 @@ from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.sizes import draw_car, draw_size_m, draw_truck
 from farfield.simulation.world.motion import STEP_S, Motion, in_conflict
 from farfield.simulation.world.road import RoadLine
-from farfield.simulation.world.traffic import Drivers, LaneChange, Signal, drive
+from farfield.simulation.world.traffic import DriverSet, LaneChange, Signal, drive
 
 _EGO_SIZE_M = np.array([4.8, 1.9, 1.6])
 _TRUCKS = ("box", "semi", "flatbed", "tanker", "tipper")
@@ -233,12 +233,12 @@ class Population:
         for row in [ego, *rows] if ego >= 0 else rows:
             self._add_driven(queue.bodies[row], result.progress_m[row], lanes, queue.lane[row], moves.get(row, []))
 
-    def _drivers(self, queue: _Queue, ego: int, surge: float) -> Drivers:
+    def _drivers(self, queue: _Queue, ego: int, surge: float) -> DriverSet:
         """The published parameters (T 1.8 s, s0 2 m, a 1 m/s2, b 3 m/s2), each within 20 %."""
         n, rng = len(queue.lane), self.rng
         around = rng.uniform(0.8, 1.2, (4, n))
         large = np.array([bodies[0][0] in (*_TRUCKS, "bus") for bodies in queue.bodies])
-        return Drivers(
+        return DriverSet(
             progress_m=np.array(queue.progress_m),
             lane=np.array(queue.lane),
             length_m=np.array(queue.length_m),

@@ -9,7 +9,7 @@ from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
 from farfield.simulation.world.land import Land
-from farfield.simulation.world.layout import Layout, Placement
+from farfield.simulation.world.layout import FixedObject, RoadLayout
 from farfield.simulation.world.road import RoadLine, ribbon
 
 _PAINT, _METAL = int(Material.LANE_PAINT), int(Material.METAL)
@@ -57,7 +57,7 @@ class Roadside:
         last_m: Where they end.
     """
 
-    def __init__(self, layout: Layout, rng: np.random.Generator, first_m: float, last_m: float) -> None:
+    def __init__(self, layout: RoadLayout, rng: np.random.Generator, first_m: float, last_m: float) -> None:
         self.layout, self.rng, self.first_m, self.last_m = layout, rng, first_m, last_m
         self.trees = [furniture.tree(rng.uniform(4, 12), rng) for _ in range(6)]
         self.conifers = [furniture.tree(rng.uniform(5, 15), rng, conifer=True) for _ in range(4)]
@@ -69,7 +69,7 @@ class Roadside:
 
     def place(self, build: "partial[Mesh]", s_m: float) -> None:
         """Add an object that knows its place in the world."""
-        self.layout.placements.append(Placement(s_m, partial(_undrawn, build)))
+        self.layout.placements.append(FixedObject(s_m, partial(_undrawn, build)))
 
     def stations(self, pitch_m: float, *, jitter_m: float = 0.0) -> Float[np.ndarray, " n"]:
         """Stations at regular distances over the whole stretch, from a random beginning."""

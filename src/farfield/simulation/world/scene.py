@@ -12,9 +12,9 @@ from farfield.simulation.bodies.gait import PHASES
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.bodies.sizes import find_prior
 from farfield.simulation.trace import Body, Tracer
-from farfield.simulation.world.layout import CHUNK_M, Layout
+from farfield.simulation.world.layout import CHUNK_M, RoadLayout
 from farfield.simulation.world.motion import STEP_S
-from farfield.simulation.world.roads import BUILDERS, Plot
+from farfield.simulation.world.roads import BUILDERS, RoadBuild
 from farfield.vocabulary.conditions import SIDES
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
@@ -24,7 +24,7 @@ ROADS = tuple(BUILDERS)
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class SceneWindow:
     """The scene over a short span around one moment.
 
     Poses are given at ``k`` knots; between them they move linearly (:func:`at_knots`). Row ``i`` of ``actors``,
@@ -69,7 +69,7 @@ def at_knots(
     return poses[before] + share * (poses[before + 1] - poses[before])
 
 
-class Scene:
+class WorldScene:
     """One sequence's world.
 
     Args:
@@ -93,7 +93,7 @@ class Scene:
         find_prior(sizes)
         layout_seed, actor_seed, pose_seed = seed.spawn(3)
         self.road, self.duration_s, self.sizes = road, duration_s, sizes
-        self.layout: Layout = BUILDERS[road](Plot(layout_seed, duration_s, sizes))
+        self.layout: RoadLayout = BUILDERS[road](RoadBuild(layout_seed, duration_s, sizes))
         self.traffic = traffic
         self.actors, self.motion = self.layout.population.finish(actor_seed)
         self.motion = self.motion.mirrored() if traffic == "left" else self.motion
@@ -129,7 +129,7 @@ class Scene:
 
     def window(
         self, time_s: float, *, half_span_s: float = 0.0, reach_m: float = 360.0, behind_m: float = 20.0
-    ) -> Window:
+    ) -> SceneWindow:
         """The scene from ``half_span_s`` before a moment to as long after it.
 
         Args:
@@ -155,7 +155,7 @@ class Scene:
             bodies.append(Body(self._tracer(int(index), time_s), paths[:, row], row))
         actors = [self.actors[index] for index in chosen]
         velocity = self.motion.velocity_m_s(time_s)
-        return Window(
+        return SceneWindow(
             time_s, knots_s, world_T_ego, bodies, actors, position[chosen], yaw[chosen], velocity[chosen], velocity[0]
         )
 

@@ -20,7 +20,7 @@ _CONSIDER_STEPS, _PAUSE_STEPS, _CALM_M = 5, 150, 40.0
 
 
 @dataclass(eq=False)
-class Drivers:
+class DriverSet:
     """n vehicles before they drive.
 
     Args:
@@ -106,7 +106,7 @@ class LaneChange:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class Trajectories:
     """What came of it.
 
     Args:
@@ -119,7 +119,7 @@ class Drive:
 
 
 @dataclass(eq=False)
-class _Order:
+class _VehicleOrder:
     """Who follows whom: one entry for each vehicle, and one more for each that still occupies its old lane."""
 
     row: Int[np.ndarray, " e"]
@@ -128,7 +128,7 @@ class _Order:
     sorted_row: Int[np.ndarray, " e"] = field(init=False)
     sorted_lane: Int[np.ndarray, " e"] = field(init=False)
 
-    def settle(self, progress_m: Float[np.ndarray, " n"]) -> "_Order":
+    def settle(self, progress_m: Float[np.ndarray, " n"]) -> "_VehicleOrder":
         order = np.lexsort((progress_m[self.row], self.lane))
         self.sorted_row, self.sorted_lane = self.row[order], self.lane[order]
         self.leader = np.full(len(self.row), -1)
@@ -138,7 +138,7 @@ class _Order:
 
 
 class _Simulation:
-    def __init__(self, drivers: Drivers, beside: Int[np.ndarray, "2 lanes"], signals: list[Signal]) -> None:
+    def __init__(self, drivers: DriverSet, beside: Int[np.ndarray, "2 lanes"], signals: list[Signal]) -> None:
         self.drivers, self.beside = drivers, beside
         self.lane, self.old = drivers.lane.copy(), np.full(len(drivers.lane), -1)
         self.left_at_m = np.full(len(self.lane), np.inf)
@@ -150,10 +150,10 @@ class _Simulation:
         )
         self.order = self._ordered(drivers.progress_m)
 
-    def _ordered(self, progress_m: Float[np.ndarray, " n"]) -> _Order:
+    def _ordered(self, progress_m: Float[np.ndarray, " n"]) -> _VehicleOrder:
         both = np.flatnonzero(self.old >= 0)
         rows = np.concatenate([np.arange(len(self.lane)), both])
-        return _Order(rows, np.concatenate([self.lane, self.old[both]])).settle(progress_m)
+        return _VehicleOrder(rows, np.concatenate([self.lane, self.old[both]])).settle(progress_m)
 
     def gaps(self, progress_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " e"]:
         """Free distance of each entry to its leader."""
@@ -271,7 +271,7 @@ class _Simulation:
 
 
 def _meet(
-    drivers: Drivers,
+    drivers: DriverSet,
     progress_m: Float[np.ndarray, " n"],
     speed_m_s: Float[np.ndarray, " n"],
     back: Int[np.ndarray, " n"],
@@ -286,8 +286,8 @@ def _meet(
 
 
 def drive(
-    drivers: Drivers, beside: Int[np.ndarray, "2 lanes"], *, steps: int, signals: list[Signal] | None = None
-) -> Drive:
+    drivers: DriverSet, beside: Int[np.ndarray, "2 lanes"], *, steps: int, signals: list[Signal] | None = None
+) -> Trajectories:
     """Let vehicles drive.
 
     Args:
@@ -314,4 +314,4 @@ def drive(
             speed = (position - here) / STEP_S
         path[:, step] = position
         run.finish_changes(position, step)
-    return Drive(path, run.changes)
+    return Trajectories(path, run.changes)

@@ -4,12 +4,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
-from farfield.datasets.edits import Change, Record
+from farfield.datasets.edits import CellEdit, Record
 from farfield.datasets.labels import BoxLabel
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Key
 from farfield.geometry.iou import pairwise_iou
-from farfield.studio.annotating.counting import Points
+from farfield.studio.annotating.counting import SortedPoints
 from farfield.studio.annotating.fits import Fitter
 from farfield.studio.annotating.numbering import TrackNumbers
 from farfield.studio.annotating.opening import open_store
@@ -17,19 +17,19 @@ from farfield.studio.annotating.planning import plan_of, row_in_drive
 from farfield.studio.annotating.presenting import Presenter
 from farfield.studio.annotating.saves import FORMATS, place_of
 from farfield.studio.editing.box_edits import MADE, add_box
-from farfield.studio.editing.checking import CheckSettings, Detected, SizeRange, size_ranges
+from farfield.studio.editing.checking import CheckSettings, DetectorBox, SizeRange, size_ranges
 from farfield.studio.editing.findings import all_findings, findings, settings_of
 from farfield.studio.editing.history import REDO, UNDO
 from farfield.studio.editing.schema import Extent
-from farfield.studio.editing.store import Author, Done, Store
+from farfield.studio.editing.store import Author, EditResult, Store
 from farfield.studio.editing.track_edits import fill, propagate_track
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxRow, CheckRow, ClassSpec, PlacedRow, RemovedRow, TrackRow
 from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.classes import our_class, spec_of
-from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.rows import boxes_of, numbers
-from farfield.studio.threads import Threads
+from farfield.studio.threads import ThreadGroup
 
 _LOOKED = 500
 """Frames whose boxes tell the sizes of the data set's classes."""
@@ -37,7 +37,7 @@ _SAME_IOU = 0.1
 """A detection that overlaps a box so much is not proposed beside it."""
 
 
-class Annotating:
+class AnnotationService:
     """The store with all that the windows need of it.
 
     Args:
@@ -45,14 +45,14 @@ class Annotating:
         settings: What the studio was started with.
     """
 
-    def __init__(self, opened: Opened, settings: StudioSettings) -> None:
+    def __init__(self, opened: OpenedDataset, settings: StudioSettings) -> None:
         self.opened, self.settings = opened, settings
         self.store: Store = open_store(opened.data, settings)
         self.numbers = TrackNumbers()
-        self.points = Points(opened.frame)
+        self.points = SortedPoints(opened.frame)
         self.shown = Presenter(self.store, self.numbers, self.points)
         self.fitter = Fitter(self.store, opened, self.numbers)
-        self.editor = Threads(1, "edit")
+        self.editor = ThreadGroup(1, "edit")
         self.saved_seq = self.store.state.seq
 
     @property
@@ -111,14 +111,14 @@ class Annotating:
         """The tracks of a frame's drive."""
         return self.shown.tracks(self.drive_of(index)) if len(self.store.keys) else ()
 
-    def edit(self, author: Author, request: asked.Edit, drive: str) -> Done:
+    def edit(self, author: Author, request: asked.Edit, drive: str) -> EditResult:
         """Make an edit that a window sent."""
         if isinstance(request, asked.TrackPropagate):
             return self._propagate(author, request, drive)
         plan = plan_of(request, drive, self.numbers)
         return self.store.edit(author, request.id, request.op, plan, group=getattr(request, "group", None))
 
-    def _propagate(self, author: Author, request: asked.TrackPropagate, drive: str) -> Done:
+    def _propagate(self, author: Author, request: asked.TrackPropagate, drive: str) -> EditResult:
         store, name = self.store, self.numbers.name(request.track)
         first, last = (row_in_drive(store, frame, drive) for frame in (request.first, request.last))
         refit = self.fitter.again if request.fit else None
@@ -145,7 +145,7 @@ class Annotating:
                 placed.append(PlacedRow(frame=index, row=self.shown.box(index, row)))
         return placed, removed, [self.shown.track(*track) for track in tracks]
 
-    def _tracks_of(self, key: Key, change: Change) -> list[tuple[str, str]]:
+    def _tracks_of(self, key: Key, change: CellEdit) -> list[tuple[str, str]]:
         """Tracks whose frames an edit of a box may have changed; none where it moved a keyframe."""
         old, new = change.old or {}, change.new or {}
         if change.old is not None and change.new is not None and _stands_for(old) == _stands_for(new):
@@ -189,17 +189,18 @@ class Annotating:
         except FarfieldError:
             return ()  # said when the frame is opened
 
-    def _detected(self, boxes: Boxes) -> Sequence[Detected]:
+    def _detected(self, boxes: Boxes) -> Sequence[DetectorBox]:
         scores = [1.0] * len(boxes) if boxes.score is None else boxes.score.tolist()
         return [
-            Detected(self._spelt(str(boxes.label[row])), numbers(boxes, row), score) for row, score in enumerate(scores)
+            DetectorBox(self._spelt(str(boxes.label[row])), numbers(boxes, row), score)
+            for row, score in enumerate(scores)
         ]
 
     def _spelt(self, label: str) -> str:
         """A detector's class as the label files spell it; its own word where they have none."""
         return next((name for name in self.store.schema.classes if our_class(name) == our_class(label)), label)
 
-    def propose(self, author: Author, id: str, index: int, boxes: Boxes, group: str) -> Done | None:
+    def propose(self, author: Author, id: str, index: int, boxes: Boxes, group: str) -> EditResult | None:
         """Add a detector's boxes as proposals, but those that overlap a box that is there; None if none is left."""
         key = self.store.keys[index]
         present = boxes_of(self.shown.boxes(index))
@@ -230,6 +231,6 @@ def _stands_for(value: Mapping[str, object]) -> tuple[object, ...]:
     return value.get("track", ""), value.get("label"), value.get("state", "accepted") in ("edited", "accepted"), made
 
 
-def _added(store: Store, key: Key, values: Sequence[dict[str, object]], prefix: str) -> Sequence[Change]:
+def _added(store: Store, key: Key, values: Sequence[dict[str, object]], prefix: str) -> Sequence[CellEdit]:
     added = (add_box(store, key, f"{prefix}.{place}"[-64:], value) for place, value in enumerate(values))
     return list(itertools.chain.from_iterable(added))

@@ -13,7 +13,7 @@ from farfield.studio.showing.cache import Cache
 _FRAMES = 6
 
 
-class Points:
+class SortedPoints:
     """LiDAR's and radar's points of frames, sorted by place.
 
     Args:

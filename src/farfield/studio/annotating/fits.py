@@ -13,14 +13,14 @@ from farfield.frame import Frame, Key
 from farfield.geometry.poses import invert
 from farfield.studio.annotating.counting import cloud_name
 from farfield.studio.annotating.numbering import TrackNumbers
-from farfield.studio.editing.motion import Found, Moment, from_world, to_world
+from farfield.studio.editing.motion import RefitBox, TrackFrame, from_world, to_world
 from farfield.studio.editing.store import Store
-from farfield.studio.fitting import Fit, Prior, fit_click, fit_drag, fit_radar_peak, prior_of, refit
+from farfield.studio.fitting import BoxFit, Prior, fit_click, fit_drag, fit_radar_peak, prior_of, refit
 from farfield.studio.fitting.gestures import fit_rectangle
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Candidate, Fitted
 from farfield.studio.showing.classes import our_class
-from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.radar import product_of
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
@@ -36,7 +36,7 @@ class Fitter:
         numbers: Numbers of tracks.
     """
 
-    def __init__(self, store: Store, opened: Opened, numbers: TrackNumbers) -> None:
+    def __init__(self, store: Store, opened: OpenedDataset, numbers: TrackNumbers) -> None:
         self.store, self.opened, self.frame, self.numbers = store, opened, opened.frame, numbers
 
     def fit(self, request: asked.Fit) -> Fitted:
@@ -113,19 +113,19 @@ class Fitter:
         sizes = np.median([each.label.box[3:6] for _, _, each in known], axis=0)
         return float(yaw), size or tuple(map(float, sizes)), bool(value.get("locked"))
 
-    def _moment(self, key: Key) -> Moment:
-        return Moment(key, self.store.drives.time_s(key), self.store.drives.pose(key))
+    def _moment(self, key: Key) -> TrackFrame:
+        return TrackFrame(key, self.store.drives.time_s(key), self.store.drives.pose(key))
 
-    def again(self, key: Key, expected: Sequence[float], reach_m: float) -> Found:
+    def again(self, key: Key, expected: Sequence[float], reach_m: float) -> RefitBox:
         """Fit an object again where its motion takes it; for propagation."""
         points = _points(self.frame(self.store.index_of[key]))
         prior = Prior(size_m=tuple(expected[3:6]), yaw_rad=float(expected[6]), fixed_size=True)  # type: ignore[arg-type]
         found = refit(points, expected, prior, keep_size=True)
         apart = math.hypot(found.box[0] - expected[0], found.box[1] - expected[1])
-        return Found(_floats(found.box) if apart <= reach_m or found.points else None, found.points)
+        return RefitBox(_floats(found.box) if apart <= reach_m or found.points else None, found.points)
 
 
-def _gesture(request: asked.Fit, points_m: Float[np.ndarray, "n 3"], prior: Prior) -> Fit:
+def _gesture(request: asked.Fit, points_m: Float[np.ndarray, "n 3"], prior: Prior) -> BoxFit:
     at = request.at
     if request.kind == "drag":
         return fit_drag(points_m, at[:2], at[2:4], prior)

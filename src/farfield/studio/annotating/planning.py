@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from farfield.datasets.edits import Change
+from farfield.datasets.edits import CellEdit
 from farfield.studio.annotating.numbering import TrackNumbers
 from farfield.studio.editing.box_edits import add_box, delete_box, set_box
 from farfield.studio.editing.errors import RefusedError
@@ -13,7 +13,7 @@ from farfield.studio.editing.track_edits import interpolate_track, merge_tracks,
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxValue
 
-Plan = Callable[[Store], Sequence[Change]]
+Plan = Callable[[Store], Sequence[CellEdit]]
 
 
 def plan_of(request: Any, drive: str, numbers: TrackNumbers) -> Plan:
@@ -57,23 +57,23 @@ def value_of(value: BoxValue, numbers: TrackNumbers) -> dict[str, Any]:
     }
 
 
-def _box_set(store: Store, request: asked.BoxSet, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _box_set(store: Store, request: asked.BoxSet, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     del drive
     value = value_of(request.value, numbers)
     return set_box(store, _key(store, request.frame), request.box, request.base, value)
 
 
-def _box_add(store: Store, request: asked.BoxAdd, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _box_add(store: Store, request: asked.BoxAdd, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     del drive
     return add_box(store, _key(store, request.frame), request.box, value_of(request.value, numbers))
 
 
-def _box_delete(store: Store, request: asked.BoxDelete, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _box_delete(store: Store, request: asked.BoxDelete, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     del drive, numbers
     return delete_box(store, _key(store, request.frame), request.box, request.base)
 
 
-def _track_set(store: Store, request: asked.TrackSet, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _track_set(store: Store, request: asked.TrackSet, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     ends = None if request.ends is None else "" if request.ends < 0 else _key(store, request.ends)[1]
     return set_track(
         store,
@@ -87,22 +87,24 @@ def _track_set(store: Store, request: asked.TrackSet, drive: str, numbers: Track
     )
 
 
-def _track_merge(store: Store, request: asked.TrackMerge, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _track_merge(store: Store, request: asked.TrackMerge, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     track, into = numbers.name(request.track), numbers.name(request.into)
     return merge_tracks(store, drive, track, into, request.base, request.into_base)
 
 
-def _track_split(store: Store, request: asked.TrackSplit, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _track_split(store: Store, request: asked.TrackSplit, drive: str, numbers: TrackNumbers) -> Sequence[CellEdit]:
     track, new = numbers.name(request.track), numbers.name(request.new_track)
     return split_track(store, drive, track, _key(store, request.frame)[1], new, request.base)
 
 
-def _interpolate(store: Store, request: asked.TrackInterpolate, drive: str, numbers: TrackNumbers) -> Sequence[Change]:
+def _interpolate(
+    store: Store, request: asked.TrackInterpolate, drive: str, numbers: TrackNumbers
+) -> Sequence[CellEdit]:
     first, last = (row_in_drive(store, frame, drive) for frame in (request.first, request.last))
     return interpolate_track(store, drive, numbers.name(request.track), first, last, request.id)
 
 
-_PLANS: dict[type, Callable[..., Sequence[Change]]] = {
+_PLANS: dict[type, Callable[..., Sequence[CellEdit]]] = {
     asked.BoxSet: _box_set,
     asked.BoxAdd: _box_add,
     asked.BoxDelete: _box_delete,

@@ -6,10 +6,10 @@ from typing import Any
 
 from farfield.datasets.edits import track_cell
 from farfield.frame import Key
-from farfield.studio.annotating.counting import Points
+from farfield.studio.annotating.counting import SortedPoints
 from farfield.studio.annotating.numbering import TrackNumbers
-from farfield.studio.editing.checking import Finding
-from farfield.studio.editing.store import Row, Store
+from farfield.studio.editing.checking import LabelIssue
+from farfield.studio.editing.store import Store, StoredBox
 from farfield.studio.messages.rows import BoxRow, CheckRow, TrackRow
 
 
@@ -22,7 +22,7 @@ class Presenter:
         points: Counts points in boxes.
     """
 
-    def __init__(self, store: Store, numbers: TrackNumbers, points: Points) -> None:
+    def __init__(self, store: Store, numbers: TrackNumbers, points: SortedPoints) -> None:
         self.store, self.numbers, self.points = store, numbers, points
 
     def boxes(self, index: int) -> tuple[BoxRow, ...]:
@@ -39,7 +39,7 @@ class Presenter:
         """The boxes of a frame; no point is counted, so that no cloud is read."""
         return tuple(self.box(index, row, count=False) for row in self.store.rows(self.store.keys[index]))
 
-    def box(self, index: int, row: Row, *, count: bool = True) -> BoxRow:
+    def box(self, index: int, row: StoredBox, *, count: bool = True) -> BoxRow:
         """One box, with the points in it if they are counted."""
         label = row.label
         attributes: Any = dict(label.attributes)
@@ -63,7 +63,7 @@ class Presenter:
 
     def tracks(self, drive: str) -> tuple[TrackRow, ...]:
         """The tracks of a drive."""
-        found: dict[str, list[tuple[int, Row]]] = {}
+        found: dict[str, list[tuple[int, StoredBox]]] = {}
         for key in self.store.drives.keys(drive):
             for row in self.store.rows(key):
                 if row.label.track and row.label.state != "rejected":
@@ -76,7 +76,7 @@ class Presenter:
         rows = [(self.store.index_of[each.key], self.store.row(each.key, each.name)) for each in seen]
         return self._track(drive, name, [(index, row) for index, row in rows if row is not None])
 
-    def _track(self, drive: str, name: str, boxes: Sequence[tuple[int, Row]]) -> TrackRow:
+    def _track(self, drive: str, name: str, boxes: Sequence[tuple[int, StoredBox]]) -> TrackRow:
         cell = track_cell(drive, name)
         value = self.store.value(cell) or {}
         number = self.numbers.number(name)
@@ -96,7 +96,7 @@ class Presenter:
         keys: Sequence[Key] = self.store.drives.keys(drive) if frame else ()
         return next((self.store.index_of[key] for key in keys if key[1] == frame), None)
 
-    def finding(self, found: Finding) -> CheckRow:
+    def finding(self, found: LabelIssue) -> CheckRow:
         """One finding."""
         return CheckRow(
             id=found.id,

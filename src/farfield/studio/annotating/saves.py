@@ -16,7 +16,7 @@ FORMATS = ("boxes-csv", "openlabel", "sustechpoints", "cvat")
 _DOTS = re.compile(r"^\.+$")
 
 
-class Written(NamedTuple):
+class SaveSummary(NamedTuple):
     """What a save wrote: how many files, where in words, the number of the journal's note."""
 
     files: int
@@ -31,7 +31,9 @@ def place_of(store: Store, settings: StudioSettings) -> Path | None:
     return None if settings.write else save_place(store)
 
 
-def save(store: Store, settings: StudioSettings, author: Author, id: str, folder: str | None, format: str) -> Written:
+def save(
+    store: Store, settings: StudioSettings, author: Author, id: str, folder: str | None, format: str
+) -> SaveSummary:
     """Write the label files as the annotation stands.
 
     Args:
@@ -53,12 +55,12 @@ def save(store: Store, settings: StudioSettings, author: Author, id: str, folder
         target = place or store.folder / "saved"
         target = target / f"labels-{format}"
         made = export_labels(store, _in(store, target, format), store.keys)
-        return Written(len(made), target.name, store.state.seq)
+        return SaveSummary(len(made), target.name, store.state.seq)
     if place is None:
         saved = save_in_place(store, author, id)
-        return Written(len(saved.files), "the data set's label files", saved.done.record.seq)
+        return SaveSummary(len(saved.files), "the data set's label files", saved.done.record.seq)
     saved = save_copy(store, author, id, place)
-    return Written(len(saved.files), place.name, saved.done.record.seq)
+    return SaveSummary(len(saved.files), place.name, saved.done.record.seq)
 
 
 def _beside(store: Store, name: str, place: Path | None) -> Path:

@@ -10,7 +10,7 @@ from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.studio.calibrating.camera_task import CameraTask
 from farfield.studio.calibrating.radar_task import RadarTask
-from farfield.studio.calibrating.task import Pick, Snapshot, Solved, Task
+from farfield.studio.calibrating.task import CalibrationSolution, CalibrationTask, Pick, Snapshot
 from farfield.studio.calibrating.values import Values, radar_values
 from farfield.studio.messages.calibration import MOST_PICKS, CalibState, CameraValues, PickRow, RadarValues
 from farfield.studio.settings import CalibrationSettings
@@ -40,7 +40,7 @@ class CalibrationError(ConfigError):
         self.code, self.sentence, self.mend = code, sentence, mend
 
 
-class Calibrating:
+class CalibrationService:
     """One calibration.
 
     Args:
@@ -53,7 +53,9 @@ class Calibrating:
 
     def __init__(self, data: Dataset, settings: CalibrationSettings) -> None:
         self.data, self.settings = data, settings
-        self.task: Task = RadarTask(data, settings) if settings.kind == "radar-lidar" else CameraTask(data, settings)
+        self.task: CalibrationTask = (
+            RadarTask(data, settings) if settings.kind == "radar-lidar" else CameraTask(data, settings)
+        )
         self._steps = [Snapshot(self.task.before, self.task.picks())]
         self._at = 0
         self._saved: Values = self._steps[0].values
@@ -148,7 +150,7 @@ class Calibrating:
         rows = (replace(each, used=used) if used is not None and each.number == number else each for each in rest)
         self._push(replace(self.now, picks=tuple(rows)))
 
-    def take(self, solved: Solved) -> None:
+    def take(self, solved: CalibrationSolution) -> None:
         """Take what a solver found."""
         self._push(replace(self.now, values=solved.values, solved=solved))
 

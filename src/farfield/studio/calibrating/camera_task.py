@@ -11,7 +11,7 @@ from farfield.calibration.depth_jumps import LidarEdges
 from farfield.calibration.edge_residuals import edge_residuals
 from farfield.calibration.edges import (
     PARAMETERS,
-    Views,
+    EdgeViews,
     align_edges,
     difference,
     edge_score,
@@ -29,7 +29,7 @@ from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.cameras import Camera
-from farfield.studio.calibrating.task import Pick, Snapshot, Solved, bars, known_of
+from farfield.studio.calibrating.task import CalibrationSolution, Pick, Snapshot, bars, known_of
 from farfield.studio.calibrating.values import Values, camera_of, camera_values, same_lens
 from farfield.studio.messages.calibration import CalibFrame, CalibrationKind, CameraValues, Figure, Residuals
 from farfield.studio.settings import CalibrationSettings
@@ -76,7 +76,7 @@ class CameraTask:
         )
         self.numbers: dict[str, int] = {}
         self._edges: list[LidarEdges] = []
-        self._views: tuple[Camera, Views] | None = None
+        self._views: tuple[Camera, EdgeViews] | None = None
         self._skewed = 0
 
     @property
@@ -144,7 +144,7 @@ class CameraTask:
         off = np.linalg.norm(seen - pixels, axis=1)
         return [float(each) if z > 0 and np.isfinite(each) else None for each, z in zip(off, depth, strict=True)]
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> Solved:
+    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
         """Solve by picked pairs or by edges, from the present values."""
         if how == "pairs":
             return self._by_pairs(now, focal=focal)
@@ -157,7 +157,7 @@ class CameraTask:
         distances = information_check((before, after), self.data, self.indices, self.sensor, self.lidar)
         said = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))
         words = f"aligned {len(views.points_m)} edges of {len(self.indices)} frames"
-        return Solved(values=camera_values(after, self._begin), words=words, notes=said)
+        return CalibrationSolution(values=camera_values(after, self._begin), words=words, notes=said)
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
         """Write where the reader finds it, or our own file into a folder."""
@@ -189,7 +189,7 @@ class CameraTask:
             raise ConfigError("camera: expected values of a camera")
         return camera_of(values, self._begin)
 
-    def _seen(self, camera: Camera) -> Views:
+    def _seen(self, camera: Camera) -> EdgeViews:
         """The edges in view; others where the camera stands elsewhere."""
         if self._views is None:
             raise ConfigError("the frames are still being read")
@@ -201,7 +201,7 @@ class CameraTask:
             self._views = (camera, views)
         return views
 
-    def _by_pairs(self, now: Snapshot, *, focal: bool) -> Solved:
+    def _by_pairs(self, now: Snapshot, *, focal: bool) -> CalibrationSolution:
         used = [pick for pick in now.picks if pick.used]
         points, pixels = _columns(used)
         robust = find_spec("cv2") is not None
@@ -211,7 +211,7 @@ class CameraTask:
         if far:
             notes.insert(0, f"pair {', '.join(map(str, far))}: too far off for a slip of the hand; look at it again")
         words = f"solved from {len(used)} picked pairs{' with the focal length' if focal else ''}"
-        return Solved(values=camera_values(found.camera, self._begin), words=words, notes=tuple(notes))
+        return CalibrationSolution(values=camera_values(found.camera, self._begin), words=words, notes=tuple(notes))
 
     def _hints(self, now: Snapshot, camera: Camera) -> tuple[str, ...]:
         used = [pick for pick in now.picks if pick.used]

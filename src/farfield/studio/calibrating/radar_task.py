@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 
 from farfield.calibration.jobs import KRADAR_NODE_M, chosen, radar_start
-from farfield.calibration.moments import Moment, read_moments
+from farfield.calibration.moments import SensorPair, read_moments
 from farfield.calibration.places import save_radar_where_read
 from farfield.calibration.problems import Solution, Told
 from farfield.calibration.radar_appraising import appraise_radar, matches_of
 from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
-from farfield.calibration.radar_matching import Evidence, RadarPose, polar
-from farfield.calibration.radar_pairs import PARAMETERS, Pairs
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose, polar
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
 from farfield.calibration.saving import save_radar
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.radar_pose import RADAR_FILE, SIDE_FILE
 from farfield.errors import ConfigError, DatasetError
 from farfield.geometry.cameras import Camera
-from farfield.studio.calibrating.task import Pick, Snapshot, Solved, bars, known_of
+from farfield.studio.calibrating.task import CalibrationSolution, Pick, Snapshot, bars, known_of
 from farfield.studio.calibrating.values import Values, pose_of, radar_values
 from farfield.studio.messages.calibration import (
     CalibFrame,
@@ -63,7 +63,7 @@ class RadarTask:
             for place, index in enumerate(self.indices)
         )
         self.numbers: dict[str, int] = {}
-        self.evidence: Evidence | None = None
+        self.evidence: RadarEvidence | None = None
 
     @property
     def before(self) -> RadarValues:
@@ -77,14 +77,14 @@ class RadarTask:
 
     def prepare(self, told: Told) -> None:
         """Read the frames and find the objects that both sensors see."""
-        moments: list[Moment] = []
+        moments: list[SensorPair] = []
         for place, index in enumerate(self.indices):
             told(_READ * place / len(self.indices))
             moment = read_moments([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
             numbered = self.lidar in self.data[index].indices
             moments.append(moment if numbered else replace(moment, number=place))
         told(_READ)
-        self.evidence = Evidence.of(moments)
+        self.evidence = RadarEvidence.of(moments)
         rows = zip(self.frames, moments, strict=True)
         self.frames = tuple(replace(frame, number=moment.number) for frame, moment in rows)
         members = [i for i, name in enumerate(self.data.sequences) if name == self.data.sequences[self.indices[0]]]
@@ -123,7 +123,7 @@ class RadarTask:
         """None are picked here."""
         return [None for _ in now.picks]
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> Solved:
+    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
         """Solve from matched objects and maps, from the present values."""
         del focal
         if how != "objects":
@@ -131,7 +131,7 @@ class RadarTask:
         found = calibrate_radar(self._found(), _pose(now.values), told=told)
         offsets = {found.pose.frames: 0.0} | found.rivals
         matches = int(found.residual["matches"])
-        return Solved(
+        return CalibrationSolution(
             values=radar_values(found.pose),
             words=f"solved from {matches} matched objects in {len(self.indices)} frames",
             notes=found.notes,
@@ -161,7 +161,7 @@ class RadarTask:
             return ""
         return f"z is not saved: K-Radar's files have no place for it, and its reader takes {self.stored.z_m:g} m"
 
-    def _found(self) -> Evidence:
+    def _found(self) -> RadarEvidence:
         if self.evidence is None:
             raise ConfigError("the frames are still being read")
         return self.evidence
@@ -194,7 +194,7 @@ def _figures(found: RadarCalibration, here: int) -> tuple[Figure, ...]:
     )
 
 
-def _points(pose: RadarPose, pairs: Pairs) -> tuple[ResidualPoint, ...]:
+def _points(pose: RadarPose, pairs: MatchedObjects) -> tuple[ResidualPoint, ...]:
     off = polar(pose.vector, pairs)
     x, y = pairs.radar_m[:, 0], pairs.radar_m[:, 1]
     table = np.column_stack([np.hypot(x, y), np.arctan2(y, x), pairs.velocity_m_s[:, 0], off])

@@ -37,7 +37,7 @@ class Pick:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class CalibrationSolution:
     """What a solver found.
 
     Args:
@@ -67,10 +67,10 @@ class Snapshot:
 
     values: Values
     picks: tuple[Pick, ...] = ()
-    solved: Solved | None = None
+    solved: CalibrationSolution | None = None
 
 
-class Task(Protocol):
+class CalibrationTask(Protocol):
     """One kind of calibration of one data set."""
 
     kind: CalibrationKind
@@ -101,7 +101,7 @@ class Task(Protocol):
     def off_px(self, now: Snapshot) -> list[float | None]:
         """How far each pick falls from its pixel."""
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> Solved:
+    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
         """Solve from the present values."""
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:

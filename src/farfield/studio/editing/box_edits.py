@@ -4,11 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from farfield.datasets.edits import Change, box_cell, numbers, track_cell
+from farfield.datasets.edits import CellEdit, box_cell, numbers, track_cell
 from farfield.frame import Key
 from farfield.studio.editing.angles import wrapped
 from farfield.studio.editing.errors import ConflictError, RefusedError
-from farfield.studio.editing.store import Row, Store
+from farfield.studio.editing.store import Store, StoredBox
 
 STATES = ("proposed", "edited", "accepted", "rejected")
 SOURCES = ("", "lidar", "radar", "camera", "interpolated", "propagated", "detector")
@@ -19,7 +19,7 @@ MADE = ("interpolated", "propagated")
 Value = Mapping[str, Any]
 
 
-def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Sequence[Change]:
+def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Sequence[CellEdit]:
     """Change a box; on a track with a locked size its new size goes to all boxes of the track.
 
     Args:
@@ -47,7 +47,7 @@ def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Seque
     return changes
 
 
-def add_box(store: Store, key: Key, name: str, value: Value) -> Sequence[Change]:
+def add_box(store: Store, key: Key, name: str, value: Value) -> Sequence[CellEdit]:
     """Add a box under a name that the client makes up.
 
     Raises:
@@ -65,7 +65,7 @@ def add_box(store: Store, key: Key, name: str, value: Value) -> Sequence[Change]
     return [store.change(cell, new)]
 
 
-def delete_box(store: Store, key: Key, name: str, base: int) -> Sequence[Change]:
+def delete_box(store: Store, key: Key, name: str, base: int) -> Sequence[CellEdit]:
     """Remove a box; a detector's proposal is kept as rejected, so that it is not proposed again.
 
     Raises:
@@ -79,7 +79,7 @@ def delete_box(store: Store, key: Key, name: str, base: int) -> Sequence[Change]
     return [store.change(cell, {**old, "state": "rejected"} if proposed else None, base=base)]
 
 
-def _present(store: Store, key: Key, name: str) -> Row:
+def _present(store: Store, key: Key, name: str) -> StoredBox:
     if key not in store.index_of:
         raise RefusedError("frame", f"there is no frame {'/'.join(key)}")
     row = store.row(key, name)
@@ -91,7 +91,7 @@ def _present(store: Store, key: Key, name: str) -> Row:
     return row
 
 
-def locked_size(store: Store, key: Key, name: str, new: Value) -> list[Change]:
+def locked_size(store: Store, key: Key, name: str, new: Value) -> list[CellEdit]:
     """Changes of a track's other boxes to a new size, if the track's size is locked; their bottoms stay."""
     drive = store.drives.place(key).drive
     cell = track_cell(drive, new["track"])

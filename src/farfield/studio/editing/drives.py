@@ -12,7 +12,7 @@ RATE_HZ = 10.0
 """Frames a second where no times are known, as most rotating LiDARs have."""
 
 
-class Place(NamedTuple):
+class DriveRowIndex(NamedTuple):
     """A frame's drive and its row in it."""
 
     drive: str
@@ -30,15 +30,15 @@ class DriveTable:
         self.data = data
         self._drives: dict[str, Drive] = {drive.name: drive for drive in data.drives()}
         self.names = tuple(self._drives)
-        self._place: dict[Key, Place] = {
-            key: Place(name, row) for name, drive in self._drives.items() for row, key in enumerate(drive.keys)
+        self._place: dict[Key, DriveRowIndex] = {
+            key: DriveRowIndex(name, row) for name, drive in self._drives.items() for row, key in enumerate(drive.keys)
         }
         self._index = {key: index for index, key in enumerate(data.keys)}
         self._poses: dict[Key, Float[np.ndarray, "4 4"] | None] = {}
 
-    def place(self, key: Key) -> Place:
+    def place(self, key: Key) -> DriveRowIndex:
         """A frame's drive and row."""
-        return self._place.get(key) or Place("/".join(key), 0)
+        return self._place.get(key) or DriveRowIndex("/".join(key), 0)
 
     def keys(self, drive: str) -> tuple[Key, ...]:
         """Frames of a drive in the order of time."""

@@ -5,27 +5,27 @@ from collections.abc import Iterator, Mapping, Sequence
 from farfield.datasets.edits import track_cell
 from farfield.frame import Key
 from farfield.studio.editing.checking import (
+    CheckedFrame,
     CheckSettings,
-    Course,
-    Detected,
-    Finding,
-    Scene,
+    DetectorBox,
+    LabelIssue,
+    NearbyTrack,
+    SensorView,
     SizeRange,
-    Step,
     Surroundings,
-    View,
+    TrackStep,
     check,
 )
-from farfield.studio.editing.motion import Moment, to_world
+from farfield.studio.editing.motion import TrackFrame, to_world
 from farfield.studio.editing.notes import ignored
-from farfield.studio.editing.store import Row, Store
+from farfield.studio.editing.store import Store, StoredBox
 
 AROUND = 6
 """So many frames before and after are looked at: the longest gap that is said, and one more."""
 
 
 def settings_of(
-    store: Store, views: Sequence[View] = (), sizes: Mapping[str, SizeRange] | None = None
+    store: Store, views: Sequence[SensorView] = (), sizes: Mapping[str, SizeRange] | None = None
 ) -> CheckSettings:
     """Limits from the schema: its classes' sizes and speeds, its extent.
 
@@ -50,8 +50,8 @@ def findings(
     settings: CheckSettings,
     *,
     around: Surroundings | None = None,
-    detections: Sequence[Detected] = (),
-) -> list[Finding]:
+    detections: Sequence[DetectorBox] = (),
+) -> list[LabelIssue]:
     """What a person should look at in a frame.
 
     Args:
@@ -67,31 +67,33 @@ def findings(
         tracks = {label.track for label in boxes if label.track}
         courses = {track: course(store, place.drive, track, place.row) for track in tracks}
         reasons = ignored(store)
-    scene = Scene(key=key, row=place.row, around=around, detections=detections)
+    scene = CheckedFrame(key=key, row=place.row, around=around, detections=detections)
     return check(boxes, scene, courses, settings, ignored=reasons)
 
 
-def course(store: Store, drive: str, track: str, row: int) -> Course:
+def course(store: Store, drive: str, track: str, row: int) -> NearbyTrack:
     """A track in the frames around one; of two boxes in one frame the first counts."""
     seen = store.tracks.seen(drive, track)
     near = {each.row: each for each in reversed(seen) if abs(each.row - row) <= AROUND}
-    found: list[tuple[Moment, Row]] = []
+    found: list[tuple[TrackFrame, StoredBox]] = []
     for each in (near[place] for place in sorted(near)):
         box = store.row(each.key, each.name)
         if box is not None and box.label.state != "rejected":
-            moment = Moment(each.key, store.drives.time_s(each.key), store.drives.pose(each.key))
+            moment = TrackFrame(each.key, store.drives.time_s(each.key), store.drives.pose(each.key))
             found.append((moment, box))
     posed = all(moment.world_T_frame is not None for moment, _ in found)
     rows = store.drives
     steps = [
-        Step(rows.place(moment.key).row, moment.time_s, to_world(box.label.box, moment) if posed else box.label.box)
+        TrackStep(
+            rows.place(moment.key).row, moment.time_s, to_world(box.label.box, moment) if posed else box.label.box
+        )
         for moment, box in found
     ]
     locked = bool((store.value(track_cell(drive, track)) or {}).get("locked"))
-    return Course(steps, len({each.row for each in seen}), posed=posed, locked=locked)
+    return NearbyTrack(steps, len({each.row for each in seen}), posed=posed, locked=locked)
 
 
-def all_findings(store: Store, settings: CheckSettings) -> Iterator[Finding]:
+def all_findings(store: Store, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Findings of every frame, without points: frame by frame, in the data set's order."""
     for key in store.keys:
         yield from findings(store, key, settings)

@@ -11,7 +11,7 @@ UNDO, REDO, KEEP = "undo", "redo", "keep"
 """Operations on steps; ``keep`` gives up taking a step back, where somebody else went on from it."""
 
 
-class Step(NamedTuple):
+class UndoStep(NamedTuple):
     """What one undo takes back.
 
     Args:
@@ -33,8 +33,8 @@ class History:
     """
 
     def __init__(self) -> None:
-        self._back: dict[str, list[Step]] = defaultdict(list)
-        self._again: dict[str, list[Step]] = defaultdict(list)
+        self._back: dict[str, list[UndoStep]] = defaultdict(list)
+        self._again: dict[str, list[UndoStep]] = defaultdict(list)
 
     def take(self, record: Record) -> None:
         """Take an edit of the journal in."""
@@ -49,20 +49,20 @@ class History:
             if record.group is not None and steps and steps[-1].group == record.group:
                 steps[-1] = steps[-1]._replace(seqs=(*steps[-1].seqs, record.seq))
             else:
-                steps.append(Step((record.seq,), record.by, record.group))
+                steps.append(UndoStep((record.seq,), record.by, record.group))
             self._again[record.by].clear()
 
-    def _move(self, record: Record, source: dict[str, list[Step]], target: dict[str, list[Step]]) -> None:
+    def _move(self, record: Record, source: dict[str, list[UndoStep]], target: dict[str, list[UndoStep]]) -> None:
         owner, step = self._pop(record, source)
-        target[owner].append(Step((record.seq,), step.by, None))
+        target[owner].append(UndoStep((record.seq,), step.by, None))
 
-    def _pop(self, record: Record, source: dict[str, list[Step]]) -> tuple[str, Step]:
+    def _pop(self, record: Record, source: dict[str, list[UndoStep]]) -> tuple[str, UndoStep]:
         for owner, steps in source.items():
             if steps and steps[-1].seqs == record.undoes:
                 return owner, steps.pop()
         raise ValueError(f"an {record.op} of {list(record.undoes)}, which is nobody's last step")
 
-    def last(self, by: str | None, op: str = UNDO) -> Step | None:
+    def last(self, by: str | None, op: str = UNDO) -> UndoStep | None:
         """The step that an undo or a redo concerns now; None where there is none.
 
         Args:
@@ -78,5 +78,5 @@ class History:
         return len(self._back.get(by, ())), len(self._again.get(by, ()))
 
 
-def _newest(step: Step) -> int:
+def _newest(step: UndoStep) -> int:
     return step.seqs[-1]

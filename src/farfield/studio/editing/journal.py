@@ -14,14 +14,14 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from farfield.datasets.edits import JOURNAL, Change, Record, decode, encode, read_journal
+from farfield.datasets.edits import JOURNAL, CellEdit, Record, decode, encode, read_journal
 from farfield.studio.editing.errors import JournalError
 from farfield.studio.editing.locking import hold
 
 Take = Callable[[Record], None]
 
 
-class Journal:
+class EditJournal:
     """Edits of one data set, appended by one process; any thread may append.
 
     Args:
@@ -94,7 +94,7 @@ class Journal:
         by: str,
         window: str,
         op: str,
-        changes: Sequence[Change] = (),
+        changes: Sequence[CellEdit] = (),
         group: str | None = None,
         undoes: Sequence[int] = (),
         data: Mapping[str, Any] | None = None,
@@ -196,7 +196,7 @@ class Journal:
         os.close(self._file)
         os.close(self._held)
 
-    def __enter__(self) -> "Journal":
+    def __enter__(self) -> "EditJournal":
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -26,7 +26,7 @@ KEYFRAMES = 3
 """So many places give the velocity."""
 
 
-class Moment(NamedTuple):
+class TrackFrame(NamedTuple):
     """A frame of a drive.
 
     Args:
@@ -48,17 +48,17 @@ def moved(box: Numbers, target_T_source: Pose) -> Numbers:
     return x, y, z, box[3], box[4], box[5], wrapped(float(np.arctan2(heading[1], heading[0])))
 
 
-def to_world(box: Numbers, moment: Moment) -> Numbers:
+def to_world(box: Numbers, moment: TrackFrame) -> Numbers:
     """A frame's box in the world."""
     return box if moment.world_T_frame is None else moved(box, moment.world_T_frame)
 
 
-def from_world(box: Numbers, moment: Moment) -> Numbers:
+def from_world(box: Numbers, moment: TrackFrame) -> Numbers:
     """A box of the world in a frame's coordinates."""
     return box if moment.world_T_frame is None else moved(box, invert(moment.world_T_frame))
 
 
-def carried(box: Numbers, source: Moment, target: Moment) -> Numbers:
+def carried(box: Numbers, source: TrackFrame, target: TrackFrame) -> Numbers:
     """A box that stands still in the world, in the coordinates of another frame."""
     if source.world_T_frame is None or target.world_T_frame is None:
         return box
@@ -66,8 +66,8 @@ def carried(box: Numbers, source: Moment, target: Moment) -> Numbers:
 
 
 def between(
-    keyframes: Sequence[tuple[Moment, Numbers]],
-    moments: Sequence[Moment],
+    keyframes: Sequence[tuple[TrackFrame, Numbers]],
+    moments: Sequence[TrackFrame],
     size_m: Sequence[float] | None = None,
 ) -> dict[Key, Numbers]:
     """Boxes in the frames between keyframes: places along a smooth curve, headings the shorter way.
@@ -124,7 +124,7 @@ def _turned(
     return length, width, height, wrapped(first[6] + share * turn(first[6], second[6]))
 
 
-class Found(NamedTuple):
+class RefitBox(NamedTuple):
     """What a refit gave.
 
     Args:
@@ -136,11 +136,11 @@ class Found(NamedTuple):
     points: int
 
 
-Refit = Callable[[Key, Numbers, float], Found]
+Refit = Callable[[Key, Numbers, float], RefitBox]
 """Fits an object again: the frame, where it is expected (size and yaw included), how far from there at most."""
 
 
-class Propagated(NamedTuple):
+class PropagatedTrack(NamedTuple):
     """Where an object went.
 
     Args:
@@ -153,12 +153,12 @@ class Propagated(NamedTuple):
 
 
 def propagate(
-    keyframes: Sequence[tuple[Moment, Numbers]],
-    moments: Sequence[Moment],
+    keyframes: Sequence[tuple[TrackFrame, Numbers]],
+    moments: Sequence[TrackFrame],
     refit: Refit | None = None,
     *,
     known: Mapping[Key, Numbers] | None = None,
-) -> Propagated:
+) -> PropagatedTrack:
     """Carry an object on by constant velocity, fitted again in every frame.
 
     It stops where the object has fewer than 3 points over 5 frames (those are left out), or is found farther from
@@ -180,20 +180,20 @@ def propagate(
         expected, speed = _expected(trail, moment.time_s)
         window_m = WINDOW_M + WINDOW_S * speed * abs(moment.time_s - trail[-1][0])
         guess = from_world(expected, moment)
-        fit = Found(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, window_m)
+        fit = RefitBox(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, window_m)
         if fit.box is None or fit.points < FEWEST_POINTS:
             blind.append(moment.key)
             found[moment.key] = guess
             if len(blind) == LONGEST_BLIND:
-                return Propagated(_without(found, blind), _lost(blind[0]))
+                return PropagatedTrack(_without(found, blind), _lost(blind[0]))
             continue
         off_m = float(np.hypot(fit.box[0] - guess[0], fit.box[1] - guess[1]))
         if off_m > window_m:
-            return Propagated(_without(found, blind), _astray(moment.key, off_m, window_m))
+            return PropagatedTrack(_without(found, blind), _astray(moment.key, off_m, window_m))
         blind = []
         found[moment.key] = fit.box
         trail = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(fit.box, moment))]
-    return Propagated(_without(found, blind), _lost(blind[0]) if blind and refit is not None else "")
+    return PropagatedTrack(_without(found, blind), _lost(blind[0]) if blind and refit is not None else "")
 
 
 def _expected(trail: Sequence[tuple[float, Numbers]], time_s: float) -> tuple[Numbers, float]:

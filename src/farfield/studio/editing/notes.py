@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from farfield.datasets.edits import Change, Record
+from farfield.datasets.edits import CellEdit, Record
 from farfield.frame import Key
 from farfield.studio.editing.errors import RefusedError
-from farfield.studio.editing.store import EXTENT, Author, Done, Store
+from farfield.studio.editing.store import EXTENT, Author, EditResult, Store
 
 IGNORED, BOOKMARK, TIMING = "ignored", "bookmark", "timing"
 LONGEST_NOTE = 2000
@@ -16,7 +16,7 @@ LONGEST_PAUSE_S = 60.0
 """A pause that is longer was no work on a box."""
 
 
-def declare_extent(store: Store, author: Author, id: str, extent: str) -> Done:
+def declare_extent(store: Store, author: Author, id: str, extent: str) -> EditResult:
     """Say once what the boxes of the data set hold: whole bodies (``full``) or visible parts (``visible``).
 
     Raises:
@@ -28,7 +28,7 @@ def declare_extent(store: Store, author: Author, id: str, extent: str) -> Done:
 _WORDS = {"full": "whole bodies", "visible": "visible parts"}
 
 
-def _extent(store: Store, extent: str) -> Sequence[Change]:
+def _extent(store: Store, extent: str) -> Sequence[CellEdit]:
     if extent not in _WORDS:
         raise RefusedError("extent", f"expected full or visible, got {extent!r}")
     if store.extent is not None and store.extent != extent:
@@ -37,7 +37,7 @@ def _extent(store: Store, extent: str) -> Sequence[Change]:
     return [] if store.extent == extent else [store.change(EXTENT, extent)]
 
 
-def ignore(store: Store, author: Author, id: str, finding: str, reason: str) -> Done:
+def ignore(store: Store, author: Author, id: str, finding: str, reason: str) -> EditResult:
     """Let a finding stand, with a reason; an empty reason brings it back.
 
     Raises:
@@ -46,7 +46,7 @@ def ignore(store: Store, author: Author, id: str, finding: str, reason: str) -> 
     return store.edit(author, id, "check.ignore", partial(_note, cell=(IGNORED, finding), text=reason.strip() or None))
 
 
-def _note(store: Store, cell: tuple[str, ...], text: str | None) -> Sequence[Change]:
+def _note(store: Store, cell: tuple[str, ...], text: str | None) -> Sequence[CellEdit]:
     if text is not None and len(text) > LONGEST_NOTE:
         raise RefusedError("note", f"expected at most {LONGEST_NOTE} characters, got {len(text)}")
     return [store.change(cell, text)] if store.value(cell) != text else []
@@ -57,7 +57,7 @@ def ignored(store: Store) -> Mapping[str, str]:
     return {cell[1]: str(standing.value) for cell, standing in store.state.of_kind(IGNORED) if standing.value}
 
 
-def bookmark(store: Store, author: Author, id: str, key: Key, note: str | None) -> Done:
+def bookmark(store: Store, author: Author, id: str, key: Key, note: str | None) -> EditResult:
     """Bookmark a frame; None takes the bookmark away.
 
     Raises:
@@ -66,7 +66,7 @@ def bookmark(store: Store, author: Author, id: str, key: Key, note: str | None) 
     return store.edit(author, id, "bookmark", partial(_bookmark, key=key, note=note))
 
 
-def _bookmark(store: Store, key: Key, note: str | None) -> Sequence[Change]:
+def _bookmark(store: Store, key: Key, note: str | None) -> Sequence[CellEdit]:
     if key not in store.index_of:
         raise RefusedError("frame", f"there is no frame {'/'.join(key)}")
     return _note(store, (BOOKMARK, *key), note)
@@ -94,7 +94,7 @@ def _place(store: Store, mark: Mark) -> int:
     return store.index_of[mark.key]
 
 
-def worked(store: Store, author: Author, id: str, key: Key, name: str, seconds: float, edits: int) -> Done:
+def worked(store: Store, author: Author, id: str, key: Key, name: str, seconds: float, edits: int) -> EditResult:
     """Record how long an annotator worked on a box, from its selection to the next one.
 
     Args:
@@ -115,12 +115,12 @@ def worked(store: Store, author: Author, id: str, key: Key, name: str, seconds: 
     return store.edit(author, id, TIMING, _nothing, data=data)
 
 
-def _nothing(store: Store) -> Sequence[Change]:
+def _nothing(store: Store) -> Sequence[CellEdit]:
     del store
     return ()
 
 
-class Work(NamedTuple):
+class AnnotationWork(NamedTuple):
     """An annotator's work on boxes.
 
     Args:
@@ -139,7 +139,7 @@ class Work(NamedTuple):
         return self.seconds / self.boxes if self.boxes else 0.0
 
 
-def work(store: Store) -> Mapping[str, Work]:
+def work(store: Store) -> Mapping[str, AnnotationWork]:
     """Work by annotator, from the whole journal."""
     seconds: dict[str, dict[tuple[str, ...], float]] = defaultdict(lambda: defaultdict(float))
     edits: dict[str, int] = defaultdict(int)
@@ -149,7 +149,7 @@ def work(store: Store) -> Mapping[str, Work]:
             data = _timing(record)
             seconds[record.by][*data["frame"], data["box"]] += data["seconds"]
             edits[record.by] += data["edits"]
-    return {by: Work(len(boxes), sum(boxes.values()), edits[by]) for by, boxes in seconds.items()}
+    return {by: AnnotationWork(len(boxes), sum(boxes.values()), edits[by]) for by, boxes in seconds.items()}
 
 
 def _timing(record: Record) -> Mapping[str, Any]:

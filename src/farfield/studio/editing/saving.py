@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from farfield.datasets.edits import Change
+from farfield.datasets.edits import CellEdit
 from farfield.datasets.labels import BoxLabel, LabelFormat
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes, write_text
 from farfield.frame import Key
 from farfield.studio.editing.label_files import digest
-from farfield.studio.editing.store import Author, Done, Store
+from farfield.studio.editing.store import Author, EditResult, Store
 
 SAVE = "save"
 MARK = ".farfield-saved"
@@ -24,7 +24,7 @@ WRITTEN = ("edited", "accepted")
 """States of boxes that label files get; proposals that nobody accepted, and rejected ones, stay in the journal."""
 
 
-class Saved(NamedTuple):
+class SavedLabels(NamedTuple):
     """What a save wrote.
 
     Args:
@@ -35,7 +35,7 @@ class Saved(NamedTuple):
 
     folder: Path
     files: tuple[Path, ...]
-    done: Done
+    done: EditResult
 
 
 def written_labels(store: Store, key: Key) -> tuple[BoxLabel, ...]:
@@ -70,7 +70,7 @@ def changed_files(store: Store) -> dict[Path, bytes | None]:
     return found
 
 
-def save_in_place(store: Store, author: Author, id: str) -> Saved:
+def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
     """Write what changed into the label files; before the first write of each, its copy goes to ``original/``.
 
     The journal knows of the new state before the file has it: a save that is interrupted leaves files of which each is
@@ -96,10 +96,10 @@ def save_in_place(store: Store, author: Author, id: str) -> Saved:
         done.saved.result()
         for path, data in files.items():
             _put(path, data)
-    return Saved(store.files.root, tuple(files), done)
+    return SavedLabels(store.files.root, tuple(files), done)
 
 
-def save_copy(store: Store, author: Author, id: str, folder: Path) -> Saved:
+def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabels:
     """Write all label files of the data set into a folder of their own; the data set's stay as they are.
 
     Args:
@@ -123,7 +123,7 @@ def save_copy(store: Store, author: Author, id: str, folder: Path) -> Saved:
             sync()
         done = store.edit(author, id, SAVE, _nothing, data={"folder": str(folder), "count": len(written)})
         written = [folder / store.files.relative(path) for path in written]
-    return Saved(folder, tuple(written), done)
+    return SavedLabels(folder, tuple(written), done)
 
 
 def _current(store: Store, path: Path, keys: Sequence[Key] | None) -> bytes | None:
@@ -187,7 +187,7 @@ def save_place(store: Store) -> Path | None:
     return beside if inside else store.folder / "saved"
 
 
-def _nothing(store: Store) -> Sequence[Change]:
+def _nothing(store: Store) -> Sequence[CellEdit]:
     del store
     return ()
 

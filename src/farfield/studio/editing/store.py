@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.edits import Cell, Change, Record, State, box_cell, label_of, numbers, value_of
+from farfield.datasets.edits import Cell, CellEdit, EditState, Record, box_cell, label_of, numbers, value_of
 from farfield.datasets.labels import BoxLabel, LabelFormat, Numbers
 from farfield.frame import Key
 from farfield.studio.editing.drives import DriveTable
 from farfield.studio.editing.errors import ConflictError, RefusedError
 from farfield.studio.editing.history import History
-from farfield.studio.editing.journal import Journal
+from farfield.studio.editing.journal import EditJournal
 from farfield.studio.editing.label_files import LabelFiles
 from farfield.studio.editing.schema import Extent, Schema, load_schema
 from farfield.studio.editing.track_index import TrackIndex
@@ -28,7 +28,7 @@ class Author(NamedTuple):
     window: str = ""
 
 
-class Row(NamedTuple):
+class StoredBox(NamedTuple):
     """A box of a frame as it stands.
 
     Args:
@@ -44,7 +44,7 @@ class Row(NamedTuple):
     proposal: Numbers | None = None
 
 
-class Done(NamedTuple):
+class EditResult(NamedTuple):
     """An edit that was taken.
 
     Args:
@@ -58,7 +58,7 @@ class Done(NamedTuple):
     repeated: bool = False
 
 
-Plan = Callable[["Store"], Sequence[Change]]
+Plan = Callable[["Store"], Sequence[CellEdit]]
 """What an edit changes, found from the store as it stands; raises where the edit is not possible."""
 
 
@@ -82,10 +82,10 @@ class Store:
         self.index_of = {key: index for index, key in enumerate(self.keys)}
         self.drives = DriveTable(data)
         self.files = LabelFiles(labels, self.keys, folder, data.root)
-        self.state, self.history = State(), History()
+        self.state, self.history = EditState(), History()
         self.tracks = TrackIndex(self.rows, self.drives)
         self.lock, self.saving = threading.RLock(), threading.Lock()
-        self.journal = Journal(folder, self._take)
+        self.journal = EditJournal(folder, self._take)
         try:
             self.schema = load_schema(folder, schema)
         except BaseException:
@@ -104,7 +104,7 @@ class Store:
         declared = self.state.get(EXTENT)
         return declared.value if declared is not None else self.schema.extent
 
-    def rows(self, key: Key) -> tuple[Row, ...]:
+    def rows(self, key: Key) -> tuple[StoredBox, ...]:
         """The boxes of a frame as they stand, the files' first, in their order; rejected proposals too.
 
         Raises:
@@ -113,20 +113,20 @@ class Store:
         """
         with self.lock:
             touched = self.state.touched(key)
-            found = {label.id: Row(label) for label in self.files.labels(key) if label.id not in touched}
+            found = {label.id: StoredBox(label) for label in self.files.labels(key) if label.id not in touched}
             for name, standing in touched.items():
                 if standing.value is not None:
                     found[name] = _row(name, standing.value, standing.version, standing.by)
-        return tuple(sorted(found.values(), key=_Order(touched)))
+        return tuple(sorted(found.values(), key=_BoxOrder(touched)))
 
-    def row(self, key: Key, name: str) -> Row | None:
+    def row(self, key: Key, name: str) -> StoredBox | None:
         """One box of a frame; None where there is none (any more)."""
         with self.lock:
             standing = self.state.get(box_cell(key, name))
             if standing is not None:
                 value = standing.value
                 return None if value is None else _row(name, value, standing.version, standing.by)
-            return next((Row(label) for label in self.files.labels(key) if label.id == name), None)
+            return next((StoredBox(label) for label in self.files.labels(key) if label.id == name), None)
 
     def value(self, cell: Cell) -> Any:
         """The value of a cell as it stands; None where there is nothing."""
@@ -143,7 +143,7 @@ class Store:
         standing = self.state.get(cell)
         return 0 if standing is None else standing.version
 
-    def change(self, cell: Cell, new: Any, *, base: int | None = None) -> Change:
+    def change(self, cell: Cell, new: Any, *, base: int | None = None) -> CellEdit:
         """A change of a cell from what it is now.
 
         Args:
@@ -159,7 +159,7 @@ class Store:
             standing = self.state.get(cell)
             by = "" if standing is None else standing.by
             raise ConflictError(cell, self.value(cell), present, by)
-        return Change(cell, present, self.value(cell), new)
+        return CellEdit(cell, present, self.value(cell), new)
 
     def edit(
         self,
@@ -171,7 +171,7 @@ class Store:
         group: str | None = None,
         undoes: Sequence[int] = (),
         data: Mapping[str, Any] | None = None,
-    ) -> Done:
+    ) -> EditResult:
         """Make an edit: all of it, or nothing.
 
         Args:
@@ -204,15 +204,15 @@ class Store:
                 undoes=undoes,
                 data=notes,
             )
-        return Done(record, saved)
+        return EditResult(record, saved)
 
-    def _repeated(self, seq: int, op: str) -> Done:
+    def _repeated(self, seq: int, op: str) -> EditResult:
         record = self.journal.read(seq)
         if record.op != op:
             raise RefusedError("id", f"the id {record.id!r} was used before, by a {record.op}", "Use a new id.")
-        return Done(record, self.journal.pending(seq), repeated=True)
+        return EditResult(record, self.journal.pending(seq), repeated=True)
 
-    def _file_states(self, changes: Sequence[Change]) -> dict[str, Any]:
+    def _file_states(self, changes: Sequence[CellEdit]) -> dict[str, Any]:
         """What is to be noted of the label files that are touched for the first time."""
         states: dict[str, Any] = {}
         for change in changes:
@@ -231,20 +231,20 @@ class Store:
         self.close()
 
 
-class _Order:
+class _BoxOrder:
     """Places of a frame's boxes: those of the files in their order, then the added ones in theirs."""
 
     def __init__(self, touched: Mapping[str, Any]) -> None:
         self._born = {name: (standing.born, place) for place, (name, standing) in enumerate(touched.items())}
         self._added = {name for name, standing in touched.items() if not standing.original}
 
-    def __call__(self, row: Row) -> tuple[int, int, int]:
+    def __call__(self, row: StoredBox) -> tuple[int, int, int]:
         name = row.label.id
         if name in self._added or not name.isdigit():
             return (1, *self._born[name])
         return (0, int(name), 0)
 
 
-def _row(name: str, value: Mapping[str, Any], version: int, by: str) -> Row:
+def _row(name: str, value: Mapping[str, Any], version: int, by: str) -> StoredBox:
     proposal = value.get("proposal")
-    return Row(label_of(name, value), version, by, None if proposal is None else numbers(proposal))
+    return StoredBox(label_of(name, value), version, by, None if proposal is None else numbers(proposal))

@@ -3,23 +3,23 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from farfield.datasets.edits import Change, box_cell, track_cell
+from farfield.datasets.edits import CellEdit, box_cell, track_cell
 from farfield.datasets.labels import Numbers
 from farfield.frame import Key
 from farfield.studio.editing.box_edits import resized, sound
 from farfield.studio.editing.errors import RefusedError
-from farfield.studio.editing.motion import Moment, Propagated, Refit, between, propagate
-from farfield.studio.editing.store import Row, Store
+from farfield.studio.editing.motion import PropagatedTrack, Refit, TrackFrame, between, propagate
+from farfield.studio.editing.store import Store, StoredBox
 
-Plan = Callable[[Store], Sequence[Change]]
+Plan = Callable[[Store], Sequence[CellEdit]]
 
 
-def moments(store: Store, keys: Iterable[Key]) -> list[Moment]:
+def moments(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:
     """Time and pose of some frames."""
-    return [Moment(key, store.drives.time_s(key), store.drives.pose(key)) for key in keys]
+    return [TrackFrame(key, store.drives.time_s(key), store.drives.pose(key)) for key in keys]
 
 
-def boxes_of(store: Store, drive: str, track: str) -> list[tuple[int, Key, Row]]:
+def boxes_of(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
     """The boxes of a track that stand (rejected ones left out): row in the drive, frame, box; in the order of time."""
     found = [(seen.row, seen.key, store.row(seen.key, seen.name)) for seen in store.tracks.seen(drive, track)]
     return [(row, key, box) for row, key, box in found if box is not None and box.label.state != "rejected"]
@@ -35,7 +35,7 @@ def set_track(
     size: Sequence[float] | None = None,
     locked: bool | None = None,
     ends: str | None = None,
-) -> Sequence[Change]:
+) -> Sequence[CellEdit]:
     """Set what holds for a track in all its frames.
 
     Args:
@@ -74,7 +74,7 @@ def set_track(
     return changes
 
 
-def _altered(store: Store, key: Key, box: Row, label: str | None, size: Sequence[float] | None) -> list[Change]:
+def _altered(store: Store, key: Key, box: StoredBox, label: str | None, size: Sequence[float] | None) -> list[CellEdit]:
     cell = box_cell(key, box.label.id)
     old = store.value(cell)
     new = dict(old) if label is None else {**old, "label": label}
@@ -83,14 +83,14 @@ def _altered(store: Store, key: Key, box: Row, label: str | None, size: Sequence
     return [store.change(cell, sound(store, new, old))] if new != old else []
 
 
-def _existing(store: Store, drive: str, track: str) -> list[tuple[int, Key, Row]]:
+def _existing(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
     boxes = boxes_of(store, drive, track)
     if not track or not boxes:
         raise RefusedError("track", f"drive {drive} has no track {track!r}")
     return boxes
 
 
-def _middle_size(boxes: Sequence[tuple[int, Key, Row]]) -> list[float]:
+def _middle_size(boxes: Sequence[tuple[int, Key, StoredBox]]) -> list[float]:
     keyframes = [box.label.box for _, _, box in boxes if box.label.keyframe] or [box.label.box for _, _, box in boxes]
     by_volume = sorted(keyframes, key=_volume)
     return list(by_volume[len(by_volume) // 2][3:6])
@@ -109,7 +109,7 @@ def _row_of(store: Store, drive: str, frame: str) -> int | None:
     return rows[0]
 
 
-def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, into_base: int) -> Sequence[Change]:
+def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, into_base: int) -> Sequence[CellEdit]:
     """Make one track a part of another, whose class, and size if it is locked, its boxes take.
 
     Raises:
@@ -141,7 +141,7 @@ def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, int
     return changes
 
 
-def split_track(store: Store, drive: str, track: str, frame: str, new_track: str, base: int) -> Sequence[Change]:
+def split_track(store: Store, drive: str, track: str, frame: str, new_track: str, base: int) -> Sequence[CellEdit]:
     """Give the boxes of a track from a frame on a new number.
 
     Raises:
@@ -166,7 +166,7 @@ def split_track(store: Store, drive: str, track: str, frame: str, new_track: str
     return changes
 
 
-def interpolate_track(store: Store, drive: str, track: str, first: int, last: int, prefix: str) -> Sequence[Change]:
+def interpolate_track(store: Store, drive: str, track: str, first: int, last: int, prefix: str) -> Sequence[CellEdit]:
     """Boxes in all frames between keyframes; keyframes stay as they are.
 
     Args:
@@ -194,7 +194,7 @@ def interpolate_track(store: Store, drive: str, track: str, first: int, last: in
 
 def propagate_track(
     store: Store, drive: str, track: str, first: int, last: int, refit: Refit | None = None
-) -> Propagated:
+) -> PropagatedTrack:
     """Where a track goes on from a frame; :func:`fill` makes an edit of it.
 
     It reads the annotation and changes nothing, so that the fits, which take time, hold up nobody's edits.
@@ -228,7 +228,9 @@ def propagate_track(
     return propagate(placed, moments(store, ahead), refit, known=known)
 
 
-def fill(store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], source: str, prefix: str) -> list[Change]:
+def fill(
+    store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], source: str, prefix: str
+) -> list[CellEdit]:
     """Put boxes of a track into frames, with class and attributes of the keyframe before; keyframes stay.
 
     Args:
@@ -260,7 +262,7 @@ def fill(store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], sou
     return [change for change in changes if change.old != change.new]
 
 
-def together(plans: Sequence[Plan], store: Store) -> Sequence[Change]:
+def together(plans: Sequence[Plan], store: Store) -> Sequence[CellEdit]:
     """Several plans as one edit, such as one nudge of all boxes that are selected, or a row that is accepted.
 
     Raises:

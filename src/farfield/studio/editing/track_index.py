@@ -10,7 +10,7 @@ from farfield.studio.editing.drives import DriveTable
 FIRST_NEW = 1
 
 
-class Seen(NamedTuple):
+class TrackBox(NamedTuple):
     """One box of a track.
 
     Args:
@@ -34,9 +34,9 @@ class TrackIndex:
 
     def __init__(self, rows: Callable[[Key], Sequence[Any]], drives: DriveTable) -> None:
         self._rows, self._drives = rows, drives
-        self._tracks: dict[str, dict[str, set[Seen]]] = {}
+        self._tracks: dict[str, dict[str, set[TrackBox]]] = {}
 
-    def seen(self, drive: str, track: str) -> list[Seen]:
+    def seen(self, drive: str, track: str) -> list[TrackBox]:
         """Boxes of a track in the order of time; of one frame by name."""
         return sorted(self._loaded(drive).get(track, ()))
 
@@ -49,13 +49,13 @@ class TrackIndex:
         used = [int(track) for track in self._loaded(drive) if track.isascii() and track.isdigit()]
         return str(max(used, default=FIRST_NEW - 1) + 1)
 
-    def _loaded(self, drive: str) -> dict[str, set[Seen]]:
+    def _loaded(self, drive: str) -> dict[str, set[TrackBox]]:
         tracks = self._tracks.get(drive)
         if tracks is None:
             tracks = {}
             for row, key in enumerate(self._drives.keys(drive)):
                 for found in self._rows(key):
-                    _add(tracks, found.label.track, Seen(row, key, found.label.id))
+                    _add(tracks, found.label.track, TrackBox(row, key, found.label.id))
             self._tracks[drive] = tracks
         return tracks
 
@@ -69,14 +69,14 @@ class TrackIndex:
             tracks = self._tracks.get(place.drive)
             if tracks is None:
                 continue
-            seen = Seen(place.row, key, name)
+            seen = TrackBox(place.row, key, name)
             if change.old is not None:
                 tracks.get(change.old.get("track", ""), set()).discard(seen)
             if change.new is not None:
                 _add(tracks, change.new.get("track", ""), seen)
 
 
-def _add(tracks: dict[str, set[Seen]], track: str, seen: Seen) -> None:
+def _add(tracks: dict[str, set[TrackBox]], track: str, seen: TrackBox) -> None:
     if track:
         tracks.setdefault(track, set()).add(seen)
 

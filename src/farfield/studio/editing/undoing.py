@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from functools import partial
 
-from farfield.datasets.edits import Cell, Change
+from farfield.datasets.edits import Cell, CellEdit
 from farfield.studio.editing.errors import ConflictError, RefusedError
-from farfield.studio.editing.history import KEEP, REDO, UNDO, Step
-from farfield.studio.editing.store import Author, Done, Store
+from farfield.studio.editing.history import KEEP, REDO, UNDO, UndoStep
+from farfield.studio.editing.store import Author, EditResult, Store
 
 
-def undo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> Done:
+def undo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> EditResult:
     """Take back the last step.
 
     Args:
@@ -26,19 +26,19 @@ def undo(store: Store, author: Author, id: str, *, everybody: bool = False, forc
     return _step(store, author, id, UNDO, everybody, force)
 
 
-def redo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> Done:
+def redo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> EditResult:
     """Do again what was taken back last; see :func:`undo`."""
     return _step(store, author, id, REDO, everybody, force)
 
 
-def keep(store: Store, author: Author, id: str) -> Done:
+def keep(store: Store, author: Author, id: str) -> EditResult:
     """Leave the last step as it is, so that the next undo takes back the one before it."""
     with store.lock:
         seqs = () if store.journal.seq_of(id) is not None else _last(store, author, KEEP, False).seqs
         return store.edit(author, id, KEEP, _nothing, undoes=seqs)
 
 
-def _step(store: Store, author: Author, id: str, op: str, everybody: bool, force: bool) -> Done:
+def _step(store: Store, author: Author, id: str, op: str, everybody: bool, force: bool) -> EditResult:
     with store.lock:
         if store.journal.seq_of(id) is not None:
             return store.edit(author, id, op, _nothing)
@@ -46,7 +46,7 @@ def _step(store: Store, author: Author, id: str, op: str, everybody: bool, force
         return store.edit(author, id, op, partial(inverse, step=step, force=force), undoes=step.seqs)
 
 
-def _last(store: Store, author: Author, op: str, everybody: bool) -> Step:
+def _last(store: Store, author: Author, op: str, everybody: bool) -> UndoStep:
     step = store.history.last(None if everybody else author.by, REDO if op == REDO else UNDO)
     if step is None:
         what = "done again" if op == REDO else "taken back"
@@ -54,19 +54,19 @@ def _last(store: Store, author: Author, op: str, everybody: bool) -> Step:
     return step
 
 
-def _nothing(store: Store) -> Sequence[Change]:
+def _nothing(store: Store) -> Sequence[CellEdit]:
     del store
     return ()
 
 
-def inverse(store: Store, step: Step, force: bool) -> Sequence[Change]:
+def inverse(store: Store, step: UndoStep, force: bool) -> Sequence[CellEdit]:
     """The changes that bring back what was before a step.
 
     Raises:
         ConflictError: If an object is no longer as the step left it, and not ``force``.
     """
-    first: dict[Cell, Change] = {}
-    last: dict[Cell, Change] = {}
+    first: dict[Cell, CellEdit] = {}
+    last: dict[Cell, CellEdit] = {}
     for seq in step.seqs:
         for change in store.journal.read(seq).changes:
             first.setdefault(change.cell, change)

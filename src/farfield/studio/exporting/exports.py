@@ -22,7 +22,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True)
-class Made:
+class ExportedFile:
     """A file to fetch.
 
     Args:
@@ -41,7 +41,7 @@ class Exports:
 
     def __init__(self) -> None:
         self._folder: Path | None = None
-        self._made: dict[str, Made] = {}
+        self._made: dict[str, ExportedFile] = {}
         self._numbers = itertools.count(1)
         self._bytes = 0
 
@@ -66,7 +66,7 @@ class Exports:
         name = f"shot-{next(self._numbers)}"
         path = self.folder / f"{name}.png"
         path.write_bytes(png)
-        self._made[name] = Made(path, path.name, _KINDS[".png"])
+        self._made[name] = ExportedFile(path, path.name, _KINDS[".png"])
         return name
 
     def shots(self, names: tuple[str, ...]) -> list[Path]:
@@ -80,7 +80,7 @@ class Exports:
             raise ConfigError(f"export: expected pictures that were sent, got {missing[0]!r}")
         return [self._made[name].path for name in names]
 
-    def new(self, name: str, ending: str) -> tuple[str, Made]:
+    def new(self, name: str, ending: str) -> tuple[str, ExportedFile]:
         """A place for a file to be made, and its name in links.
 
         Args:
@@ -89,11 +89,11 @@ class Exports:
         """
         job = f"export-{next(self._numbers)}"
         called = name if name.lower().endswith(ending) else name + ending
-        made = Made(self.folder / f"{job}{ending}", called, _KINDS[ending])
+        made = ExportedFile(self.folder / f"{job}{ending}", called, _KINDS[ending])
         self._made[job] = made
         return job, made
 
-    def result(self, job: str) -> Made | None:
+    def result(self, job: str) -> ExportedFile | None:
         """A file that was made."""
         found = self._made.get(job)
         return found if found is not None and found.path.is_file() else None

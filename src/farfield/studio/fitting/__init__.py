@@ -1,19 +1,19 @@
 """Boxes from gestures: a press and drag, a click, a box to fit again, a peak of the radar.
 
 Every function takes the frame's original points, shape (n, 3), metres, float, all of them, with the ground and in the
-coordinates in which boxes are kept, and gives a :class:`Fit`. None keeps anything between calls.
+coordinates in which boxes are kept, and gives a :class:`BoxFit`. None keeps anything between calls.
 """
 
-from farfield.studio.fitting.contract import Box, Candidate, Extent, Fit, Prior, prior_of
+from farfield.studio.fitting.contract import Box, BoxFit, Extent, FitCandidate, Prior, prior_of
 from farfield.studio.fitting.gestures import drop_to_ground, fit_click, fit_drag, fit_rectangle, refit
 from farfield.studio.fitting.radar_peak import fit_radar_peak
 from farfield.studio.fitting.radar_snap import peak_near
 
 __all__ = [
     "Box",
-    "Candidate",
+    "BoxFit",
     "Extent",
-    "Fit",
+    "FitCandidate",
     "Prior",
     "drop_to_ground",
     "fit_click",

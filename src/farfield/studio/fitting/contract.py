@@ -56,7 +56,7 @@ class Prior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
+class FitCandidate:
     """Another box that the same gesture may mean.
 
     Args:
@@ -69,7 +69,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class BoxFit:
     """What a gesture gave.
 
     Args:
@@ -84,7 +84,7 @@ class Fit:
 
     box: Box
     points: int
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[FitCandidate, ...] = ()
     criterion: str
     heading: HeadingFrom
     ms: float

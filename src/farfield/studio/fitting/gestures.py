@@ -10,7 +10,7 @@ from jaxtyping import Float
 from farfield.geometry.points import inside_box
 from farfield.studio.fitting.anchoring import along_length, axes, footprint
 from farfield.studio.fitting.clusters import cluster_at, link_radius_m
-from farfield.studio.fitting.contract import Box, Candidate, Fit, HeadingFrom, Prior, boxes_of
+from farfield.studio.fitting.contract import Box, BoxFit, FitCandidate, HeadingFrom, Prior, boxes_of
 from farfield.studio.fitting.finishing import headed, inside, stood_on
 from farfield.studio.fitting.freespace import ends_of
 from farfield.studio.fitting.ground import Ground, above, fit_ground, near
@@ -47,7 +47,7 @@ class _Scene:
         return self.points_m[:, :2]
 
 
-def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior: Prior) -> Fit:
+def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior: Prior) -> BoxFit:
     """Press at the object and drag along its heading: the main gesture.
 
     The box of the prior's size is searched at the drag's direction, where it holds the place of the press; then fitted
@@ -68,7 +68,7 @@ def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior
     return _searched(scene, start, drawn, prior, criterion="drag", drawn_rad=drawn, begun=begun)
 
 
-def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fit:
+def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> BoxFit:
     """One click on an object: the quick gesture, for near objects and for tracks.
 
     With a track's yaw the box is searched as after a drag. Without, the points that hang together at the click give the
@@ -97,11 +97,11 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Fi
         return _fit(scene, box, (), criterion, source, begun)
     if prior.anchored and len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
         found = _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
-        return replace(found, candidates=(Candidate(box=box, score=0.0), *found.candidates))
+        return replace(found, candidates=(FitCandidate(box=box, score=0.0), *found.candidates))
     return _fit(scene, box, _along(scene, at, prior.lane_rad, prior), criterion, source, begun)
 
 
-def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior, *, keep_size: bool = False) -> Fit:
+def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior, *, keep_size: bool = False) -> BoxFit:
     """Fit a box that was drawn, or moved, to its points.
 
     With fewer than eight points in or near the box its place and yaw stay, and only its size and height are set.
@@ -135,7 +135,7 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
 
 def fit_rectangle(
     points_m: Float[np.ndarray, "n 3"], corners_m: Sequence[Sequence[float]] | Float[np.ndarray, "4 2"], prior: Prior
-) -> Fit:
+) -> BoxFit:
     """Draw a rectangle: its longer side is the length, and its box is fitted as by :func:`refit`.
 
     Args:
@@ -158,7 +158,7 @@ def fit_rectangle(
     return replace(found, heading=source)
 
 
-def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> Fit:
+def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> BoxFit:
     """Move a box up or down until it stands on the ground; all else stays.
 
     Args:
@@ -207,7 +207,7 @@ def _searched(
     criterion: str,
     drawn_rad: float | None,
     begun: float,
-) -> Fit:
+) -> BoxFit:
     """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
     rectangles, score, held = _found(scene, at, yaw_rad, prior)
     if len(held) == 0:
@@ -223,7 +223,9 @@ def _searched(
     yaw, source = headed(float(rectangle[4]), prior, drawn_rad)
     rectangle[4] = yaw
     others = tuple(
-        Candidate(box=stood_on(rectangles[place], scene.points_m[:0], scene.ground, prior), score=float(score[place]))
+        FitCandidate(
+            box=stood_on(rectangles[place], scene.points_m[:0], scene.ground, prior), score=float(score[place])
+        )
         for place in 1 + np.argsort(-score[1:], kind="stable")
     )
     return _fit(scene, stood_on(rectangle, held, scene.ground, prior), others, criterion, source, begun, note)
@@ -275,12 +277,12 @@ def _whole(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prio
     return placed(ends, held_m[:, :2], yaw_rad, prior)
 
 
-def _along(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[Candidate, ...]:
+def _along(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[FitCandidate, ...]:
     """The box along a lane, as an offer."""
     rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
     best = int(np.argmax(score))
     held = scene.points_m[inside(scene.xy_m, rectangles[best], _WINDOW_M)]
-    return (Candidate(box=stood_on(rectangles[best], held, scene.ground, prior), score=float(score[best])),)
+    return (FitCandidate(box=stood_on(rectangles[best], held, scene.ground, prior), score=float(score[best])),)
 
 
 def _turned(held_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> tuple[float, str]:
@@ -293,12 +295,12 @@ def _turned(held_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[n
 def _fit(
     scene: _Scene,
     box: Box,
-    candidates: tuple[Candidate, ...],
+    candidates: tuple[FitCandidate, ...],
     criterion: str,
     heading: HeadingFrom,
     begun: float,
     note: str = "",
-) -> Fit:
+) -> BoxFit:
     count = int(inside_box(scene.points_m, boxes_of(box), 0).sum())
     ms = 1000 * (time.perf_counter() - begun)
-    return Fit(box=box, points=count, candidates=candidates, criterion=criterion, heading=heading, ms=ms, note=note)
+    return BoxFit(box=box, points=count, candidates=candidates, criterion=criterion, heading=heading, ms=ms, note=note)

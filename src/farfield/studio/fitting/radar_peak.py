@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from farfield.geometry.boxes import wrap_angle_rad
 from farfield.geometry.points import count_points_in_boxes
-from farfield.studio.fitting.contract import Fit, Prior, boxes_of
+from farfield.studio.fitting.contract import BoxFit, Prior, boxes_of
 from farfield.studio.fitting.finishing import headed
 from farfield.studio.fitting.ground import fit_ground
 
@@ -19,7 +19,7 @@ def fit_radar_peak(
     prior: Prior,
     *,
     ground_z_m: float | None = None,
-) -> Fit:
+) -> BoxFit:
     """A box of the type's size with its near face at a peak of the radar's map.
 
     The peak is where the line from the sensor to the box's middle enters the box. The yaw is the track's or the lane's,
@@ -55,7 +55,7 @@ def fit_radar_peak(
     count = int(count_points_in_boxes(points_m, boxes_of(box))[0]) if len(points_m) else 0
     criterion = "track" if prior.yaw_rad is not None else "lane" if prior.lane_rad is not None else "drawn"
     ms = 1000 * (time.perf_counter() - begun)
-    return Fit(box=box, points=count, criterion=criterion, heading=heading, ms=ms, note=note)
+    return BoxFit(box=box, points=count, criterion=criterion, heading=heading, ms=ms, note=note)
 
 
 def _depth_m(sight: Float[np.ndarray, " 2"], yaw_rad: float, prior: Prior) -> float:

@@ -12,7 +12,7 @@ from farfield.errors import FarfieldError
 from farfield.frame import Boxes
 from farfield.studio.inferring.worker import Worker
 from farfield.studio.messages.replies import Job
-from farfield.studio.threads import Threads
+from farfield.studio.threads import ThreadGroup
 
 Found = Callable[["InferJob", int, Boxes], Awaitable[None]]
 _LOG = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ class Jobs:
         self.jobs: dict[str, InferJob] = {}
         self._waiting: deque[InferJob] = deque()
         self._wake = asyncio.Event()
-        self._thread = Threads(1, "detect")
+        self._thread = ThreadGroup(1, "detect")
         self._task: asyncio.Task[None] | None = None
 
     def add(self, job: InferJob) -> None:

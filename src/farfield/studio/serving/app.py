@@ -15,9 +15,9 @@ from farfield.studio.messages.replies import VERSION
 from farfield.studio.serving.guard import App
 from farfield.studio.serving.socket import socket
 from farfield.studio.session.book import first_of
-from farfield.studio.session.desk import Desk
+from farfield.studio.session.desk import Session
 from farfield.studio.showing.opened import STATIC, Payload, plain_error
-from farfield.studio.threads import Threads
+from farfield.studio.threads import ThreadGroup
 
 T = TypeVar("T")
 _KINDS = {
@@ -33,7 +33,7 @@ _PAGES = ("index.html", "calibrate.html")
 _NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
 
 
-def make_app(desk: Desk, *, static: Path = STATIC) -> App:
+def make_app(desk: Session, *, static: Path = STATIC) -> App:
     """The application; who may speak to it is its :class:`~farfield.studio.serving.guard.Guard`'s business.
 
     Args:
@@ -52,7 +52,7 @@ def make_app(desk: Desk, *, static: Path = STATIC) -> App:
         Route("/{name:str}", _static),
     ]
     app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
-    app.state.desk, app.state.readers = desk, Threads(4, "read")
+    app.state.desk, app.state.readers = desk, ThreadGroup(4, "read")
     app.state.files = _files(static)
     return app
 
@@ -82,7 +82,7 @@ async def _static(request: Request) -> Response:
 
 def _numbered(request: Request) -> Response:
     """Send a link to ``?frame=sequence/frame``, as reports have it, on to the frame's number."""
-    desk: Desk = request.app.state.desk
+    desk: Session = request.app.state.desk
     try:
         index = first_of(request.query_params["frame"], desk.book.data) if desk.ready else 0
     except FarfieldError:
@@ -112,14 +112,14 @@ async def _radar(request: Request) -> Response:
 
 
 async def _shot(request: Request) -> Response:
-    desk: Desk = request.app.state.desk
+    desk: Session = request.app.state.desk
     body = await request.body()
     name = await in_thread(request, lambda: desk.exports.keep(body))
     return JSONResponse({"shot": name}, 201)
 
 
 async def _export(request: Request) -> Response:
-    desk: Desk = request.app.state.desk
+    desk: Session = request.app.state.desk
     found = desk.exports.result(request.path_params["job"])
     if found is None:
         return PlainTextResponse("There is no such file; exports live as long as the studio runs.", 404)
@@ -128,8 +128,8 @@ async def _export(request: Request) -> Response:
     return Response(body, media_type=found.kind, headers=headers)
 
 
-async def _payload(request: Request, make: Callable[[Desk], Payload]) -> Response:
-    desk: Desk = request.app.state.desk
+async def _payload(request: Request, make: Callable[[Session], Payload]) -> Response:
+    desk: Session = request.app.state.desk
     if not desk.ready:
         return PlainTextResponse("The data set is still being opened.", 503)
     return await in_thread(request, lambda: _answer(request, make(desk)))
@@ -146,7 +146,7 @@ def _answer(request: Request, payload: Payload) -> Response:
 
 async def in_thread(request: Request, work: Callable[[], T]) -> T:
     """Run what reads files beside the event loop."""
-    readers: Threads = request.app.state.readers
+    readers: ThreadGroup = request.app.state.readers
     return await readers.do(work)
 
 

@@ -35,7 +35,7 @@ def origin_allowed(origin: str | None, host: str) -> bool:
 
 
 @dataclass(eq=False)
-class Entry:
+class AccessTokens:
     """Tokens for the printed link, each good once and for ten minutes, and the cookies into which they turn.
 
     Args:

@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlencode
 
 from starlette.exceptions import HTTPException
 
-from farfield.studio.serving.entry import Entry, refusal
+from farfield.studio.serving.entry import AccessTokens, refusal
 from farfield.studio.serving.limits import BODY_BYTES
 
 Scope = MutableMapping[str, Any]
@@ -43,7 +43,7 @@ class Guard:
         entry: Tokens and cookies.
     """
 
-    def __init__(self, app: App, entry: Entry) -> None:
+    def __init__(self, app: App, entry: AccessTokens) -> None:
         self.app, self.entry = app, entry
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -53,7 +53,7 @@ class Guard:
         elif scope["type"] == "websocket":
             await self._socket(scope, receive, send)
         else:
-            await self._request(scope, receive, _Dressed(send))
+            await self._request(scope, receive, _HeaderSender(send))
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = _headers(scope)
@@ -84,7 +84,7 @@ class Guard:
         if not length.isdecimal() or int(length) > BODY_BYTES:
             await answer(send, 413, _too_large())
             return
-        await self.app(scope, _Counted(receive), send)
+        await self.app(scope, _BoundedBody(receive), send)
 
     async def _admit(self, scope: Scope, send: Send) -> None:
         given = parse_qs(scope["query_string"].decode("latin-1"))
@@ -142,7 +142,7 @@ async def answer(
     await send({"type": "http.response.body", "body": body})
 
 
-class _Dressed:
+class _HeaderSender:
     """Sends answers with the headers that all of them carry."""
 
     def __init__(self, send: Send) -> None:
@@ -154,7 +154,7 @@ class _Dressed:
         await self.send(message)
 
 
-class _Counted:
+class _BoundedBody:
     """Receives a body up to what is taken."""
 
     def __init__(self, receive: Receive) -> None:

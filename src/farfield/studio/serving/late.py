@@ -6,7 +6,7 @@ import json
 from farfield.studio.serving.guard import App, Receive, Scope, Send, answer
 
 
-class Late:
+class DeferredApp:
     """An application that comes later."""
 
     def __init__(self) -> None:

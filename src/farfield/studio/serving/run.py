@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from farfield.errors import ConfigError
-from farfield.studio.serving.entry import Entry
+from farfield.studio.serving.entry import AccessTokens
 from farfield.studio.serving.guard import App, Guard
-from farfield.studio.serving.late import Late
+from farfield.studio.serving.late import DeferredApp
 from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S
-from farfield.studio.session.window import Window
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.settings import StudioSettings
 from farfield.vocabulary.studio import STUDIO_PORT
 
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
-    from farfield.studio.session.desk import Desk
+    from farfield.studio.session.desk import Session
 
 _TRIED = 50
 Say = Callable[[str], None]
@@ -92,7 +92,7 @@ async def serving(
     ended: asyncio.Event | None = None,
 ) -> None:
     """Serve on a socket that listens, until Ctrl-C or until ``ended`` is set; arguments as of :func:`serve`."""
-    late, entry = Late(), Entry(listener.getsockname()[1])
+    late, entry = DeferredApp(), AccessTokens(listener.getsockname()[1])
     server = _Server(_config(Guard(late, entry)))
     tasks = [
         asyncio.create_task(server.serve(sockets=[listener])),
@@ -139,7 +139,7 @@ def _config(app: App) -> uvicorn.Config:
 class _Server(uvicorn.Server):
     """Says goodbye to the windows before it stops."""
 
-    desk: "Desk | None" = None
+    desk: "Session | None" = None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Say goodbye, then stop."""
@@ -149,7 +149,9 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-async def _open(server: _Server, late: Late, open_data: "Callable[[], Dataset]", settings: StudioSettings) -> None:
+async def _open(
+    server: _Server, late: DeferredApp, open_data: "Callable[[], Dataset]", settings: StudioSettings
+) -> None:
     """Import what is heavy, open the data set, and let the windows in."""
     desk, app = await asyncio.to_thread(_made, settings)
     server.desk = desk
@@ -159,8 +161,8 @@ async def _open(server: _Server, late: Late, open_data: "Callable[[], Dataset]",
     if desk.annotating is not None:
         from farfield.studio.session.editing import autosave
 
-        desk.aside(Window(id="", annotator=""), None, autosave(desk))
-        desk.aside(Window(id="", annotator=""), None, _warmed())
+        desk.aside(ClientWindow(id="", annotator=""), None, autosave(desk))
+        desk.aside(ClientWindow(id="", annotator=""), None, _warmed())
 
 
 async def _warmed() -> None:
@@ -168,7 +170,7 @@ async def _warmed() -> None:
     await asyncio.to_thread(import_module, "scipy.spatial")
 
 
-async def _closed(desk: "Desk") -> None:
+async def _closed(desk: "Session") -> None:
     """Save what is to be saved and end."""
     from farfield.studio.session.editing import save_now
 
@@ -177,21 +179,21 @@ async def _closed(desk: "Desk") -> None:
     await desk.close()
 
 
-def _made(settings: StudioSettings) -> "tuple[Desk, App]":
+def _made(settings: StudioSettings) -> "tuple[Session, App]":
     from farfield.studio.serving.app import make_app
-    from farfield.studio.session.desk import Desk
+    from farfield.studio.session.desk import Session
     from farfield.studio.session.handlers import HANDLERS
 
-    desk = Desk(settings, HANDLERS)
+    desk = Session(settings, HANDLERS)
     return desk, make_app(desk)
 
 
-def link(entry: Entry) -> str:
+def link(entry: AccessTokens) -> str:
     """A link that lets one window in."""
     return f"http://127.0.0.1:{entry.port}/?token={entry.new_token()}"
 
 
-def _words(entry: Entry) -> list[str]:
+def _words(entry: AccessTokens) -> list[str]:
     """What the terminal shows: the link, and over SSH the line that makes the tunnel."""
     lines = [f"farfield studio: {link(entry)}"]
     remote = os.environ.get("SSH_CONNECTION", "").split()
@@ -204,7 +206,7 @@ def _words(entry: Entry) -> list[str]:
 
 
 @contextlib.contextmanager
-def _enter_for_link(entry: Entry, say: Say) -> Iterator[None]:
+def _enter_for_link(entry: AccessTokens, say: Say) -> Iterator[None]:
     """Print a new link at each Enter, where a person sits at the terminal."""
     if not sys.stdin or not sys.stdin.isatty():
         yield
@@ -217,6 +219,6 @@ def _enter_for_link(entry: Entry, say: Say) -> Iterator[None]:
         loop.remove_reader(sys.stdin.fileno())
 
 
-def _new_link(entry: Entry, say: Say) -> None:
+def _new_link(entry: AccessTokens, say: Say) -> None:
     sys.stdin.readline()
     say(link(entry))

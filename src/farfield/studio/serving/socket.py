@@ -12,9 +12,9 @@ from farfield.studio.messages.checking import read_request, write_reply
 from farfield.studio.messages.replies import VERSION, Bye, Refused, Reply
 from farfield.studio.messages.requests import Edit, Hello, Redo, Undo
 from farfield.studio.serving.limits import BAD_MESSAGES, EDITS_A_SECOND, EDITS_AT_ONCE, WINDOWS
-from farfield.studio.session.desk import Desk
+from farfield.studio.session.desk import Session
 from farfield.studio.session.looking import welcome
-from farfield.studio.session.window import Window
+from farfield.studio.session.window import ClientWindow
 
 _HELLO_S = 10.0
 _WAITING = 5000
@@ -44,7 +44,7 @@ class Bucket:
 
 async def socket(connection: WebSocket) -> None:
     """Serve one window until it goes."""
-    desk: Desk = connection.app.state.desk
+    desk: Session = connection.app.state.desk
     await connection.accept()
     window = await _greeted(connection, desk)
     if window is None:
@@ -61,7 +61,7 @@ async def socket(connection: WebSocket) -> None:
         desk.leave(window)
 
 
-async def _greeted(connection: WebSocket, desk: Desk) -> Window | None:
+async def _greeted(connection: WebSocket, desk: Session) -> ClientWindow | None:
     """The window, once it has said hello; None if it was sent away."""
     try:
         hello = read_request(await asyncio.wait_for(connection.receive_text(), _HELLO_S))
@@ -73,10 +73,10 @@ async def _greeted(connection: WebSocket, desk: Desk) -> Window | None:
     if reason:
         await _sent_away(connection, reason)
         return None
-    return Window(id=desk.name_of(hello.window), annotator=hello.annotator or desk.annotator, room=_WAITING)
+    return ClientWindow(id=desk.name_of(hello.window), annotator=hello.annotator or desk.annotator, room=_WAITING)
 
 
-def _why_not(hello: Any, desk: Desk) -> str:
+def _why_not(hello: Any, desk: Session) -> str:
     """Why a window is sent away; empty if it is not."""
     if not isinstance(hello, Hello):
         return "expected hello as the first message"
@@ -92,7 +92,7 @@ async def _sent_away(connection: WebSocket, reason: str) -> None:
     await connection.close(1008)
 
 
-async def _send(connection: WebSocket, window: Window) -> None:
+async def _send(connection: WebSocket, window: ClientWindow) -> None:
     while True:
         reply = await window.replies.get()
         await connection.send_text(reply if isinstance(reply, str) else write_reply(reply))
@@ -101,7 +101,7 @@ async def _send(connection: WebSocket, window: Window) -> None:
             return
 
 
-async def _receive(connection: WebSocket, desk: Desk, window: Window) -> None:
+async def _receive(connection: WebSocket, desk: Session, window: ClientWindow) -> None:
     bucket, bad = Bucket(), 0
     while True:
         try:

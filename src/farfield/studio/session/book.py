@@ -10,10 +10,10 @@ from farfield.frame.provenance import is_simulated
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages.replies import FrameState
 from farfield.studio.messages.rows import BoxRow, PredictedFrame, Trail
-from farfield.studio.session.bookmarks import Bookmarks
+from farfield.studio.session.bookmarks import BookmarkStore
 from farfield.studio.session.trails import trails
 from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.opened import Opened
+from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.predictions import Predictions, read_set
 from farfield.studio.showing.rows import annotated_rows, frame_info
 
@@ -21,7 +21,7 @@ Rows = Callable[[int], tuple[BoxRow, ...]]
 Centres = Callable[[int], list[tuple[int, float, float, float]]]
 
 
-class Book:
+class FrameCache:
     """Frames of a data set.
 
     Args:
@@ -35,14 +35,14 @@ class Book:
     """
 
     def __init__(
-        self, opened: Opened, settings: StudioSettings, rows: Rows | None = None, centres: Centres | None = None
+        self, opened: OpenedDataset, settings: StudioSettings, rows: Rows | None = None, centres: Centres | None = None
     ) -> None:
         data = opened.data
         self.data, self.opened, self.rows, self.centres = data, opened, rows, centres
         self.protocol = settings.protocol or data.protocol
         _ = PROTOCOLS[self.protocol]
         self._drive_of = {index: drive for drive in opened.drives for index in drive.indices.tolist()}
-        self.bookmarks = Bookmarks(data.root, data.keys, settings.notes)
+        self.bookmarks = BookmarkStore(data.root, data.keys, settings.notes)
         self.simulated = is_simulated(data.root)
         self.first = first_of(settings.first, data)
         self.sets: dict[str, Predictions] = {}

@@ -19,7 +19,7 @@ def data_folder() -> Path:
     return (Path(given) if given else Path.home() / ".local" / "share") / "farfield"
 
 
-class Bookmarks:
+class BookmarkStore:
     """Frames to come back to.
 
     Args:

@@ -9,13 +9,13 @@ from functools import partial
 from typing import TypeVar
 
 from farfield.errors import FarfieldError
-from farfield.studio.calibrating.calibrating import Calibrating, CalibrationError, CancelledError
-from farfield.studio.calibrating.task import Solved
+from farfield.studio.calibrating.calibrating import CalibrationError, CalibrationService, CancelledError
+from farfield.studio.calibrating.task import CalibrationSolution
 from farfield.studio.messages import calibration as asked
 from farfield.studio.messages.calibration import CalibResidual, CalibSaved
 from farfield.studio.messages.replies import Job
-from farfield.studio.session.desk import Desk, Handler
-from farfield.studio.session.window import Window
+from farfield.studio.session.desk import Handler, Session
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.showing.opened import plain_error
 
 T = TypeVar("T")
@@ -25,21 +25,21 @@ _TOLD_S = 0.1
 """Progress is told at most so often."""
 
 
-def _known(desk: Desk) -> Calibrating:
+def _known(desk: Session) -> CalibrationService:
     if desk.calibrating is None:
         mend = "start it as `farfield calibrate radar-lidar DATA --page`"
         raise CalibrationError("view", "this studio does not calibrate", mend)
     return desk.calibrating
 
 
-def _ready(desk: Desk) -> Calibrating:
+def _ready(desk: Session) -> CalibrationService:
     found = _known(desk)
     if not found.ready:
         raise CalibrationError("reading", "the frames are still being read", "wait until they are")
     return found
 
 
-async def opened(desk: Desk, window: Window, request: asked.CalibOpen) -> None:
+async def opened(desk: Session, window: ClientWindow, request: asked.CalibOpen) -> None:
     """Tell the calibration; the first time, read the frames as a job."""
     known = _known(desk)
     window.send(known.state(request.id))
@@ -48,13 +48,13 @@ async def opened(desk: Desk, window: Window, request: asked.CalibOpen) -> None:
     _start(desk, window, request.id, "reading the frames", partial(_prepared, known))
 
 
-def _prepared(known: Calibrating, told: Callable[[float], None]) -> None:
+def _prepared(known: CalibrationService, told: Callable[[float], None]) -> None:
     known.task.prepare(told)
     known.ready = True
     known.seq += 1
 
 
-async def matched(desk: Desk, window: Window, request: asked.CalibMatch) -> None:
+async def matched(desk: Session, window: ClientWindow, request: asked.CalibMatch) -> None:
     """Tell the residuals of some values."""
     known = _ready(desk)
     desk.opened.check(request.frame)
@@ -62,7 +62,7 @@ async def matched(desk: Desk, window: Window, request: asked.CalibMatch) -> None
     desk.aside(window, request.id, _residuals(desk, window, request, values))
 
 
-async def _residuals(desk: Desk, window: Window, request: asked.CalibMatch, values: object) -> None:
+async def _residuals(desk: Session, window: ClientWindow, request: asked.CalibMatch, values: object) -> None:
     known, started = _ready(desk), time.monotonic()
     there = replace(known.now, values=values)  # type: ignore[arg-type]
     work = partial(known.task.residuals, there, request.frame, full=request.full)
@@ -71,7 +71,7 @@ async def _residuals(desk: Desk, window: Window, request: asked.CalibMatch, valu
     window.send(CalibResidual(id=request.id, frame=request.frame, residuals=found, milliseconds=spent))
 
 
-async def put(desk: Desk, window: Window, request: asked.CalibSet) -> None:
+async def put(desk: Session, window: ClientWindow, request: asked.CalibSet) -> None:
     """Take values."""
     del window
     known = _ready(desk)
@@ -79,7 +79,7 @@ async def put(desk: Desk, window: Window, request: asked.CalibSet) -> None:
     desk.tell(known.state(request.id))
 
 
-async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
+async def pick(desk: Session, window: ClientWindow, request: asked.CalibPick) -> None:
     """Add a pair."""
     del window
     known = _ready(desk)
@@ -87,7 +87,7 @@ async def pick(desk: Desk, window: Window, request: asked.CalibPick) -> None:
     desk.tell(known.state(request.id))
 
 
-async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None:
+async def unpick(desk: Session, window: ClientWindow, request: asked.CalibUnpick) -> None:
     """Take a pair away, or leave it out or in."""
     del window
     known = _ready(desk)
@@ -95,7 +95,7 @@ async def unpick(desk: Desk, window: Window, request: asked.CalibUnpick) -> None
     desk.tell(known.state(request.id))
 
 
-async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
+async def undo(desk: Session, window: ClientWindow, request: asked.CalibUndo) -> None:
     """Undo or redo."""
     del window
     known = _ready(desk)
@@ -103,17 +103,17 @@ async def undo(desk: Desk, window: Window, request: asked.CalibUndo) -> None:
     desk.tell(known.state(request.id))
 
 
-async def solve(desk: Desk, window: Window, request: asked.CalibSolve) -> None:
+async def solve(desk: Session, window: ClientWindow, request: asked.CalibSolve) -> None:
     """Solve as a job."""
     known = _ready(desk)
     _start(desk, window, request.id, "solving", partial(_solved, known, request))
 
 
-def _solved(known: Calibrating, request: asked.CalibSolve, told: Callable[[float], None]) -> Solved:
+def _solved(known: CalibrationService, request: asked.CalibSolve, told: Callable[[float], None]) -> CalibrationSolution:
     return known.task.solve(known.now, request.how, told, focal=request.focal)
 
 
-async def cancel(desk: Desk, window: Window, request: asked.CalibCancel) -> None:
+async def cancel(desk: Session, window: ClientWindow, request: asked.CalibCancel) -> None:
     """Stop a job."""
     del window
     known = _known(desk)
@@ -122,13 +122,13 @@ async def cancel(desk: Desk, window: Window, request: asked.CalibCancel) -> None
     known.cancel()
 
 
-async def save(desk: Desk, window: Window, request: asked.CalibSave) -> None:
+async def save(desk: Session, window: ClientWindow, request: asked.CalibSave) -> None:
     """Write the calibration."""
     known = _ready(desk)
     desk.aside(window, request.id, _saved(desk, known, request))
 
 
-async def _saved(desk: Desk, known: Calibrating, request: asked.CalibSave) -> None:
+async def _saved(desk: Session, known: CalibrationService, request: asked.CalibSave) -> None:
     known.begin("save")
     try:
         files, copies = await desk.in_thread(partial(known.save, request.to))
@@ -139,7 +139,7 @@ async def _saved(desk: Desk, known: Calibrating, request: asked.CalibSave) -> No
     desk.tell(known.state(request.id))
 
 
-async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> None:
+async def restore(desk: Session, window: ClientWindow, request: asked.CalibRestore) -> None:
     """Put back what the last save replaced."""
     del window
     known = _ready(desk)
@@ -149,10 +149,10 @@ async def restore(desk: Desk, window: Window, request: asked.CalibRestore) -> No
     desk.tell(known.state(request.id))
 
 
-Work = Callable[[Callable[[float], None]], Solved | None]
+Work = Callable[[Callable[[float], None]], CalibrationSolution | None]
 
 
-def _start(desk: Desk, window: Window, name: str, words: str, work: Work) -> None:
+def _start(desk: Session, window: ClientWindow, name: str, words: str, work: Work) -> None:
     """Begin a job, if none runs."""
     known = _known(desk)
     job = Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running", total=_STEPS, message=words)
@@ -161,7 +161,7 @@ def _start(desk: Desk, window: Window, name: str, words: str, work: Work) -> Non
     desk.aside(window, name, _run(desk, known, replace(job, message=""), work))
 
 
-async def _run(desk: Desk, known: Calibrating, job: Job, work: Work) -> None:
+async def _run(desk: Session, known: CalibrationService, job: Job, work: Work) -> None:
     """Run a job with progress, and take what it finds; all windows are told."""
     progress = _Progress(desk, known, job)
     try:
@@ -186,7 +186,7 @@ async def _run(desk: Desk, known: Calibrating, job: Job, work: Work) -> None:
 class _Progress:
     """Tells the windows how far a job is, from the thread in which it runs."""
 
-    def __init__(self, desk: Desk, known: Calibrating, job: Job) -> None:
+    def __init__(self, desk: Session, known: CalibrationService, job: Job) -> None:
         self.desk, self.known, self.job = desk, known, job
         self._loop = asyncio.get_running_loop()
         self._told = self._began = time.monotonic()

@@ -10,22 +10,22 @@ from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.studio.exporting.exports import Exports
 from farfield.studio.messages.replies import Bye, Refused, Reply, Windows
-from farfield.studio.session.book import Book
-from farfield.studio.session.window import Window
+from farfield.studio.session.book import FrameCache
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.opened import Opened, plain_error
-from farfield.studio.threads import Threads
+from farfield.studio.showing.opened import OpenedDataset, plain_error
+from farfield.studio.threads import ThreadGroup
 
 if TYPE_CHECKING:
-    from farfield.studio.annotating.annotation import Annotating
-    from farfield.studio.calibrating.calibrating import Calibrating
+    from farfield.studio.annotating.annotation import AnnotationService
+    from farfield.studio.calibrating.calibrating import CalibrationService
     from farfield.studio.inferring.jobs import Jobs
 
 T = TypeVar("T")
-Handler = Callable[["Desk", Window, Any], Awaitable[None]]
+Handler = Callable[["Session", ClientWindow, Any], Awaitable[None]]
 
 
-class Desk:
+class Session:
     """What windows share.
 
     Args:
@@ -36,13 +36,13 @@ class Desk:
     def __init__(self, settings: StudioSettings, handlers: dict[type, Handler]) -> None:
         self.settings, self.handlers = settings, handlers
         self.annotator = settings.annotator
-        self.windows: dict[str, Window] = {}
-        self.threads = Threads(3, "desk")
+        self.windows: dict[str, ClientWindow] = {}
+        self.threads = ThreadGroup(3, "desk")
         self.exports = Exports()
         self.data: Dataset | None = None
-        self.annotating: Annotating | None = None
+        self.annotating: AnnotationService | None = None
         self.jobs: Jobs | None = None
-        self.calibrating: Calibrating | None = None
+        self.calibrating: CalibrationService | None = None
         self.checking: dict[int, float] = {}  # frames to be checked, and when each was edited last
         self._ready = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -53,7 +53,7 @@ class Desk:
         return self._ready.is_set()
 
     @property
-    def opened(self) -> Opened:
+    def opened(self) -> OpenedDataset:
         """Layers of the open data set."""
         return self.book.opened
 
@@ -64,18 +64,18 @@ class Desk:
             FarfieldError: If predictions or edits cannot be read or do not belong to it.
         """
         self.data = data
-        opened = Opened(data)
+        opened = OpenedDataset(data)
         if self.settings.mode == "annotate":
-            from farfield.studio.annotating.annotation import Annotating
+            from farfield.studio.annotating.annotation import AnnotationService
 
-            self.annotating = Annotating(opened, self.settings)
+            self.annotating = AnnotationService(opened, self.settings)
         edited = self.annotating
         given = () if edited is None else (edited.rows, edited.centres)
-        self.book = Book(opened, self.settings, *given)
+        self.book = FrameCache(opened, self.settings, *given)
         if self.settings.calibration is not None:
-            from farfield.studio.calibrating.calibrating import Calibrating
+            from farfield.studio.calibrating.calibrating import CalibrationService
 
-            self.calibrating = Calibrating(data, self.settings.calibration)
+            self.calibrating = CalibrationService(data, self.settings.calibration)
 
     def let_in(self) -> None:
         """Let the windows in that wait."""
@@ -85,13 +85,13 @@ class Desk:
         """Run what reads files or computes beside the event loop."""
         return await self.threads.do(work)
 
-    def aside(self, window: Window, name: str | None, work: Awaitable[None]) -> None:
+    def aside(self, window: ClientWindow, name: str | None, work: Awaitable[None]) -> None:
         """Let something go on beside further messages; what goes wrong is told to the window."""
         task = asyncio.get_running_loop().create_task(self._aside(window, name, work))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _aside(self, window: Window, name: str | None, work: Awaitable[None]) -> None:
+    async def _aside(self, window: ClientWindow, name: str | None, work: Awaitable[None]) -> None:
         try:
             await work
         except Exception as error:  # noqa: BLE001
@@ -107,7 +107,7 @@ class Desk:
         sentence = str(getattr(error, "sentence", "")) or str(error)
         return Refused(id=name, code=code, sentence=plain_error(sentence, self.data), mend=mend)
 
-    async def handle(self, window: Window, request: Any) -> None:
+    async def handle(self, window: ClientWindow, request: Any) -> None:
         """Do what a message asks."""
         name = getattr(request, "id", None)
         work = self.handlers.get(type(request))
@@ -127,19 +127,19 @@ class Desk:
             name = f"{wanted[:56]}-{number}"
         return name
 
-    async def join(self, window: Window, welcome: Callable[["Desk", Window], Reply]) -> None:
+    async def join(self, window: ClientWindow, welcome: Callable[["Session", ClientWindow], Reply]) -> None:
         """Welcome a window, once the data set is open."""
         self.windows[window.id] = window
         await self._ready.wait()
         window.send(await self.in_thread(lambda: welcome(self, window)))
         self._count_windows()
 
-    def leave(self, window: Window) -> None:
+    def leave(self, window: ClientWindow) -> None:
         """Forget a window."""
         self.windows.pop(window.id, None)
         self._count_windows()
 
-    def tell(self, reply: Reply, *, but: Window | None = None) -> None:
+    def tell(self, reply: Reply, *, but: ClientWindow | None = None) -> None:
         """Send something to all windows, or to all but one."""
         for window in self.windows.values():
             if window is not but:

@@ -12,9 +12,9 @@ from farfield.studio.inferring.worker import Worker
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Job, Predicted
 from farfield.studio.messages.rows import DetectorRow, PredictionSet
-from farfield.studio.session.desk import Desk
+from farfield.studio.session.desk import Session
 from farfield.studio.session.editing import propose
-from farfield.studio.session.window import Window
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import plain_error
 from farfield.studio.showing.predictions import Predictions, colour
@@ -36,13 +36,13 @@ def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
     return (*given, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in known))
 
 
-def _jobs(desk: Desk) -> Jobs:
+def _jobs(desk: Session) -> Jobs:
     if desk.jobs is None:
-        desk.jobs = Jobs(Worker(desk.book.data), _Found(desk), lambda job: desk.tell(_told(desk, job)))
+        desk.jobs = Jobs(Worker(desk.book.data), _DetectionSink(desk), lambda job: desk.tell(_told(desk, job)))
     return desk.jobs
 
 
-def _told(desk: Desk, job: InferJob) -> Job:
+def _told(desk: Session, job: InferJob) -> Job:
     found = desk.book.sets.get(set_name(job.detector))
     message = plain_error(job.message, desk.data)
     return replace(job.reply(), message=message, set=None if found is None else found.about)
@@ -53,7 +53,7 @@ def set_name(detector: str) -> str:
     return f"detector-{Path(detector).name}"
 
 
-def predictions_of(desk: Desk, detector: str) -> Predictions:
+def predictions_of(desk: Session, detector: str) -> Predictions:
     """The set that a detector fills, made when it first runs."""
     name = set_name(detector)
     if name not in desk.book.sets:
@@ -68,7 +68,7 @@ def predictions_of(desk: Desk, detector: str) -> Predictions:
     return desk.book.sets[name]
 
 
-def detect_shown(desk: Desk, window: Window, frame: int) -> None:
+def detect_shown(desk: Session, window: ClientWindow, frame: int) -> None:
     """Run the detectors named at the start on a frame that somebody looks at, unless that was done."""
     key = desk.book.data.keys[frame]
     for name in desk.settings.detectors:
@@ -80,7 +80,7 @@ def detect_shown(desk: Desk, window: Window, frame: int) -> None:
             _start(desk, window, "", name, [frame])
 
 
-async def infer(desk: Desk, window: Window, request: asked.InferStart) -> None:
+async def infer(desk: Session, window: ClientWindow, request: asked.InferStart) -> None:
     """Run a detector on frames.
 
     Raises:
@@ -99,8 +99,8 @@ async def infer(desk: Desk, window: Window, request: asked.InferStart) -> None:
 
 
 def _start(
-    desk: Desk,
-    window: Window,
+    desk: Session,
+    window: ClientWindow,
     name: str,
     detector: str,
     frames: list[int],
@@ -121,7 +121,7 @@ def _start(
     _jobs(desk).add(job)
 
 
-async def cancel(desk: Desk, window: Window, request: asked.InferCancel) -> None:
+async def cancel(desk: Session, window: ClientWindow, request: asked.InferCancel) -> None:
     """Stop a job.
 
     Raises:
@@ -132,10 +132,10 @@ async def cancel(desk: Desk, window: Window, request: asked.InferCancel) -> None
         raise ConfigError("infer: there is no such job that still runs")
 
 
-class _Found:
+class _DetectionSink:
     """Takes what was found in a frame: into its set, to the windows that show it, into the annotation."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Session) -> None:
         self.desk = desk
 
     async def __call__(self, job: InferJob, index: int, boxes: Boxes) -> None:
@@ -152,7 +152,7 @@ class _Found:
             if window.frame == index:
                 await self._show(window, found, index)
 
-    async def _show(self, window: Window, found: Predictions, index: int) -> None:
+    async def _show(self, window: ClientWindow, found: Predictions, index: int) -> None:
         book = self.desk.book
         shown = await self.desk.in_thread(lambda: book.predicted_by(found, index, book.boxes(index), window.threshold))
         if shown is not None:

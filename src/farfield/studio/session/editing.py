@@ -8,21 +8,21 @@ from functools import partial
 
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Boxes
-from farfield.studio.annotating.annotation import Annotating
+from farfield.studio.annotating.annotation import AnnotationService
 from farfield.studio.annotating.saves import save as save_labels
 from farfield.studio.editing import notes, undoing
 from farfield.studio.editing.errors import ConflictError
 from farfield.studio.editing.history import REDO, UNDO
-from farfield.studio.editing.store import Author, Done
+from farfield.studio.editing.store import Author, EditResult
 from farfield.studio.inferring.jobs import InferJob
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Ack, Changed, Checks, Conflict, Failure, PolicyIs, Saved
-from farfield.studio.session.desk import Desk
-from farfield.studio.session.window import Window
+from farfield.studio.session.desk import Session
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.showing.opened import plain_error
 
 
-def annotating(desk: Desk) -> Annotating:
+def annotating(desk: Session) -> AnnotationService:
     """The annotation.
 
     Raises:
@@ -43,7 +43,7 @@ class ViewOnly(ConfigError):  # noqa: N818
         super().__init__("this studio shows only")
 
 
-async def edit(desk: Desk, window: Window, request: asked.Edit) -> None:
+async def edit(desk: Session, window: ClientWindow, request: asked.Edit) -> None:
     """Make an edit; it is acknowledged once it is on the disk."""
     known = annotating(desk)
     frame = getattr(request, "frame", window.frame if window.frame is not None else 0)
@@ -57,13 +57,15 @@ async def edit(desk: Desk, window: Window, request: asked.Edit) -> None:
     await _taken(desk, window, request.id, partial(known.edit, author, request, drive))
 
 
-async def _slowly(desk: Desk, window: Window, request: asked.TrackPropagate, author: Author, drive: str) -> None:
+async def _slowly(
+    desk: Session, window: ClientWindow, request: asked.TrackPropagate, author: Author, drive: str
+) -> None:
     """Propagation fits in many frames: it holds up nobody's edits."""
     done = await desk.in_thread(lambda: annotating(desk).edit(author, request, drive))
     await _saved(desk, window, request.id, done)
 
 
-async def undo(desk: Desk, window: Window, request: asked.Undo | asked.Redo) -> None:
+async def undo(desk: Session, window: ClientWindow, request: asked.Undo | asked.Redo) -> None:
     """Take back or do again."""
     store, author = annotating(desk).store, Author(window.annotator, window.id)
     step = undoing.undo if isinstance(request, asked.Undo) else undoing.redo
@@ -73,7 +75,7 @@ async def undo(desk: Desk, window: Window, request: asked.Undo | asked.Redo) -> 
     )
 
 
-async def _taken(desk: Desk, window: Window, name: str, work: Callable[[], Done]) -> None:
+async def _taken(desk: Session, window: ClientWindow, name: str, work: Callable[[], EditResult]) -> None:
     """Edits are taken in the order in which they come; that they are on the disk is waited for beside them."""
     known = annotating(desk)
     try:
@@ -84,7 +86,7 @@ async def _taken(desk: Desk, window: Window, name: str, work: Callable[[], Done]
     desk.aside(window, name, _saved(desk, window, name, done))
 
 
-def _conflict(known: Annotating, name: str, error: ConflictError) -> Conflict:
+def _conflict(known: AnnotationService, name: str, error: ConflictError) -> Conflict:
     if error.cell[0] == "track":
         sentence = f"track {error.cell[2]} was changed by {error.by or 'somebody'} meanwhile"
         track = known.shown.track(error.cell[1], error.cell[2])
@@ -97,7 +99,7 @@ def _conflict(known: Annotating, name: str, error: ConflictError) -> Conflict:
     return Conflict(id=name, by=error.by, sentence=sentence, frame=index, present=present)
 
 
-async def _saved(desk: Desk, window: Window, name: str, done: Done) -> None:
+async def _saved(desk: Session, window: ClientWindow, name: str, done: EditResult) -> None:
     """Once an edit is on the disk: acknowledge it, tell the others, and check the frames that are shown."""
     await asyncio.wrap_future(done.saved)
     saved_ns = str(time.time_ns())
@@ -121,12 +123,12 @@ async def _saved(desk: Desk, window: Window, name: str, done: Done) -> None:
     _spread(desk, window, changed, steps=record.op in (UNDO, REDO), alone=len(record.changes) == 1)
 
 
-def _able(known: Annotating, window: Window) -> tuple[bool, bool]:
+def _able(known: AnnotationService, window: ClientWindow) -> tuple[bool, bool]:
     """Whether a window's annotator can undo and redo."""
     return known.can(window.annotator, UNDO), known.can(window.annotator, REDO)
 
 
-def _spread(desk: Desk, window: Window, changed: Changed, *, steps: bool, alone: bool) -> None:
+def _spread(desk: Session, window: ClientWindow, changed: Changed, *, steps: bool, alone: bool) -> None:
     """Tell the other windows of an edit, and its own of what the tool did beyond the box that it sent."""
     known = annotating(desk)
     frames = [*(each.frame for each in changed.rows), *(each.frame for each in changed.removed)]
@@ -142,16 +144,16 @@ def _spread(desk: Desk, window: Window, changed: Changed, *, steps: bool, alone:
         check_soon(desk, frame)
 
 
-def check_soon(desk: Desk, frame: int) -> None:
+def check_soon(desk: Session, frame: int) -> None:
     """Check a frame once edits pause for a moment, and tell the windows that show it."""
     waiting = frame in desk.checking
     desk.checking[frame] = time.monotonic()
     if waiting:
         return
-    desk.aside(Window(id="", annotator=""), None, _check(desk, frame))
+    desk.aside(ClientWindow(id="", annotator=""), None, _check(desk, frame))
 
 
-async def _check(desk: Desk, frame: int) -> None:
+async def _check(desk: Session, frame: int) -> None:
     began = time.monotonic()
     while (paused := time.monotonic() - desk.checking[frame]) < _PAUSE_S and time.monotonic() - began < _LONGEST_S:
         await asyncio.sleep(_PAUSE_S - paused)
@@ -162,7 +164,7 @@ async def _check(desk: Desk, frame: int) -> None:
             window.send(reply)
 
 
-def checks_of(desk: Desk, frame: int) -> Checks:
+def checks_of(desk: Session, frame: int) -> Checks:
     """The findings of a frame, disagreements with the sets of detections among them."""
     known, key = annotating(desk), desk.book.data.keys[frame]
     found = [
@@ -171,7 +173,7 @@ def checks_of(desk: Desk, frame: int) -> Checks:
     return Checks(frame=frame, rows=known.checks(frame, found[0] if found else None))
 
 
-async def check_list(desk: Desk, window: Window, request: asked.CheckList) -> None:
+async def check_list(desk: Session, window: ClientWindow, request: asked.CheckList) -> None:
     """Findings of a frame, or of all."""
     annotating(desk)
     if request.frame is None:
@@ -182,11 +184,11 @@ async def check_list(desk: Desk, window: Window, request: asked.CheckList) -> No
     window.send(await desk.in_thread(lambda: checks_of(desk, frame)))
 
 
-async def _check_all(desk: Desk, window: Window) -> None:
+async def _check_all(desk: Session, window: ClientWindow) -> None:
     window.send(Checks(frame=None, rows=await desk.in_thread(annotating(desk).all_checks)))
 
 
-async def check_ignore(desk: Desk, window: Window, request: asked.CheckIgnore) -> None:
+async def check_ignore(desk: Session, window: ClientWindow, request: asked.CheckIgnore) -> None:
     """Let a finding stand."""
     store, author = annotating(desk).store, Author(window.annotator, window.id)
     await _taken(
@@ -196,18 +198,18 @@ async def check_ignore(desk: Desk, window: Window, request: asked.CheckIgnore) -
         check_soon(desk, frame)
 
 
-async def fit(desk: Desk, window: Window, request: asked.Fit) -> None:
+async def fit(desk: Session, window: ClientWindow, request: asked.Fit) -> None:
     """Find the box that a gesture means."""
     known = annotating(desk)
     desk.opened.check(request.frame)
     desk.aside(window, request.id, _fit(desk, window, known, request))
 
 
-async def _fit(desk: Desk, window: Window, known: Annotating, request: asked.Fit) -> None:
+async def _fit(desk: Session, window: ClientWindow, known: AnnotationService, request: asked.Fit) -> None:
     window.send(await desk.in_thread(lambda: known.fitter.fit(request)))
 
 
-async def policy(desk: Desk, window: Window, request: asked.PolicySet) -> None:
+async def policy(desk: Session, window: ClientWindow, request: asked.PolicySet) -> None:
     """Declare what the boxes hold."""
     store, author = annotating(desk).store, Author(window.annotator, window.id)
     await _taken(desk, window, request.id, lambda: notes.declare_extent(store, author, request.id, request.extent))
@@ -215,7 +217,7 @@ async def policy(desk: Desk, window: Window, request: asked.PolicySet) -> None:
         desk.tell(PolicyIs(extent=store.extent))
 
 
-async def timing(desk: Desk, window: Window, request: asked.Timing) -> None:
+async def timing(desk: Session, window: ClientWindow, request: asked.Timing) -> None:
     """Note the time that a box took."""
     known, author = annotating(desk), Author(window.annotator, window.id)
     desk.opened.check(request.frame)
@@ -224,13 +226,13 @@ async def timing(desk: Desk, window: Window, request: asked.Timing) -> None:
     await known.editor.do(note)
 
 
-async def save(desk: Desk, window: Window, request: asked.Save) -> None:
+async def save(desk: Session, window: ClientWindow, request: asked.Save) -> None:
     """Write the label files."""
     annotating(desk)
     desk.aside(window, request.id, _save(desk, window, request))
 
 
-async def _save(desk: Desk, window: Window, request: asked.Save) -> None:
+async def _save(desk: Session, window: ClientWindow, request: asked.Save) -> None:
     known, author = annotating(desk), Author(window.annotator, window.id)
     written = await desk.in_thread(
         lambda: save_labels(known.store, desk.settings, author, request.id, request.folder, request.format)
@@ -249,23 +251,23 @@ async def _save(desk: Desk, window: Window, request: asked.Save) -> None:
     )
 
 
-async def propose(desk: Desk, job: InferJob, index: int, boxes: Boxes) -> None:
+async def propose(desk: Session, job: InferJob, index: int, boxes: Boxes) -> None:
     """Add what a detector found in a frame as proposals."""
     known, author = annotating(desk), Author(job.by, job.window)
     work = partial(known.propose, author, f"{job.id or job.name}-{index}"[-64:], index, boxes, job.id or job.name)
     done = await known.editor.do(work)
     if done is not None:
-        await _saved(desk, Window(id=job.window, annotator=job.by), done.record.id, done)
+        await _saved(desk, ClientWindow(id=job.window, annotator=job.by), done.record.id, done)
 
 
-async def autosave(desk: Desk) -> None:
+async def autosave(desk: Session) -> None:
     """Write label files every half minute, where saves go into them: what is in the journal is safe without."""
     while True:
         await asyncio.sleep(AUTOSAVE_S)
         await save_now(desk)
 
 
-async def save_now(desk: Desk) -> None:
+async def save_now(desk: Session) -> None:
     """Write label files that have unsaved edits, where saves go into them."""
     known = desk.annotating
     if known is None or not known.in_place or known.saved_seq == known.seq:

@@ -10,31 +10,31 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.files.animations import write_animation
 from farfield.files.atomic import write_text
 from farfield.studio.annotating.saves import FORMATS, pack
-from farfield.studio.exporting.exports import Made
+from farfield.studio.exporting.exports import ExportedFile
 from farfield.studio.exporting.pages import MOST_FRAMES, standalone
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
-from farfield.studio.session.book import Book, first_of
-from farfield.studio.session.desk import Desk
+from farfield.studio.session.book import FrameCache, first_of
+from farfield.studio.session.desk import Session
 from farfield.studio.session.looking import welcome
-from farfield.studio.session.window import Window
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.opened import STATIC, plain_error
 
 _NUMBERS = itertools.count(1)
 
 
-async def export(desk: Desk, window: Window, request: asked.Export) -> None:
+async def export(desk: Session, window: ClientWindow, request: asked.Export) -> None:
     """Make a file; its link comes with the job that is done."""
     work = _film if request.kind in ("gif", "webp") else _page if request.kind == "html" else _labels
     desk.aside(window, request.id, _made(desk, window, request, work))
 
 
-Work = Callable[[Desk, Window, asked.Export], tuple[str, Made]]
+Work = Callable[[Session, ClientWindow, asked.Export], tuple[str, ExportedFile]]
 
 
-async def _made(desk: Desk, window: Window, request: asked.Export, work: Work) -> None:
+async def _made(desk: Session, window: ClientWindow, request: asked.Export, work: Work) -> None:
     job = Job(id=request.id, job=f"make-{next(_NUMBERS)}", kind="export", state="running", total=1)
     window.send(job)
     try:
@@ -50,21 +50,21 @@ async def _made(desk: Desk, window: Window, request: asked.Export, work: Work) -
     window.send(replace(job, state="done", done=1, url=f"export/{name}", message=message))
 
 
-def _film(desk: Desk, window: Window, request: asked.Export) -> tuple[str, Made]:
+def _film(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
     del window
     name, made = desk.exports.new(request.name, f".{request.kind}")
     write_animation(made.path, desk.exports.shots(request.shots), rate_hz=request.rate_hz)
     return name, made
 
 
-def _page(desk: Desk, window: Window, request: asked.Export) -> tuple[str, Made]:
+def _page(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
     text = page_of(desk, window, request.frames)
     name, made = desk.exports.new(request.name, ".html")
     made.path.write_text(text, "utf-8")
     return name, made
 
 
-def page_of(desk: Desk, window: Window, frames: tuple[int, ...]) -> str:
+def page_of(desk: Session, window: ClientWindow, frames: tuple[int, ...]) -> str:
     """The HTML file of some frames.
 
     Raises:
@@ -91,17 +91,17 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     Raises:
         FarfieldError: If there is no such frame, there are too many, or the page is not built.
     """
-    desk = Desk(settings, {})
+    desk = Session(settings, {})
     try:
         desk.open(data)
         chosen = tuple(first_of(frame, data) for frame in frames or ("",))
-        write_text(path, page_of(desk, Window(id="file", annotator="", threshold=settings.threshold), chosen))
+        write_text(path, page_of(desk, ClientWindow(id="file", annotator="", threshold=settings.threshold), chosen))
     finally:
         desk.threads.end()
         desk.exports.close()
 
 
-def _body(book: Book, state: FrameState, layer: Layer) -> bytes:
+def _body(book: FrameCache, state: FrameState, layer: Layer) -> bytes:
     index, opened = state.frame.index, book.opened
     if layer.kind == "points":
         return opened.cloud(index, layer.id).body
@@ -110,7 +110,7 @@ def _body(book: Book, state: FrameState, layer: Layer) -> bytes:
     return opened.radar_map(index, layer.kind).body
 
 
-def _labels(desk: Desk, window: Window, request: asked.Export) -> tuple[str, Made]:
+def _labels(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
     if desk.annotating is None:
         raise ConfigError("export: labels are exported in `farfield annotate`; `farfield convert` converts data sets")
     del window

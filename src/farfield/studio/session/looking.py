@@ -4,15 +4,15 @@ from farfield import __version__
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Bookmarks, Changed, Previewed, Welcome
-from farfield.studio.session.desk import Desk
+from farfield.studio.session.desk import Session
 from farfield.studio.session.detecting import detect_shown, offered
 from farfield.studio.session.editing import check_soon
-from farfield.studio.session.window import Window
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.showing.classes import shown_classes, with_others
 from farfield.studio.showing.opened import MOST_NAMED
 
 
-def welcome(desk: Desk, window: Window) -> Welcome:
+def welcome(desk: Session, window: ClientWindow) -> Welcome:
     """What is open, for a window that says hello."""
     book, data, settings = desk.book, desk.book.data, desk.settings
     labels = tuple(f"{sequence}/{frame}" for sequence, frame in data.keys) if len(data) <= MOST_NAMED else ()
@@ -46,14 +46,14 @@ def welcome(desk: Desk, window: Window) -> Welcome:
     )
 
 
-async def open_frame(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
+async def open_frame(desk: Session, window: ClientWindow, request: asked.FrameOpen) -> None:
     """Send a frame's state; requests run concurrently, so an earlier one is answered even after a later one."""
     if request.purpose != "ahead":
         window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
     desk.aside(window, None, _show(desk, window, request))
 
 
-async def _show(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
+async def _show(desk: Session, window: ClientWindow, request: asked.FrameOpen) -> None:
     desk.opened.check(request.frame)
     if request.purpose != "here":
         state = await desk.in_thread(lambda: desk.book.state(request.frame, request.threshold, request.sweeps))
@@ -66,7 +66,7 @@ async def _show(desk: Desk, window: Window, request: asked.FrameOpen) -> None:
         check_soon(desk, request.frame)
 
 
-async def _show_tracks(desk: Desk, window: Window, frame: int) -> None:
+async def _show_tracks(desk: Session, window: ClientWindow, frame: int) -> None:
     """The tracks of a drive, when a window comes to it."""
     known = desk.annotating
     assert known is not None  # only where boxes are edited
@@ -81,7 +81,7 @@ async def _show_tracks(desk: Desk, window: Window, frame: int) -> None:
     window.send(Changed(seq=known.seq, id="", by="", window="", tracks=tracks, undo=undo, redo=redo))
 
 
-async def preview(desk: Desk, window: Window, request: asked.Preview) -> None:
+async def preview(desk: Session, window: ClientWindow, request: asked.Preview) -> None:
     """Pass a dragged box on to the windows that show its frame."""
     reply = Previewed(window=window.id, frame=request.frame, box=request.box, value=request.value)
     for other in desk.windows.values():
@@ -89,7 +89,7 @@ async def preview(desk: Desk, window: Window, request: asked.Preview) -> None:
             other.send(reply)
 
 
-async def bookmark(desk: Desk, window: Window, request: asked.BookmarkSet) -> None:
+async def bookmark(desk: Session, window: ClientWindow, request: asked.BookmarkSet) -> None:
     """Set a bookmark and tell everybody."""
     desk.opened.check(request.frame)
     kept = desk.book.bookmarks

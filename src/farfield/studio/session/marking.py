@@ -6,8 +6,8 @@ from functools import partial
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Matches
 from farfield.studio.messages.rows import BoxRow, MatchRow
-from farfield.studio.session.desk import Desk
-from farfield.studio.session.window import Window
+from farfield.studio.session.desk import Session
+from farfield.studio.session.window import ClientWindow
 from farfield.studio.showing.predictions import Predictions
 from farfield.studio.showing.rows import annotated_rows
 
@@ -15,13 +15,13 @@ _AT_ONCE = 20
 """Frames of a part: few, so that marks appear soon and a thread is free for what a person waits for."""
 
 
-async def match_list(desk: Desk, window: Window, request: asked.MatchList) -> None:
+async def match_list(desk: Session, window: ClientWindow, request: asked.MatchList) -> None:
     """Match all frames of all sets, part by part."""
     window.matching = token = object()
     desk.aside(window, None, _matched(desk, window, request.threshold, token))
 
 
-async def _matched(desk: Desk, window: Window, threshold: float, token: object) -> None:
+async def _matched(desk: Session, window: ClientWindow, threshold: float, token: object) -> None:
     places = {key: index for index, key in enumerate(desk.book.data.keys)}
     for found in list(desk.book.sets.values()):
         frames = sorted(places[key] for key in list(found.boxes) if key in places)
@@ -32,12 +32,12 @@ async def _matched(desk: Desk, window: Window, threshold: float, token: object) 
             window.send(Matches(set=found.about.name, first=start == 0, rows=rows))
 
 
-def _rows(desk: Desk, found: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
+def _rows(desk: Session, found: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
     reference = desk.book.data[frames[0]].reference if frames else ""
     return tuple(row for index in frames if (row := _row(desk, found, index, reference, threshold)) is not None)
 
 
-def _row(desk: Desk, found: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
+def _row(desk: Session, found: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
     """Of one frame; None where nothing is wrong, or nothing was annotated and so nothing can be."""
     shown = found.frame(desk.book.data.keys[index], _truth(desk, index), reference, threshold=threshold)
     if shown is None:
@@ -46,7 +46,7 @@ def _row(desk: Desk, found: Predictions, index: int, reference: str, threshold: 
     return MatchRow(frame=index, missed=len(shown.missed), wrong=wrong) if shown.missed or wrong else None
 
 
-def _truth(desk: Desk, index: int) -> tuple[BoxRow, ...]:
+def _truth(desk: Session, index: int) -> tuple[BoxRow, ...]:
     """The annotated boxes of a frame as they stand, no cloud read."""
     if desk.annotating is not None:
         return desk.annotating.outlines(index)

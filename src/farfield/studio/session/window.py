@@ -7,7 +7,7 @@ from farfield.studio.messages.replies import Bye, Reply
 
 
 @dataclass(eq=False)
-class Window:
+class ClientWindow:
     """A window.
 
     Args:

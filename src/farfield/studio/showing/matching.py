@@ -29,7 +29,7 @@ UNSEEN, FALSE, MATCHED, IGNORED = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Matching:
+class FrameMatching:
     """What a protocol makes of a frame.
 
     Args:
@@ -47,7 +47,7 @@ class Matching:
     note: str = ""
 
 
-def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key: Key, reference: str) -> Matching:
+def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key: Key, reference: str) -> FrameMatching:
     """Match the predictions of one frame.
 
     Args:
@@ -71,11 +71,11 @@ def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key:
             missed[boxes] |= part.counts & ~np.isin(np.arange(len(boxes)), part.truth)
     except FarfieldError as error:
         note = f"predictions are not matched: {error}"
-    return Matching(verdict, truth, missed, counts, note)
+    return FrameMatching(verdict, truth, missed, counts, note)
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _ClassVerdicts:
     """One class as the protocol saw it: boxes as rows of 7 numbers, verdicts, and rows of annotated boxes."""
 
     predicted: Float[np.ndarray, "n 7"]
@@ -85,7 +85,7 @@ class _Part:
     counts: Bool[np.ndarray, " m"]
 
 
-def _parts(protocol: Protocol, found: Detections) -> Iterator[_Part]:
+def _parts(protocol: Protocol, found: Detections) -> Iterator[_ClassVerdicts]:
     if "label" not in protocol.options():
         yield from _by(protocol, found, protocol.settings(found))
         return
@@ -94,7 +94,7 @@ def _parts(protocol: Protocol, found: Detections) -> Iterator[_Part]:
         yield from _by(protocol, found, protocol.settings(found, label=name))
 
 
-def _by(protocol: Protocol, found: Detections, settings: Any) -> Iterator[_Part]:
+def _by(protocol: Protocol, found: Detections, settings: Any) -> Iterator[_ClassVerdicts]:
     if isinstance(settings, CentreSettings):
         yield _by_centre(found, settings)
     elif isinstance(settings, KRadarSettings):
@@ -105,15 +105,15 @@ def _by(protocol: Protocol, found: Detections, settings: Any) -> Iterator[_Part]
         raise FarfieldError(f"protocol {protocol} does not say how it matches a frame; choose dds, kradar or kitti")
 
 
-def _by_centre(found: Detections, settings: CentreSettings) -> _Part:
+def _by_centre(found: Detections, settings: CentreSettings) -> _ClassVerdicts:
     scene = gather(found.boxes, found.annotated, settings)
     taken = match_scene(scene, settings).taken[settings.epsilons[0], settings.error_thresholds_m[-1]]
     verdict = np.where(taken >= 0, MATCHED, np.where(taken == DROPPED, IGNORED, FALSE))
     truth = np.where(taken >= 0, taken, -1)
-    return _Part(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)
+    return _ClassVerdicts(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)
 
 
-def _by_kradar(found: Detections, settings: KRadarSettings) -> Iterator[_Part]:
+def _by_kradar(found: Detections, settings: KRadarSettings) -> Iterator[_ClassVerdicts]:
     data = gather_kradar(found.boxes, found.annotated, settings, None)
     shift = np.zeros(7)
     shift[:3] = settings.origin_m if settings.boxes_in == "os2-64" else 0.0
@@ -121,16 +121,16 @@ def _by_kradar(found: Detections, settings: KRadarSettings) -> Iterator[_Part]:
     truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
     verdict = np.where(truth >= 0, MATCHED, FALSE)
     counts = np.ones(len(data.annotated), dtype=bool)
-    yield _Part(data.predicted.box + shift, data.annotated.box + shift, verdict, truth, counts)
+    yield _ClassVerdicts(data.predicted.box + shift, data.annotated.box + shift, verdict, truth, counts)
 
 
-def _by_kitti(found: Detections, settings: KittiSettings) -> _Part:
+def _by_kitti(found: Detections, settings: KittiSettings) -> _ClassVerdicts:
     data = gather_kitti(found.boxes, found.annotated, settings, {}, None)
     enough = data.overlap["3d"] > settings.least_overlap
     truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
     right = data.is_label[truth] & (truth >= 0) if len(data.is_label) else np.zeros(len(truth), dtype=bool)
     verdict = np.where(right, MATCHED, np.where(truth >= 0, IGNORED, FALSE))
-    return _Part(_numbers(data.predicted), _numbers(data.annotated), verdict, truth, data.is_label)
+    return _ClassVerdicts(_numbers(data.predicted), _numbers(data.annotated), verdict, truth, data.is_label)
 
 
 def _chosen(pair: Int[np.ndarray, "p 2"], overlap: Float[np.ndarray, " p"], predictions: int) -> Int[np.ndarray, " n"]:

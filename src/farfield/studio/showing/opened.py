@@ -79,7 +79,7 @@ def _size(payload: Payload) -> int:
     return len(payload.body) + sum(map(len, payload.packed.values()))
 
 
-class Opened:
+class OpenedDataset:
     """A data set whose frames are shown.
 
     Args:

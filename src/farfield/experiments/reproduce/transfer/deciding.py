@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from farfield.experiments.reproduce.scoring import sample_of
-from farfield.experiments.reproduce.transfer.declared import Compared, Table
+from farfield.experiments.reproduce.transfer.declared import TransferComparison, TransferTable
 from farfield.frame.provenance import environment
-from farfield.metrics.deciding import Decision, Difference, Sample, decide, difference_of, holm, pooled
+from farfield.metrics.deciding import Decision, Difference, ScoreSample, decide, difference_of, holm, pooled
 
-Scored = Mapping[tuple[str, float], Mapping[int, Sample]]
+Scored = Mapping[tuple[str, float], Mapping[int, ScoreSample]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class ShareComparison:
     """A comparison at one share.
 
     Args:
@@ -26,7 +26,7 @@ class Cell:
         adjusted: The same after Holm's correction over all cells.
     """
 
-    compared: Compared
+    compared: TransferComparison
     share: float
     frames: int
     decision: Decision
@@ -40,7 +40,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
+class ShareScore:
     """What a row reached at one share.
 
     Args:
@@ -69,15 +69,15 @@ class Figure:
         return {**said, "mean": self.mean, "interval": None if self.interval is None else list(self.interval)}
 
 
-def by_row(scores: Iterable[Mapping[str, Any]]) -> dict[tuple[str, float], dict[int, Sample]]:
+def by_row(scores: Iterable[Mapping[str, Any]]) -> dict[tuple[str, float], dict[int, ScoreSample]]:
     """Samples by row and share, and within by seed."""
-    found: dict[tuple[str, float], dict[int, Sample]] = {}
+    found: dict[tuple[str, float], dict[int, ScoreSample]] = {}
     for each in scores:
         found.setdefault((each["row"], each["share"]), {})[int(each["seed"])] = sample_of(each["sample"])
     return found
 
 
-def figures_of(table: Table, scored: Scored) -> list[Figure]:
+def figures_of(table: TransferTable, scored: Scored) -> list[ShareScore]:
     """What every row reached at each of its shares, where it was scored."""
     found = []
     for row in table.rows:
@@ -86,7 +86,7 @@ def figures_of(table: Table, scored: Scored) -> list[Figure]:
             if samples:
                 values = tuple(float(each.value) for each in samples if each.value is not None)
                 found.append(
-                    Figure(
+                    ShareScore(
                         row=row,
                         share=share,
                         frames=table.frames_of(row, share),
@@ -110,9 +110,9 @@ def _interval(draws: Sequence[np.ndarray]) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
-def cells_of(table: Table, scored: Scored) -> list[Cell]:
+def cells_of(table: TransferTable, scored: Scored) -> list[ShareComparison]:
     """All comparisons at all shares of which both rows have a seed in common, decided by one pooled spread."""
-    places, differences = list[tuple[Compared, float]](), list[Difference]()
+    places, differences = list[tuple[TransferComparison, float]](), list[Difference]()
     for compared in table.comparisons:
         for share in table.every_share:
             one, other = scored.get((compared.a, share), {}), scored.get((compared.b, share), {})
@@ -123,7 +123,7 @@ def cells_of(table: Table, scored: Scored) -> list[Cell]:
     spread = pooled(differences)
     decisions = [decide(each.with_pooled(spread)) for each in differences]
     return [
-        Cell(
+        ShareComparison(
             compared=compared,
             share=share,
             frames=table.frames_of(compared.a, share),
@@ -134,7 +134,7 @@ def cells_of(table: Table, scored: Scored) -> list[Cell]:
     ]
 
 
-def lines_of(table: Table, scores: Sequence[Mapping[str, Any]]) -> list[str]:
+def lines_of(table: TransferTable, scores: Sequence[Mapping[str, Any]]) -> list[str]:
     """The table as text."""
     scored = by_row(scores)
     steps = table.training["steps"]
@@ -159,7 +159,7 @@ def lines_of(table: Table, scores: Sequence[Mapping[str, Any]]) -> list[str]:
     return [*lines, "", *(plainly(each, cells) for each in table.comparisons)]
 
 
-def plainly(compared: Compared, cells: Iterable[Cell]) -> str:
+def plainly(compared: TransferComparison, cells: Iterable[ShareComparison]) -> str:
     """What a comparison came to over all its shares, as a sentence."""
     groups: dict[str, list[str]] = {}
     for cell in cells:
@@ -175,7 +175,7 @@ def plainly(compared: Compared, cells: Iterable[Cell]) -> str:
     return f"{compared.id} {compared.words}: {'; '.join(said) or 'not scored yet'}"
 
 
-def tree_of(table: Table, scores: Sequence[Mapping[str, Any]], planned: int) -> dict[str, Any]:
+def tree_of(table: TransferTable, scores: Sequence[Mapping[str, Any]], planned: int) -> dict[str, Any]:
     """All that the table found, as JSON values: what ``transfer.json`` holds and the page shows.
 
     Args:

@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.experiments.reproduce.grid import Score, Simulated, Tree
+from farfield.experiments.reproduce.grid import Score, SimulatedSet, Tree
 from farfield.files.atomic import read_bytes
 
 FILE = Path(__file__).parent / "kradar.yaml"
@@ -20,23 +20,23 @@ _MAX_BYTES = 1 << 20
 _Share = Annotated[float, Field(gt=0, le=1)]
 
 
-class _Declared(BaseModel):
+class _TransferModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class World(_Declared):
+class World(_TransferModel):
     """A radar on its roads: what is learnt from and scored on, and the form in which its clouds come."""
 
     words: str
-    train: Simulated
-    val: Simulated
+    train: SimulatedSet
+    val: SimulatedSet
     of: str = Field("", description="the world whose data it sees in a form of its own, else its own data")
     options: Tree = Field(default_factory=dict, description="options of the reader")
     floor_options: Tree = Field(default_factory=dict, description="the same where the floor is taken: all cells")
     form: Tree = Field(description="settings of common_radar; the floor is taken of the training set unless given")
 
 
-class Arm(_Declared):
+class AblationRow(_TransferModel):
     """A row of the table: a training in a world for each share of its frames, once a seed."""
 
     words: str
@@ -50,7 +50,7 @@ class Arm(_Declared):
     steps: int | None = Field(None, ge=0, description="all of the table's unless given; 0: scored as it came")
 
 
-class Compared(_Declared):
+class TransferComparison(_TransferModel):
     """Two rows, of which the first is claimed to lie above the second, at every share that both have."""
 
     id: str
@@ -59,7 +59,7 @@ class Compared(_Declared):
     b: str
 
 
-class Table(_Declared):
+class TransferTable(_TransferModel):
     """The whole file."""
 
     words: str
@@ -73,11 +73,11 @@ class Table(_Declared):
     training: Tree
     augmentation: Tree = Field(default_factory=dict)
     worlds: dict[str, World]
-    rows: dict[str, Arm]
-    comparisons: tuple[Compared, ...]
+    rows: dict[str, AblationRow]
+    comparisons: tuple[TransferComparison, ...]
 
     @model_validator(mode="after")
-    def _names_what_there_is(self) -> "Table":
+    def _names_what_there_is(self) -> "TransferTable":
         for name, row in self.rows.items():
             source = self.rows.get(row.start)
             if row.world not in self.worlds:
@@ -138,7 +138,7 @@ class TransferRun:
         return f"s{self.seed}-{self.row}-{round(100 * self.share):03d}"
 
 
-def runs_of(table: Table, seeds: tuple[int, ...] | None = None) -> list[list[TransferRun]]:
+def runs_of(table: TransferTable, seeds: tuple[int, ...] | None = None) -> list[list[TransferRun]]:
     """The runs in two waves, those that others start from and the rest, each seed by seed."""
     chosen = range(table.seeds) if seeds is None else seeds
     sources = {row.start for row in table.rows.values() if row.start}
@@ -152,7 +152,7 @@ def runs_of(table: Table, seeds: tuple[int, ...] | None = None) -> list[list[Tra
     return [first, [run for run in every if run not in first]]
 
 
-def experiment_tree(table: Table, run: TransferRun, *, data: Path, start: Path | None) -> dict[str, Any]:
+def experiment_tree(table: TransferTable, run: TransferRun, *, data: Path, start: Path | None) -> dict[str, Any]:
     """The experiment of a run as its YAML would have it; its frames are given to the training as they are seen.
 
     Args:
@@ -177,7 +177,7 @@ def experiment_tree(table: Table, run: TransferRun, *, data: Path, start: Path |
     }
 
 
-def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> Table:
+def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> TransferTable:
     """Read the declared table.
 
     Args:
@@ -192,6 +192,6 @@ def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> T
         raise ConfigError(f"transfer: expected a declared table, found no file {path}")
     try:
         tree = yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
-        return Table.model_validate(json.loads(json.dumps({**tree, **(changes or {})})))
+        return TransferTable.model_validate(json.loads(json.dumps({**tree, **(changes or {})})))
     except ValidationError as error:
         raise FileFormatError(path, where="the file", expected="a declared table", found=plain(error)) from None

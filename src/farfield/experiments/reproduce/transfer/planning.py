@@ -8,18 +8,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from farfield.experiments.plan import Plan
-from farfield.experiments.reproduce.transfer.declared import Table, TransferRun, experiment_tree, runs_of
-from farfield.experiments.reproduce.transfer.running import Doing, Sets
+from farfield.experiments.reproduce.transfer.declared import TransferRun, TransferTable, experiment_tree, runs_of
+from farfield.experiments.reproduce.transfer.running import TransferTask, WorldSets
 from farfield.experiments.schema import experiment_of
 from farfield.training.method import LABELLED
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 STEPS = 6
 _FRAMES = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost:
+class TransferCost:
     """Seconds of a core in one world.
 
     Args:
@@ -34,7 +34,7 @@ class Cost:
 
 
 @dataclass
-class _Clock(Report):
+class _StepTimes(TrainingReport):
     """Notes the time of the process at each step."""
 
     at_s: list[float] = field(default_factory=list)
@@ -45,7 +45,7 @@ class _Clock(Report):
         self.at_s.append(time.process_time())
 
 
-def measured(table: Table) -> dict[str, Cost]:
+def measured(table: TransferTable) -> dict[str, TransferCost]:
     """The cost of each world that has data of its own, measured on a few frames of it.
 
     Args:
@@ -59,7 +59,7 @@ def measured(table: Table) -> dict[str, Cost]:
         }
 
 
-def small_table(table: Table, world: str) -> Table:
+def small_table(table: TransferTable, world: str) -> TransferTable:
     """A table of one row in one world, of two frames and a few steps.
 
     Args:
@@ -78,22 +78,22 @@ def small_table(table: Table, world: str) -> Table:
         "floor_frames": 1,
         "training": {**table.training, "steps": STEPS},
     }
-    return Table.model_validate(table.model_dump() | changes)
+    return TransferTable.model_validate(table.model_dump() | changes)
 
 
-def _measured(table: Table, folder: Path) -> Cost:
+def _measured(table: TransferTable, folder: Path) -> TransferCost:
     folder.mkdir()
-    sets = Sets(table, folder / "data", folder / "floors.json")
+    sets = WorldSets(table, folder / "data", folder / "floors.json")
     simulating_s = _spent(sets.provide, workers=1, progress=iter, report=None)
     ((run,),) = [wave for wave in runs_of(table, (0,)) if wave]
-    clock = _Clock()
+    clock = _StepTimes()
     tree = experiment_tree(table, run, data=sets.path(run.row, "train"), start=None)
     data = {LABELLED: sets.seen(run.row, "train")}
     Plan(experiment_of(tree), folder / run.folder, data=data).run(clock)
     gaps = sorted(b - a for a, b in zip(clock.at_s, clock.at_s[1:], strict=False))
-    doing = Doing(sets, folder)
+    doing = TransferTask(sets, folder)
     scoring_s = _spent(doing.score, run, folder / run.folder)
-    return Cost(frame_s=simulating_s / (2 * _FRAMES), step_s=gaps[len(gaps) // 2], score_s=scoring_s / _FRAMES)
+    return TransferCost(frame_s=simulating_s / (2 * _FRAMES), step_s=gaps[len(gaps) // 2], score_s=scoring_s / _FRAMES)
 
 
 def _spent(work: Callable[..., object], *given: Any, **named: Any) -> float:
@@ -102,7 +102,7 @@ def _spent(work: Callable[..., object], *given: Any, **named: Any) -> float:
     return time.process_time() - began
 
 
-def core_seconds(table: Table, costs: dict[str, Cost], runs: list[TransferRun]) -> tuple[float, float]:
+def core_seconds(table: TransferTable, costs: dict[str, TransferCost], runs: list[TransferRun]) -> tuple[float, float]:
     """Seconds of a core to simulate the worlds, and to train and score the runs.
 
     Args:
@@ -122,7 +122,7 @@ def core_seconds(table: Table, costs: dict[str, Cost], runs: list[TransferRun]) 
     return simulating, training
 
 
-def outline(table: Table, seeds: tuple[int, ...] | None = None) -> list[str]:
+def outline(table: TransferTable, seeds: tuple[int, ...] | None = None) -> list[str]:
     """What will be done, and what it will cost on this machine: measured in a minute or two, in a folder of its own.
 
     Args:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk import Bulk, Done, Journal, Unit, run
+from farfield.bulk import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import CommonRadar, make
 from farfield.detection import detect
@@ -16,22 +16,22 @@ from farfield.detectors.runtime import Detector
 from farfield.experiments.plan import Plan, annotated_frames, part_of
 from farfield.experiments.reproduce.jobs import code_digest
 from farfield.experiments.reproduce.places import simulate, wanting
-from farfield.experiments.reproduce.running import SPENT, Spending
+from farfield.experiments.reproduce.running import SPENT, CpuTime
 from farfield.experiments.reproduce.scoring import json_of_sample
 from farfield.experiments.reproduce.transfer.deciding import lines_of, tree_of
-from farfield.experiments.reproduce.transfer.declared import Table, TransferRun, experiment_tree, runs_of
+from farfield.experiments.reproduce.transfer.declared import TransferRun, TransferTable, experiment_tree, runs_of
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure, sample
 from farfield.training.method import LABELLED
-from farfield.training.report import Report
+from farfield.training.report import TrainingReport
 
 SCORES, WEIGHTS, FLOORS = "scores.json", "weights.safetensors", "floors.json"
 CLOUD = "radar"
 
 
 @dataclass(frozen=True)
-class Sets:
+class WorldSets:
     """Where the worlds' data stand, and the form in which they are seen.
 
     Args:
@@ -40,7 +40,7 @@ class Sets:
         floors: The file that keeps the worlds' floors.
     """
 
-    table: Table
+    table: TransferTable
     folder: Path
     floors: Path
 
@@ -88,7 +88,7 @@ class Sets:
 
 
 @dataclass(frozen=True)
-class Doing:
+class TransferTask:
     """Does a run in its folder; the unit's parameters are the run.
 
     Args:
@@ -96,17 +96,17 @@ class Doing:
         folder: Folder of all runs' folders.
     """
 
-    sets: Sets
+    sets: WorldSets
     folder: Path
 
     memory_bytes = 2_000_000_000
     own_process = True
 
-    def __call__(self, unit: Unit) -> Done:
+    def __call__(self, unit: Unit) -> UnitResult:
         """Train unless the weights are there, detect, score, and write the scores."""
         wanted: TransferRun = unit.parameters
         home, began = self.folder / wanted.folder, time.monotonic()
-        spending = Spending(home / SPENT)
+        spending = CpuTime(home / SPENT)
         logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
         if not (home / WEIGHTS).is_file():
             self._train(wanted, home, spending)
@@ -118,9 +118,9 @@ class Doing:
         write_text(home / SCORES, json.dumps({**kept, "clock": clock}) + "\n")
         (home / "checkpoint.pt").unlink(missing_ok=True)
         spending.done()
-        return Done(files=(home / SCORES,), clock=clock)
+        return UnitResult(files=(home / SCORES,), clock=clock)
 
-    def _train(self, wanted: TransferRun, home: Path, report: Report) -> None:
+    def _train(self, wanted: TransferRun, home: Path, report: TrainingReport) -> None:
         table = self.sets.table
         row = table.rows[wanted.row]
         source = TransferRun(row=row.start, share=1.0, seed=wanted.seed)
@@ -148,7 +148,7 @@ class Doing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Transfer:
+class TransferExperiment:
     """The table at work in a folder; called again it goes on where it stopped.
 
     Args:
@@ -160,7 +160,7 @@ class Transfer:
         said: Called with lines of what is done.
     """
 
-    table: Table
+    table: TransferTable
     out: Path
     seeds: tuple[int, ...] | None = None
     workers: int = 1
@@ -168,23 +168,23 @@ class Transfer:
     said: Callable[[str], object] | None = None
 
     @property
-    def sets(self) -> Sets:
+    def sets(self) -> WorldSets:
         """The data."""
-        return Sets(self.table, self.out / "data", self.runs_folder / FLOORS)
+        return WorldSets(self.table, self.out / "data", self.runs_folder / FLOORS)
 
     def run(self) -> None:
         """Simulate, then do all runs: first those that others start from."""
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self.sets.provide(workers=self.workers, progress=self._bar("simulating"), report=self.said)
         setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'detection', 'metrics'))}"
-        journal = Journal(self.runs_folder / ".journal.jsonl", setting)
+        journal = JobJournal(self.runs_folder / ".journal.jsonl", setting)
         for wave in runs_of(self.table, self.seeds):
             units = [Unit(each.folder, parameters=each) for each in wave]
             left = sum(not journal.has(unit) for unit in units)
             if left and self.said is not None:
                 self.said(f"{left} of {len(units)} runs are left")
-            bulk = Bulk(workers=self.workers, progress=self._bar("training"))
-            run(Doing(self.sets, self.runs_folder), units, bulk, journal=journal)
+            bulk = JobOptions(workers=self.workers, progress=self._bar("training"))
+            run(TransferTask(self.sets, self.runs_folder), units, bulk, journal=journal)
 
     @property
     def runs_folder(self) -> Path:

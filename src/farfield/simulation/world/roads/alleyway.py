@@ -3,15 +3,15 @@
 import numpy as np
 
 from farfield.simulation.bodies import furniture
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.road import Bends
-from farfield.simulation.world.roads.common import ASPHALT, BRICK, CONCRETE, FIRST_M, Plot
+from farfield.simulation.world.roads.common import ASPHALT, BRICK, CONCRETE, FIRST_M, RoadBuild
 from farfield.simulation.world.roads.street import Street, StreetLand, add_crossers, draw_junctions
 
 BENDS = Bends(1 / 90, (60.0, 160.0), (0.05, 0.4), grade=0.03)
 
 
-def build_alleyway(plot: Plot) -> Layout:
+def build_alleyway(plot: RoadBuild) -> RoadLayout:
     """Draw one alley sequence."""
     rng, speed = plot.rng, float(plot.rng.uniform(2, 5))
     half = float(rng.uniform(2.6, 3.0))

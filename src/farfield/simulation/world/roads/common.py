@@ -6,7 +6,7 @@ import numpy as np
 
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.world.land import Land
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.population import Lane, Population
 from farfield.simulation.world.road import Bends, RoadLine
@@ -29,7 +29,7 @@ _BEHIND_M, _AHEAD_M = 300.0, 450.0
 
 
 @dataclass(eq=False)
-class Plot:
+class RoadBuild:
     """One sequence being built: its four streams, its duration and its prior of sizes.
 
     Args:
@@ -64,9 +64,9 @@ class Plot:
 
     def layout(
         self, land: Land, population: Population, ego_m_s: float, breaks_m: tuple[float, ...] = ()
-    ) -> tuple[Layout, Roadside]:
+    ) -> tuple[RoadLayout, Roadside]:
         """An empty layout, and what fills it from ``FIRST_M`` to 420 m beyond the ego vehicle's end."""
-        layout = Layout(land, population, self._paint_seed, breaks_m=breaks_m)
+        layout = RoadLayout(land, population, self._paint_seed, breaks_m=breaks_m)
         return layout, Roadside(layout, self.around, FIRST_M, self.travel_m(ego_m_s) + 420.0)
 
     def lane(

@@ -6,11 +6,11 @@ import numpy as np
 
 from farfield.simulation.bodies import furniture
 from farfield.simulation.world.land import FarLand, Land, Strip
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, RoadLine
-from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, SOIL, Plot
+from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, SOIL, RoadBuild
 from farfield.simulation.world.roadside import Roadside, dashed_line, guard_rail, jersey_barrier, solid_line
 
 BENDS = Bends(1 / 640, (150.0, 500.0), (0.08, 0.5), grade=0.02, bank_gain_m=8.0)
@@ -101,7 +101,7 @@ class Highway:
             side.put(furniture.bridge(out + 1.0, float(rng.uniform(7, 14))), float(s), 0.0)
 
 
-def build_highway(plot: Plot, *, on_shoulder: bool = False) -> Layout:
+def build_highway(plot: RoadBuild, *, on_shoulder: bool = False) -> RoadLayout:
     """Draw one highway sequence; ``on_shoulder`` lets the ego vehicle stand or creep on the right shoulder."""
     rng, around = plot.rng, plot.around
     highway = Highway(rng)
@@ -123,13 +123,13 @@ def build_highway(plot: Plot, *, on_shoulder: bool = False) -> Layout:
     return layout
 
 
-def build_shoulder(plot: Plot) -> Layout:
+def build_shoulder(plot: RoadBuild) -> RoadLayout:
     """Draw one sequence on a highway's shoulder."""
     return build_highway(plot, on_shoulder=True)
 
 
 def _add_traffic(
-    plot: Plot,
+    plot: RoadBuild,
     population: Population,
     highway: Highway,
     *,

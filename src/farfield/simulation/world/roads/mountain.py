@@ -6,9 +6,9 @@ import numpy as np
 
 from farfield.simulation.bodies import furniture
 from farfield.simulation.world.land import FarLand, Land, Strip
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.road import Bends
-from farfield.simulation.world.roads.common import ASPHALT, GRASS, SOIL, Plot
+from farfield.simulation.world.roads.common import ASPHALT, GRASS, SOIL, RoadBuild
 from farfield.simulation.world.roadside import guard_rail, solid_line
 
 CURVATURE_PER_M, GRADE = 1 / 60, 0.06
@@ -27,7 +27,7 @@ def _strips(edge_m: float, shoulder_m: float, cut: bool, steep: float) -> list[S
     return [*road, Strip(1.2, GRASS, -0.05, 0.02), *falling]
 
 
-def build_mountain(plot: Plot) -> Layout:
+def build_mountain(plot: RoadBuild) -> RoadLayout:
     """Draw one mountain sequence."""
     rng, speed = plot.rng, float(plot.rng.uniform(8, 13.5))
     climb = float(rng.uniform(-0.035, 0.035))

@@ -8,10 +8,10 @@ from jaxtyping import Float
 from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.mesh import Mesh, quads
 from farfield.simulation.world.land import FarLand, Land, Strip
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, RoadLine
-from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, PAINT, Plot
+from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, PAINT, RoadBuild
 from farfield.simulation.world.roadside import Roadside
 
 BENDS = Bends(1 / 1500, (200.0, 500.0), (0.02, 0.06), grade=0.015)
@@ -79,7 +79,7 @@ def _people(population: Population, last_m: float, duration_s: float) -> None:
             population.add_along(population.draw_car(), float(s), d, direction, float(rng.uniform(1, 4)))
 
 
-def build_parking_lot(plot: Plot) -> Layout:
+def build_parking_lot(plot: RoadBuild) -> RoadLayout:
     """Draw one sequence in a parking lot."""
     rng, speed = plot.rng, float(plot.rng.uniform(1.0, 3.2))
     modules, pitch = int(rng.choice([1, 2])), STALL_M * int(rng.integers(22, 36))

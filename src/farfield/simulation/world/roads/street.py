@@ -10,7 +10,7 @@ from farfield.simulation.bodies.mesh import Mesh, quads
 from farfield.simulation.world.land import FarLand, Land, Strip
 from farfield.simulation.world.population import Lane, Population
 from farfield.simulation.world.road import RoadLine
-from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, GRASS, PAINT, Plot
+from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, GRASS, PAINT, RoadBuild
 from farfield.simulation.world.roadside import Roadside, dashed_line, solid_line
 from farfield.simulation.world.traffic import Signal
 
@@ -175,7 +175,7 @@ def add_kerbside(population: Population, street: Street, last_m: float, share: t
                 population.add_parked(place, d, turn_rad=turn if angled else straight, kind=kind)
 
 
-def add_crossers(plot: Plot, population: Population, street: Street, signals: list[Signal], last_m: float) -> None:
+def add_crossers(plot: RoadBuild, population: Population, street: Street, signals: list[Signal], last_m: float) -> None:
     """Vehicles that cross on the side streets (while the street's own signal is red), wait there, or are parked."""
     rng = population.rng
     for number, junction in enumerate(street.junctions_m):
@@ -205,7 +205,7 @@ def add_crossers(plot: Plot, population: Population, street: Street, signals: li
 
 
 def add_walkers(
-    plot: Plot, population: Population, street: Street, last_m: float, people: float, cyclists: float = 2.0
+    plot: RoadBuild, population: Population, street: Street, last_m: float, people: float, cyclists: float = 2.0
 ) -> None:
     """People on the pavements and crossings, cyclists, now and then a wheelchair, a pram or a dog.
 

@@ -9,10 +9,10 @@ from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.world.land import Land
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, ribbon
-from farfield.simulation.world.roads.common import CONCRETE, FIRST_M, FOLIAGE, GRASS, Plot
+from farfield.simulation.world.roads.common import CONCRETE, FIRST_M, FOLIAGE, GRASS, RoadBuild
 from farfield.simulation.world.roads.street import (
     Street,
     StreetLand,
@@ -57,7 +57,7 @@ def _driveway(land: Land, rows: Float[np.ndarray, " k"], d: Float[np.ndarray, " 
     return ribbon(land.road, rows, d, land.rise_m(*np.broadcast_arrays(rows[:, None], d)) + 0.06, CONCRETE)
 
 
-def build_suburban(plot: Plot) -> Layout:
+def build_suburban(plot: RoadBuild) -> RoadLayout:
     """Draw one suburban sequence."""
     rng, speed = plot.rng, float(plot.rng.uniform(7, 14))
     street = Street(

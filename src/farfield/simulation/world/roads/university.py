@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.road import Bends
-from farfield.simulation.world.roads.common import GRASS, Plot
+from farfield.simulation.world.roads.common import GRASS, RoadBuild
 from farfield.simulation.world.roads.street import (
     Street,
     StreetLand,
@@ -20,7 +20,7 @@ from farfield.simulation.world.roads.street import (
 BENDS = Bends(1 / 90, (60.0, 220.0), (0.1, 0.7), grade=0.03)
 
 
-def build_university(plot: Plot) -> Layout:
+def build_university(plot: RoadBuild) -> RoadLayout:
     """Draw one campus sequence."""
     rng, speed = plot.rng, float(plot.rng.uniform(4, 9))
     angled = rng.random(2) < 0.55

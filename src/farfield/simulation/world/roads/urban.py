@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 
 from farfield.simulation.bodies import furniture
-from farfield.simulation.world.layout import Layout
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.road import Bends
-from farfield.simulation.world.roads.common import CONCRETE, Plot
+from farfield.simulation.world.roads.common import CONCRETE, RoadBuild
 from farfield.simulation.world.roads.street import (
     Street,
     StreetLand,
@@ -80,7 +80,7 @@ def _furnish(side: Roadside, street: Street, signalled: bool) -> None:
         side.place(partial(zebra, road, street, float(junction) - street.side_half_m), near)
 
 
-def build_urban(plot: Plot) -> Layout:
+def build_urban(plot: RoadBuild) -> RoadLayout:
     """Draw one town sequence."""
     rng = plot.rng
     speed, gap = float(rng.uniform(8, 16)), float(np.exp(rng.uniform(np.log(9), np.log(60))))

@@ -1,14 +1,14 @@
 """Live checks of annotated boxes: pure functions, quick enough to run at every edit."""
 
 from farfield.studio.editing.checking.contract import (
+    CheckedFrame,
     CheckSettings,
-    Course,
-    Detected,
-    Finding,
-    Scene,
+    DetectorBox,
+    LabelIssue,
+    NearbyTrack,
+    SensorView,
     SizeRange,
-    Step,
-    View,
+    TrackStep,
 )
 from farfield.studio.editing.checking.running import CHECKS, check
 from farfield.studio.editing.checking.scene import Surroundings
@@ -17,14 +17,14 @@ from farfield.studio.editing.checking.statistics import size_ranges
 __all__ = [
     "CHECKS",
     "CheckSettings",
-    "Course",
-    "Detected",
-    "Finding",
-    "Scene",
+    "CheckedFrame",
+    "DetectorBox",
+    "LabelIssue",
+    "NearbyTrack",
+    "SensorView",
     "SizeRange",
-    "Step",
     "Surroundings",
-    "View",
+    "TrackStep",
     "check",
     "size_ranges",
 ]

@@ -13,7 +13,7 @@ Severity = Literal["info", "warning", "error"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class LabelIssue:
     """Something that a person should look at.
 
     Args:
@@ -59,7 +59,7 @@ class SizeRange(NamedTuple):
     types: tuple[tuple[float, float, float], ...] = ()
 
 
-class View(NamedTuple):
+class SensorView(NamedTuple):
     """What a sensor sees.
 
     Args:
@@ -81,7 +81,7 @@ class View(NamedTuple):
         return math.hypot(x, y) <= self.range_m and (whole or inside)
 
 
-class Step(NamedTuple):
+class TrackStep(NamedTuple):
     """A box of a track in one frame.
 
     Args:
@@ -95,7 +95,7 @@ class Step(NamedTuple):
     box: Numbers
 
 
-class Course(NamedTuple):
+class NearbyTrack(NamedTuple):
     """A track near the frame that is checked.
 
     Args:
@@ -105,13 +105,13 @@ class Course(NamedTuple):
         locked: Whether its size is locked.
     """
 
-    steps: Sequence[Step]
+    steps: Sequence[TrackStep]
     frames: int
     posed: bool = False
     locked: bool = False
 
 
-class Detected(NamedTuple):
+class DetectorBox(NamedTuple):
     """A detector's box.
 
     Args:
@@ -126,7 +126,7 @@ class Detected(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class CheckedFrame:
     """The frame that is checked.
 
     Args:
@@ -139,7 +139,7 @@ class Scene:
     key: Key
     row: int = 0
     around: Surroundings | None = None
-    detections: Sequence[Detected] = ()
+    detections: Sequence[DetectorBox] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ class CheckSettings:
     sizes: Mapping[str, SizeRange] = field(default_factory=dict)
     fastest_m_s: Mapping[str, float] = field(default_factory=dict)
     extent: Literal["full", "visible"] = "full"
-    views: Sequence[View] = ()
+    views: Sequence[SensorView] = ()
     farthest_m: float = 300.0
     size_ratio: float = 2.0
     track_size: float = 0.05

@@ -5,17 +5,25 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.studio.editing.angles import turn
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Course, Finding, Scene, Severity, Step
+from farfield.studio.editing.checking.contract import (
+    Boxes,
+    CheckedFrame,
+    CheckSettings,
+    LabelIssue,
+    NearbyTrack,
+    Severity,
+    TrackStep,
+)
 from farfield.studio.editing.checking.shapes import finding
 
 FRAME_S = 0.1
 """The limit of a turn is one for frames 0.1 s apart; over longer times it grows, up to a quarter turn."""
 FASTEST_M_S = 60.0
 
-Courses = Mapping[str, Course]
+Courses = Mapping[str, NearbyTrack]
 
 
-def courses(boxes: Boxes, scene: Scene, tracks: Courses, settings: CheckSettings) -> Iterator[Finding]:
+def courses(boxes: Boxes, scene: CheckedFrame, tracks: Courses, settings: CheckSettings) -> Iterator[LabelIssue]:
     """All checks of the tracks that are in the frame."""
     for label in boxes:
         course = tracks.get(label.track) if label.track else None
@@ -30,11 +38,13 @@ def courses(boxes: Boxes, scene: Scene, tracks: Courses, settings: CheckSettings
             yield from _since(label, course, place, scene, settings)
 
 
-def _place(steps: Sequence[Step], row: int) -> int | None:
+def _place(steps: Sequence[TrackStep], row: int) -> int | None:
     return next((place for place, step in enumerate(steps) if step.row == row), None)
 
 
-def _since(label: BoxLabel, course: Course, place: int, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def _since(
+    label: BoxLabel, course: NearbyTrack, place: int, scene: CheckedFrame, settings: CheckSettings
+) -> Iterator[LabelIssue]:
     """What changed since the frame before in the track."""
     before, now = course.steps[place - 1], course.steps[place]
     name, missing = f"{label.label} {label.track}", now.row - before.row - 1
@@ -60,7 +70,9 @@ def _since(label: BoxLabel, course: Course, place: int, scene: Scene, settings: 
         yield finding(scene, label, "speed", "warning", f"{name} goes {speed:.0f} m/s, more than {fastest:.0f}.")
 
 
-def _jump(label: BoxLabel, course: Course, place: int, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def _jump(
+    label: BoxLabel, course: NearbyTrack, place: int, scene: CheckedFrame, settings: CheckSettings
+) -> Iterator[LabelIssue]:
     """Distance of the box from constant velocity over its neighbouring frames; reported in the worst frame only."""
     steps = course.steps
     if len(steps) < 3:
@@ -76,7 +88,7 @@ def _jump(label: BoxLabel, course: Course, place: int, scene: Scene, settings: C
     yield finding(scene, label, "jump", severity, sentence)
 
 
-def _bend(steps: Sequence[Step], middle: int) -> float | None:
+def _bend(steps: Sequence[TrackStep], middle: int) -> float | None:
     """Distance of a third box from where two give it at constant velocity; None where frames are missing."""
     first, second, third = steps[middle - 1 : middle + 2]
     if third.row - first.row != 2:
@@ -84,6 +96,6 @@ def _bend(steps: Sequence[Step], middle: int) -> float | None:
     return math.dist(third.box[:2], _ahead(first.box, second.box, first, second, third))
 
 
-def _ahead(before: Numbers, now: Numbers, first: Step, second: Step, third: Step) -> tuple[float, float]:
+def _ahead(before: Numbers, now: Numbers, first: TrackStep, second: TrackStep, third: TrackStep) -> tuple[float, float]:
     share = (third.time_s - second.time_s) / max(second.time_s - first.time_s, 1e-3)
     return now[0] + share * (now[0] - before[0]), now[1] + share * (now[1] - before[1])

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 from farfield.datasets.labels import BoxLabel
 from farfield.geometry.iou import pairwise_iou
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Finding, Scene
+from farfield.studio.editing.checking.contract import Boxes, CheckedFrame, CheckSettings, LabelIssue
 from farfield.studio.editing.checking.shapes import as_set, finding
 
 MEETS_IOU = 0.05
 """Below it, a detection is of no box at all."""
 
 
-def disagreements(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def disagreements(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Detections without a box, and boxes that confident detections place otherwise."""
     found = [each for each in scene.detections if each.score > settings.detector_score]
     if not found:
@@ -23,7 +23,7 @@ def disagreements(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterat
         shared = float(iou[number, best]) if len(boxes) else 0.0
         score = f"score {detected.score:.2f}"
         if shared < MEETS_IOU:
-            yield Finding(
+            yield LabelIssue(
                 check="detector",
                 severity="info",
                 sentence=f"The detector sees a {detected.label} without a box ({score}).",

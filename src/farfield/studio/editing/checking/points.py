@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.labels import BoxLabel
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Finding, Scene
+from farfield.studio.editing.checking.contract import Boxes, CheckedFrame, CheckSettings, LabelIssue
 from farfield.studio.editing.checking.scene import Points, Surroundings, beyond_m, in_box_axes
 from farfield.studio.editing.checking.shapes import finding
 
@@ -19,7 +19,7 @@ FACE_M = 0.1
 """So near a face, points are its own: range noise and a careful hand leave as much."""
 
 
-def points(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def points(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """All checks against the points of the frame."""
     if scene.around is None:
         return
@@ -44,7 +44,9 @@ def _near(label: BoxLabel, around: Surroundings) -> Points:
     return in_box_axes(around.near(label.box[0], label.box[1], reach_m), label.box)
 
 
-def _standing(label: BoxLabel, ground: float | None, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def _standing(
+    label: BoxLabel, ground: float | None, scene: CheckedFrame, settings: CheckSettings
+) -> Iterator[LabelIssue]:
     if ground is None:
         return
     bottom = -label.box[5] / 2
@@ -57,7 +59,7 @@ def _standing(label: BoxLabel, ground: float | None, scene: Scene, settings: Che
         yield finding(scene, label, "ground", "warning", f"{label.label}: {bottom - ground:.1f} m above the ground.")
 
 
-def _empty(label: BoxLabel, count: int, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def _empty(label: BoxLabel, count: int, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     if label.source == "radar":
         return
     if count == 0:
@@ -75,7 +77,9 @@ def _left(label: BoxLabel, heights: Float[np.ndarray, " n"], ground: float | Non
     return int(((heights > max(ground + ABOVE_GROUND_M, -half)) & (heights < half)).sum())
 
 
-def _outside(label: BoxLabel, left: int, count: int, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def _outside(
+    label: BoxLabel, left: int, count: int, scene: CheckedFrame, settings: CheckSettings
+) -> Iterator[LabelIssue]:
     if left >= FEWEST_OUTSIDE and left + count >= FEWEST_OF_OBJECT and left > settings.ring_share * count:
         sentence = f"{label.label}: {left} points just outside it, {count} inside: is it large enough?"
         yield finding(scene, label, "outside", "warning", sentence)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain
 
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Course, Finding, Scene
+from farfield.studio.editing.checking.contract import Boxes, CheckedFrame, CheckSettings, LabelIssue, NearbyTrack
 from farfield.studio.editing.checking.courses import courses
 from farfield.studio.editing.checking.disagreeing import disagreements
 from farfield.studio.editing.checking.points import points
@@ -32,12 +32,12 @@ _SEVERITIES = ("error", "warning", "info")
 
 def check(
     boxes: Boxes,
-    frame: Scene,
-    track: Mapping[str, Course],
+    frame: CheckedFrame,
+    track: Mapping[str, NearbyTrack],
     settings: CheckSettings,
     *,
     ignored: Mapping[str, str] | None = None,
-) -> list[Finding]:
+) -> list[LabelIssue]:
     """What a person should look at in a frame, errors first.
 
     Args:
@@ -62,5 +62,5 @@ def check(
     return sorted(marked, key=_rank)
 
 
-def _rank(finding: Finding) -> tuple[bool, int]:
+def _rank(finding: LabelIssue) -> tuple[bool, int]:
     return finding.ignored is not None, _SEVERITIES.index(finding.severity)

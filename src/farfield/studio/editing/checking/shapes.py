@@ -9,13 +9,20 @@ import numpy as np
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.geometry.boxes import Boxes as BoxSet
 from farfield.geometry.iou import pairwise_iou
-from farfield.studio.editing.checking.contract import Boxes, CheckSettings, Finding, Scene, Severity, SizeRange
+from farfield.studio.editing.checking.contract import (
+    Boxes,
+    CheckedFrame,
+    CheckSettings,
+    LabelIssue,
+    Severity,
+    SizeRange,
+)
 
 
-def finding(scene: Scene, label: BoxLabel, check: str, severity: Severity, sentence: str) -> Finding:
+def finding(scene: CheckedFrame, label: BoxLabel, check: str, severity: Severity, sentence: str) -> LabelIssue:
     """A finding about a box."""
     place = (label.box[0], label.box[1])
-    return Finding(
+    return LabelIssue(
         check=check, severity=severity, sentence=sentence, frame=scene.key, box=label.id, track=label.track, place=place
     )
 
@@ -25,12 +32,12 @@ def is_sound(box: Numbers) -> bool:
     return all(map(math.isfinite, box)) and min(box[3:6]) > 0
 
 
-def broken(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def broken(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Boxes that cannot be: not finite, without a size, or where no sensor sees."""
     for label in boxes:
         if not is_sound(label.box):
             sentence = f"{label.label}: size or place is not a number, or a size is not positive."
-            yield Finding(
+            yield LabelIssue(
                 check="broken", severity="error", sentence=sentence, frame=scene.key, box=label.id, track=label.track
             )
             continue
@@ -45,7 +52,7 @@ def broken(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Find
             yield finding(scene, label, "broken", "error", f"{label.label}: outside what {sensors} can see.")
 
 
-def sizes(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def sizes(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Sizes that the class seldom or never has."""
     for label in boxes:
         known = settings.sizes.get(label.label)
@@ -73,7 +80,7 @@ def _size_fault(size: tuple[float, ...], known: SizeRange, most: float) -> str:
     return "" if fits else f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} m is the size of none of its kinds."
 
 
-def overlaps(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def overlaps(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Boxes that stand in each other, seen from above: one finding a pair, at the later of the two."""
     if len(boxes) < 2:
         return
@@ -93,7 +100,7 @@ def as_set(boxes: Boxes) -> BoxSet:
     return BoxSet(centre_m=table[:, :3], size_m=table[:, 3:6], yaw_rad=table[:, 6], label=names)
 
 
-def twice(boxes: Boxes, scene: Scene, settings: CheckSettings) -> Iterator[Finding]:
+def twice(boxes: Boxes, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Two boxes of one frame with the same track ID and class; reported for all but the first."""
     del settings
     counts: Counter[tuple[str, str]] = Counter()
