@@ -9,8 +9,8 @@ from _plates_crops import SIDE, Crop, Sampler, cut, draw_board, tilted
 from _plates_rendering import cover, paste
 from _plates_scenes import Scene, upright
 
-from farfield.imaging.privacy.plate_network import STRIDE, PlateNetwork
-from farfield.imaging.privacy.plates import decoded, looks
+from farfield.privacy.plate_network import STRIDE, PlateNetwork
+from farfield.privacy.plates import decoded, looks
 
 BATCH, RATE = 16, 2e-3
 _MINED_SCORE, _MINED_MOST = 0.15, 1500

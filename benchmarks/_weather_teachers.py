@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from farfield.adaptation.thresholds import thresholds_of
-from farfield.detection import as_trained, detect
 from farfield.detectors.runtime import Detector
-from farfield.experiments.reproduce.jobs import TrainingJob
-from farfield.experiments.reproduce.places import DataLocation
-from farfield.experiments.reproduce.running import WEIGHTS
+from farfield.evaluation import as_trained, detect
 from farfield.frame import Boxes, Cloud, Frame, Key
+from farfield.papers.jobs import TrainingJob
+from farfield.papers.places import DataLocation
+from farfield.papers.running import WEIGHTS
 from farfield.training.config import WeatherConfig
 from farfield.training.weather import draw_laid, holding, lay_over
 

@@ -30,13 +30,13 @@ import yaml
 from _report import ROOT, SHARED_REAL, header, progress
 
 import farfield as ff
-from farfield.detection import detect
+from farfield.evaluation import detect
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure
 from farfield.metrics.deciding.samples import ScoreSample, sample
-from farfield.recording import record
+from farfield.simulation.recording import record
 from farfield.training.report import TrainingReport
 
 START = "pointpillars-cirrus-sim"

@@ -23,8 +23,8 @@ from pathlib import Path
 import psutil
 from _report import header
 
-from farfield.bulk import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.files.atomic import write_text
+from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 
 UNIT_MS, RERUN_S, GROWTH = 2.0, 5.0, 1.10
 TINY = """

@@ -29,11 +29,11 @@ from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kradar.labels import annotation_of, read_labels
 from farfield.datasets.kradar.texts import read_camera
 from farfield.errors import DatasetError
+from farfield.figures.calibrated_boxes import boxes_picture
 from farfield.files.images import read_image, write_image
 from farfield.frame import Boxes, Frame
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
-from farfield.reports.calibrated_boxes import boxes_picture
 
 ERRORS = ((0.5, 0.05), (1.0, 0.10), (2.0, 0.10))  # degrees about, and metres along, each axis, at most
 KRADAR_SEQUENCE = 11  # of the example picture: the time stamp of its label says so

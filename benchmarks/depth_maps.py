@@ -21,13 +21,13 @@ import numpy as np
 from _report import SHARED_REAL, header, progress
 
 from farfield.api import open_dataset
+from farfield.depth import DepthMap, depth_map
+from farfield.depth.baselines import ip_basic, nearest_depth
+from farfield.depth.frames import cloud_and_camera
+from farfield.depth.rings import ring_numbers
+from farfield.depth.sparse import seen, sparse_depth
 from farfield.files.atomic import write_text
 from farfield.frame import Camera
-from farfield.imaging.depth import DepthMap, depth_map
-from farfield.imaging.depth.baselines import ip_basic, nearest_depth
-from farfield.imaging.depth.frames import cloud_and_camera
-from farfield.imaging.depth.rings import ring_numbers
-from farfield.imaging.depth.sparse import seen, sparse_depth
 from farfield.metrics.depth import BINS_M, DepthErrors, depth_errors, errors_by_range, mean_of
 
 SKETCHED = ("000000", "000001", "000134")

@@ -1,7 +1,7 @@
 """Deskewing against the simulator's truth, and labels moved to the time of the other sweep.
 
 First: sweeps of a Luminar whose points stay in the sensor's coordinates of their own time, at moments at which the
-simulated car turns and accelerates; corrected by ``farfield.timing.deskew`` with poses every 0.1 s, and compared with
+simulated car turns and accelerates; corrected by ``farfield.sync.deskew`` with poses every 0.1 s, and compared with
 where each point lies on its body at the sweep's middle. Second: simulated Cirrus frames, whose uniform sweep is up to
 0.1 s later than the annotated one; points of fast cars in their boxes before and after the map ``labels_at``.
 
@@ -26,7 +26,7 @@ from farfield.simulation.presets import find_preset
 from farfield.simulation.raw.measure import RawMoment, ego_poses
 from farfield.simulation.rigs.cirrus import CirrusMoment
 from farfield.simulation.rigs.drive import SimulatedDrive, drive_of
-from farfield.timing import PoseTrack, deskew, deskew_boxes
+from farfield.sync import PoseTrack, deskew, deskew_boxes
 
 ROADS = ("urban", "suburban", "alleyway", "highway")
 MOMENTS = 10
@@ -131,7 +131,7 @@ def deskewing(moments_each: int) -> list[str]:
         "At least halved for what moves, with its own motion: " + _halved(total["moving"].raw, total["moving"].both),
         "",
         "Error against where the point lies on its body at the sweep's middle. Poses every 0.1 s, on SE(3) in between.",
-        "Ego motion: farfield.timing.deskew. And its own: deskew_boxes too, by the true boxes and velocities. Who goes",
+        "Ego motion: farfield.sync.deskew. And its own: deskew_boxes too, by the true boxes and velocities. Who goes",
         "along with the car is smeared less by a raw sweep than by one corrected for the car's motion alone.",
     ]
     return lines

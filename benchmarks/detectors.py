@@ -22,11 +22,11 @@ from _report import ROOT, git, header, progress
 from detector_speed import busy_cloud, milliseconds
 
 from farfield.api import load_detector, open_dataset
-from farfield.detection import detect, median_ms
 from farfield.detectors.weights import bundled_weights, resolve_weights
+from farfield.evaluation import detect, median_ms
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import processor
-from farfield.recording import record
+from farfield.simulation.recording import record
 
 SPLIT = "cirrus-sim-val-v2"
 EPSILONS = (0.0, 0.003, 0.006, 0.009)

@@ -20,9 +20,9 @@ from _report import SHARED_REAL, header, progress
 from PIL import Image, ImageFilter
 
 from farfield.files.atomic import write_text
-from farfield.imaging.privacy.covering import mask_of
-from farfield.imaging.privacy.faces import FaceDetector
-from farfield.imaging.privacy.hits import ImageBoxes, covered_share
+from farfield.privacy.covering import mask_of
+from farfield.privacy.faces import FaceDetector
+from farfield.privacy.hits import ImageBoxes, covered_share
 from farfield.simulation import simulate_sequence
 
 STRONG, HIT, BOARDS = 0.3, 0.9, 6

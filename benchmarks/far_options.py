@@ -15,7 +15,7 @@ from _report import ROOT, header, progress
 from simulated_detection import EPSILONS, rows_of
 
 from farfield.api import load_detector, open_dataset
-from farfield.detection import detect
+from farfield.evaluation import detect
 
 ON_SPLIT = {
     "plain": "sparsecentre-cirrus-sim-table",

@@ -17,11 +17,11 @@ from _report import SHARED_REAL, header
 from jaxtyping import Float
 
 from farfield.datasets import open_dataset
-from farfield.timing.odometry import OdometrySettings
-from farfield.timing.odometry_drift import differences, way_m
-from farfield.timing.odometry_drives import place
-from farfield.timing.odometry_runs import OdometryTrack, odometry
-from farfield.timing.odometry_sweeps import DriveSweeps, SweepSettings, Turning
+from farfield.odometry.drift import differences, way_m
+from farfield.odometry.drives import place
+from farfield.odometry.odometry import OdometrySettings
+from farfield.odometry.runs import OdometryTrack, odometry
+from farfield.odometry.sweeps import DriveSweeps, SweepSettings, Turning
 
 CLOUDS = {"cirrus-sim": ("gaussian", "uniform"), "kradar-sim": ("os2-64",)}
 TIMED = 20

@@ -29,11 +29,11 @@ from PIL import Image
 
 from farfield.files.atomic import write_text
 from farfield.files.images import read_image
-from farfield.imaging.privacy.context import in_context, vehicles_px
-from farfield.imaging.privacy.covering import mask_of
-from farfield.imaging.privacy.hits import ImageBoxes, covered_share
-from farfield.imaging.privacy.plate_network import load_network, save_network
-from farfield.imaging.privacy.plates import THRESHOLD, PlateDetector
+from farfield.privacy.context import in_context, vehicles_px
+from farfield.privacy.covering import mask_of
+from farfield.privacy.hits import ImageBoxes, covered_share
+from farfield.privacy.plate_network import load_network, save_network
+from farfield.privacy.plates import THRESHOLD, PlateDetector
 
 TRAINED = {"seed": 9100, "sizes": ("us",), "lights": ("day", "night", "rain", "day")}
 CALIBRATED = {"seed": 8200, "sizes": ("kitti",)}
@@ -76,7 +76,7 @@ VEHICLES = (
     "moped_scooter",
     "vehicle_other",
 )
-WEIGHTS = Path(__file__).resolve().parent.parent / "src/farfield/imaging/privacy/plates.safetensors"
+WEIGHTS = Path(__file__).resolve().parent.parent / "src/farfield/privacy/plates.safetensors"
 
 
 @dataclass

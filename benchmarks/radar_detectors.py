@@ -28,12 +28,12 @@ import numpy as np
 from _report import ROOT, header, progress
 
 from farfield.api import load_detector, open_dataset
-from farfield.detection import detect
 from farfield.detectors.weights import bundled_weights, resolve_weights
+from farfield.evaluation import detect
 from farfield.files.atomic import write_text
 from farfield.metrics import Detections
 from farfield.metrics.bootstrap import Bootstrap, replicate_weights
-from farfield.recording import record
+from farfield.simulation.recording import record
 
 WEATHERS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
 PROTOCOLS = ("kradar", "kradar-compat:rtnh_narrow")

@@ -16,13 +16,13 @@ from matplotlib.collections import LineCollection
 
 from farfield.api import open_dataset
 from farfield.datasets.view_of_delft.reader import radar_velocity_m_s, read_radar
+from farfield.figures.birds_eye import draw_birdseye, draw_boxes
+from farfield.figures.camera import box_lines
+from farfield.figures.style import ANNOTATED, INK, MUTED, figure_bytes, house_style, new_figure
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.geometry.points import count_points_in_boxes
 from farfield.geometry.poses import pose_from_yaw
-from farfield.reports.camera import box_lines
-from farfield.reports.figures import draw_birdseye, draw_boxes
-from farfield.reports.style import ANNOTATED, INK, MUTED, figure_bytes, house_style, new_figure
 
 MARGIN_M = 0.5  # the radar measures a direction to about a degree: half a metre at 30 m
 STILL_M_S = 0.5

@@ -109,7 +109,7 @@ def draw(found: dict[str, dict[int, dict[str, float]]], points: int, path: Path)
     """Two panels, time and memory over range, one line a detector, named at its end."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    from farfield.reports.style import INK, PATTERNS, figure_bytes, house_style, new_figure
+    from farfield.figures.style import INK, PATTERNS, figure_bytes, house_style, new_figure
 
     colours = dict(zip(found, [*PATTERNS[1:], "#7048e8", INK], strict=False))
     colours["sparsecentre"] = PATTERNS[0]

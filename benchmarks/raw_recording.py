@@ -16,10 +16,10 @@ from typing import Any
 
 from _report import header, progress
 
-from farfield.recording.raw import record_streams
-from farfield.reports.sync_writing import write_synchronised
+from farfield.pages.sync_writing import write_synchronised
 from farfield.simulation.presets import find_preset
-from farfield.timing.sources import recordings
+from farfield.simulation.recording.raw import record_streams
+from farfield.sync.sources import recordings
 
 SENSORS = ("gaussian", "uniform", "camera", "imu_front", "imu_rear", "gps")
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from _report import ROOT, header, progress
 
 from farfield.api import load_detector, open_dataset
-from farfield.detection import detect, median_ms
-from farfield.recording import record
+from farfield.evaluation import detect, median_ms
+from farfield.simulation.recording import record
 
 EPSILONS = (0.0, 0.003, 0.006, 0.009)
 

@@ -28,8 +28,8 @@ MEMORY_GB = 2.5
 
 def one_process(preset: str, frames: int) -> str:
     """Seconds a frame and peak memory of this process; run in a process of its own."""
-    from farfield.recording import write_whole
     from farfield.simulation import find_preset, simulate_frame
+    from farfield.simulation.recording import write_whole
 
     chosen = find_preset(preset)
     seconds = []
@@ -47,7 +47,7 @@ def one_process(preset: str, frames: int) -> str:
 
 def two_processes(preset: str, frames: int) -> float:
     """Seconds a frame of the whole command."""
-    from farfield.recording import record
+    from farfield.simulation.recording import record
 
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()

@@ -23,14 +23,8 @@ import numpy as np
 from _report import header
 from _studio_table import Table
 
-from farfield.datasets.labels import BoxLabel
-from farfield.files.atomic import write_text
-from farfield.frame import Boxes
-from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import count_points_in_boxes
-from farfield.simulation.sequence import simulate_frame
-from farfield.studio.editing.angles import wrapped
-from farfield.studio.editing.checking import (
+from farfield.annotation.angles import wrapped
+from farfield.annotation.checking import (
     CHECKS,
     CheckedFrame,
     CheckSettings,
@@ -43,9 +37,15 @@ from farfield.studio.editing.checking import (
     check,
     size_ranges,
 )
-from farfield.studio.editing.checking.scene import in_box_axes
-from farfield.studio.editing.motion import TrackFrame, to_world
-from farfield.studio.editing.schema import fastest
+from farfield.annotation.checking.scene import in_box_axes
+from farfield.annotation.motion import TrackFrame, to_world
+from farfield.annotation.schema import fastest
+from farfield.datasets.labels import BoxLabel
+from farfield.files.atomic import write_text
+from farfield.frame import Boxes
+from farfield.geometry.iou import pairwise_iou
+from farfield.geometry.points import count_points_in_boxes
+from farfield.simulation.sequence import simulate_frame
 from farfield.vocabulary.sizes import CIRRUS_SIZES_M, VEHICLE_KINDS
 
 FEWEST_POINTS, NOISE_M, NOISE_RAD, SHORT_M = 5, 0.03, np.deg2rad(0.5), 0.2

@@ -21,12 +21,12 @@ from _gestures import Subject, click, click_lane, drag, drawn, measured, seen_wh
 from _report import SHARED_REAL, header, progress
 from scipy.ndimage import maximum_filter
 
+from farfield.annotation.fitting import BoxFit, Prior, fit_radar_peak, peak_near
 from farfield.datasets import open_dataset
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame
 from farfield.radar.axes import KRADAR_AXES
 from farfield.simulation import simulate_frame
-from farfield.studio.fitting import BoxFit, Prior, fit_radar_peak, peak_near
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
 REAL = {

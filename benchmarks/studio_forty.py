@@ -32,12 +32,12 @@ from _studio_hand import Hand, kind_of, usual_length_m, word_of
 from _studio_screen import chromium_path
 from scipy.ndimage import maximum_filter
 
+from farfield.annotation.fitting import prior_of
 from farfield.datasets import open_dataset
 from farfield.files.atomic import write_text
 from farfield.frame import Frame
 from farfield.geometry.points import count_points_in_boxes
 from farfield.radar.axes import KRADAR_AXES
-from farfield.studio.fitting import prior_of
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
 REAL = {"View-of-Delft": "view_of_delft/lidar", "Luminar": "cirrus_layout/Cirrus_dataset1"}

@@ -27,15 +27,15 @@ from pathlib import Path
 from _report import header
 from _studio_table import Table
 
+from farfield.annotation.box_edits import set_box
+from farfield.annotation.schema import schema_of
+from farfield.annotation.store import Author, Store
+from farfield.annotation.undoing import undo
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import Record, journal_folder
 from farfield.datasets.labels import CsvLabels
 from farfield.files.atomic import write_text
 from farfield.frame import Frame
-from farfield.studio.editing.box_edits import set_box
-from farfield.studio.editing.schema import schema_of
-from farfield.studio.editing.store import Author, Store
-from farfield.studio.editing.undoing import undo
 
 FRAMES, AHEAD = 20, 25
 ANN = Author("ann", "w1")

@@ -22,17 +22,17 @@ import numpy as np
 from _report import SHARED_REAL, header
 from _studio_table import Table
 
+from farfield.annotation.box_edits import add_box
+from farfield.annotation.motion import TrackFrame, between
+from farfield.annotation.schema import schema_of
+from farfield.annotation.store import Author, Store
+from farfield.annotation.track_edits import boxes_of, interpolate_track, moments
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.kradar.label_format import KRadarLabelFormat
 from farfield.datasets.kradar.reader import KRadar
 from farfield.datasets.labels import Numbers
 from farfield.files.atomic import write_text
 from farfield.frame import Key
-from farfield.studio.editing.box_edits import add_box
-from farfield.studio.editing.motion import TrackFrame, between
-from farfield.studio.editing.schema import schema_of
-from farfield.studio.editing.store import Author, Store
-from farfield.studio.editing.track_edits import boxes_of, interpolate_track, moments
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
 SEQUENCES, LENGTH, STEPS = ("1", "21", "54"), 61, (10, 20, 30)

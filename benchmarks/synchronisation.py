@@ -17,8 +17,8 @@ import numpy as np
 from _report import SHARED_REAL, header, progress
 from jaxtyping import Float, Int64
 
-from farfield.timing import StreamMatcher, drift_bound_ppm, fit_clock, match_blocks, match_times
-from farfield.timing.assignment import assign, cost_ns, nearest, windows
+from farfield.sync import StreamMatcher, drift_bound_ppm, fit_clock, match_blocks, match_times
+from farfield.sync.assignment import assign, cost_ns, nearest, windows
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
@@ -207,7 +207,7 @@ def write_lists(folder: Path) -> None:
 
 def child(mode: str, folder: Path) -> None:
     """One way through the lists; prints CPU seconds and the peak of memory."""
-    from farfield.timing.sources import recordings
+    from farfield.sync.sources import recordings
 
     (recording,) = recordings(folder)
     if mode.startswith("match"):
@@ -216,7 +216,7 @@ def child(mode: str, folder: Path) -> None:
         rows = sum(len(part.index) for part in match_blocks(blocks, reference="lidar", tolerance_ns=tolerance))
         said = f"{rows} rows"
     else:
-        from farfield.reports.sync_writing import write_synchronised
+        from farfield.pages.sync_writing import write_synchronised
 
         (found,) = write_synchronised(folder / "out", [recording], to="lidar", tolerance_ns=None, title="speed")
         total = sum(health.count for health in found.streams.values())
@@ -227,8 +227,8 @@ def child(mode: str, folder: Path) -> None:
 
 def real() -> list[str]:
     """What real stamps give, where they are at hand."""
-    from farfield.timing.sources import recordings
-    from farfield.timing.synchronising import synchronise
+    from farfield.sync.sources import recordings
+    from farfield.sync.synchronising import synchronise
 
     lines = ["", "real stamps", ""]
     places = [("time/radiate_tiny_foggy", "Navtech_Polar"), ("kitti_raw/2011_09_26", "velodyne_points")]

@@ -17,8 +17,8 @@ from _report import SHARED_REAL, header
 
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import CommonRadar
-from farfield.detection import detect
 from farfield.detectors.runtime import Detector
+from farfield.evaluation import detect
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text

@@ -32,16 +32,16 @@ from _report import ROOT, header, progress
 from _weather_teachers import REMEDIES, remedy_of, thresholds
 
 from farfield.errors import ConfigError
-from farfield.experiments.reproduce import load_grid
-from farfield.experiments.reproduce.deciding import Scores
-from farfield.experiments.reproduce.grid import ExperimentGrid
-from farfield.experiments.reproduce.jobs import DataLocations, TrainingJob, jobs_of
-from farfield.experiments.reproduce.needs import RequiredScore
-from farfield.experiments.reproduce.places import DataLocation, fingerprints_of, places_of, provide
-from farfield.experiments.reproduce.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
-from farfield.experiments.reproduce.scoring import ScoringTask
 from farfield.experiments.schema import Experiment
 from farfield.metrics.deciding import Difference, Scalar, ScoreSample, decide, difference_of, pooled
+from farfield.papers import load_grid
+from farfield.papers.deciding import Scores
+from farfield.papers.grid import ExperimentGrid
+from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
+from farfield.papers.needs import RequiredScore
+from farfield.papers.places import DataLocation, fingerprints_of, places_of, provide
+from farfield.papers.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
+from farfield.papers.scoring import ScoringTask
 from farfield.training.config import WeatherConfig
 from farfield.training.weather import inside_presets
 

@@ -4,12 +4,12 @@ import sys
 from pathlib import Path
 
 import farfield as ff
-from farfield.imaging.depth import frame_depth
-from farfield.reports.depth_picture import depth_picture
-from farfield.reports.figures import WINDOW_M, overview
-from farfield.reports.objects import VEHICLES, sure
-from farfield.reports.plots import scan_patterns
-from farfield.reports.style import figure_bytes
+from farfield.depth import frame_depth
+from farfield.evaluation.objects import VEHICLES, sure
+from farfield.figures.birds_eye import WINDOW_M, overview
+from farfield.figures.depth_picture import depth_picture
+from farfield.figures.plots import scan_patterns
+from farfield.figures.style import figure_bytes
 from farfield.simulation import simulate_sequence
 
 IMAGES = Path(__file__).parent / "images"

@@ -24,7 +24,7 @@ TESTED = (
     (
         "1,000 interleavings of two windows",
         "no update lost, every conflict shown",
-        ("tests/studio/editing/test_interleaving.py", "test_interleavings_of_two_windows"),
+        ("tests/annotation/test_interleaving.py", "test_interleavings_of_two_windows"),
     ),
     (
         "34,994 label files of K-Radar opened and saved",

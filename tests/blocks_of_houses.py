@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from farfield.geometry.deskewing import PoseTrack
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
-from farfield.timing.deskewing import PoseTrack
-from farfield.timing.odometry import OdometrySweep
+from farfield.odometry.odometry import OdometrySweep
 
 STEP_S = 0.1
 

@@ -9,9 +9,9 @@ import pytest
 from sources import sources
 
 from farfield.errors import FarfieldError
-from farfield.experiments.claims.loading import load
-from farfield.experiments.reproduce.grid import load_grid
 from farfield.experiments.schema import load_experiment
+from farfield.papers.claims.loading import load
+from farfield.papers.grid import load_grid
 
 LIBRARY = re.compile(
     r"Input should|Expecting|Extra data|pydantic|while (parsing|scanning)|unicode string|Traceback|Value error|"
@@ -46,7 +46,7 @@ def _boxes(path: Path) -> Any:
 
 
 def _evaluation(path: Path) -> Any:
-    from farfield.reports.evaluation import Evaluation
+    from farfield.evaluation.record import Evaluation
 
     return Evaluation.load(path)
 

@@ -37,8 +37,8 @@ HEAVY = (
 TORCH = {"torch", "lightning_fabric", "safetensors"}
 TORCH_ROOMS = {"detectors", "training", "adaptation", "testing"}
 TORCH_FILES = {
-    "imaging/privacy/plates.py",
-    "imaging/privacy/plate_network.py",
+    "privacy/plates.py",
+    "privacy/plate_network.py",
 }  # loaded when asked for
 NESTED: dict[str, str] = {}
 """Functions in functions that may stay, and why."""
@@ -229,11 +229,11 @@ def _tracked_texts() -> Iterator[tuple[Path, str]]:
             yield path, content.decode("utf-8", errors="replace")
 
 
-def test_only_bulk_starts_workers() -> None:
+def test_only_jobs_starts_workers() -> None:
     """No second mechanism for work over many frames: no pool, and no process but those named here."""
     words = re.compile(r"ProcessPool|ThreadPool|multiprocessing|Popen|os\.fork|joblib")
     known = {
-        "bulk/local.py",
+        "jobs/local.py",
         "testing/processes.py",  # two processes of one training step
         "files/mat_stream.py",  # one thread that reads ahead within a file
         "datasets/kradar/tesseract.py",  # one that makes a table meanwhile

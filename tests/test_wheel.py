@@ -23,8 +23,8 @@ from importlib.resources import files
 from pathlib import Path
 import sys
 import farfield
-from farfield.reports.page import render
-from farfield.reports.evaluation import Evaluation
+from farfield.pages.evaluation_page import render
+from farfield.evaluation.record import Evaluation
 from farfield.simulation.frozen import FROZEN
 home = Path(farfield.__file__).parent
 assert home.is_relative_to(sys.argv[1]), home

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from farfield.experiments.reproduce import ExperimentGrid, Reproduction, load_grid
-from farfield.experiments.reproduce.grid import BudgetSettings
+from farfield.papers import ExperimentGrid, Reproduction, load_grid
+from farfield.papers.grid import BudgetSettings
 
 RUNS = ("device_a", "gaussian", "uniform", "range", "device_pretrained")
 SCALE = {"range_m": 64.0, "half_width_m": 16.0, "cell_m": 0.5}

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
 
-    from farfield.bulk import JobOptions
     from farfield.datasets.base import Dataset
     from farfield.detectors.contract import Network
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
+    from farfield.jobs import JobOptions
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
     from farfield.training.report import TrainingReport
@@ -97,7 +97,7 @@ def detect(
         cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
     """
-    from farfield.detection import detect as detect_all
+    from farfield.evaluation import detect as detect_all
 
     return detect_all(detector, data, cloud=cloud, progress=progress)
 
@@ -166,8 +166,8 @@ def evaluate(
         DatasetError: If no frame is annotated.
         ConfigError: If the protocol or a setting is unknown, or no cloud suits the detector.
     """
-    from farfield.detection import detect as detect_all
-    from farfield.detection import given
+    from farfield.evaluation import detect as detect_all
+    from farfield.evaluation import given
 
     if metric is not None:
         warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
@@ -282,13 +282,13 @@ def show(
     Args:
         frame: The frame; or a cloud or its rows, of which every point is shown.
         predictions: Predicted boxes.
-        radar: Draw the radar's power instead of a cloud; see :func:`farfield.reports.radar_map.radar_map`.
+        radar: Draw the radar's power instead of a cloud; see :func:`farfield.figures.radar_map.radar_map`.
         shown_score: Predicted boxes of a lower score are left out, which the title says; 0 shows all.
     """
+    from farfield.evaluation.objects import shown_of
+    from farfield.figures.birds_eye import show_frame
+    from farfield.figures.radar_map import radar_map
     from farfield.frame import Frame
-    from farfield.reports.figures import show_frame
-    from farfield.reports.objects import shown_of
-    from farfield.reports.radar_map import radar_map
 
     if not isinstance(frame, Frame):
         return show_frame(Frame.of(frame), predictions, window_m="fit", shown_score=shown_score)

@@ -13,11 +13,11 @@ from farfield.calibration.mounting import camera_at, camera_from_clicked, read_c
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.errors import FileFormatError
+from farfield.figures.calibrated_boxes import boxes_picture
 from farfield.files.images import read_image
 from farfield.frame import camera_sensor
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, transform_points
-from farfield.reports.calibrated_boxes import boxes_picture
 
 TRUTH = Camera(
     matrix=np.array([[1040.0, 0, 955], [0, 1040, 330], [0, 0, 1]]),

@@ -5,7 +5,7 @@ import numpy as np
 from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.sweeps import at_moment
 from farfield.frame import Cloud, Frame
-from farfield.timing.deskewing import PoseTrack
+from farfield.geometry.deskewing import PoseTrack
 
 START_NS = 1_000_000_000
 

@@ -9,15 +9,15 @@ from drive import frame as kradar_frame
 
 from farfield.cli import main
 from farfield.datasets import open_dataset
+from farfield.datasets.convert import box_rows
 from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.labels import BoxLabel, CsvLabels
-from farfield.detection import in_coordinates
+from farfield.datasets.result_files import ResultWriter
 from farfield.errors import ConfigError, FileFormatError
+from farfield.evaluation import in_coordinates
 from farfield.files.boxes_csv import parse_boxes_csv, read_boxes_csv, write_boxes_csv
 from farfield.frame import Annotation, Boxes
 from farfield.metrics.reading import read, read_predictions
-from farfield.recording.convert import box_rows
-from farfield.recording.results import ResultWriter
 from farfield.studio.showing.predictions import read_set
 from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 

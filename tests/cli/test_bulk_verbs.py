@@ -20,7 +20,7 @@ import psutil
 import pytest
 
 from farfield.files.videos import write_film
-from farfield.recording import record
+from farfield.simulation.recording import record
 
 pytest.importorskip("torch")
 pytest.importorskip("embreex")
@@ -133,7 +133,7 @@ def begin(name: str, data: Path, folder: Path, workers: int = 2) -> subprocess.P
 
 def workers_of(running: subprocess.Popen) -> list[psutil.Process]:
     with suppress(psutil.Error):
-        return [p for p in psutil.Process(running.pid).children() if "farfield.bulk.worker" in p.cmdline()]
+        return [p for p in psutil.Process(running.pid).children() if "farfield.jobs.worker" in p.cmdline()]
     return []
 
 

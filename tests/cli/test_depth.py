@@ -27,7 +27,7 @@ def hashes(folder: Path) -> dict[str, str]:
 
 
 def simulated(folder: Path) -> None:
-    from farfield.recording import record
+    from farfield.simulation.recording import record
 
     record("kitti-sim-mini", folder, frames=FRAMES, sequences=2, workers=1)
 

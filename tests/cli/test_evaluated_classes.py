@@ -64,7 +64,7 @@ def test_all_classes_and_their_mean_stand_in_line_json_and_page(
 
 def test_the_bar_goes_on_while_the_page_is_drawn(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from farfield.cli import evaluate
-    from farfield.reports import page
+    from farfield.pages import evaluation_page
 
     events: list[str] = []
 
@@ -74,7 +74,7 @@ def test_the_bar_goes_on_while_the_page_is_drawn(own: Path, tmp_path: Path, monk
             yield each
 
     monkeypatch.setattr(evaluate, "bar", counted)
-    monkeypatch.setattr(page, "frame_pictures", lambda *_: events.append("a frame's pictures") or [])
+    monkeypatch.setattr(evaluation_page, "frame_pictures", lambda *_: events.append("a frame's pictures") or [])
     words = ["evaluate", "pointpillars-cirrus-sim", str(own), "--out", str(tmp_path / "out"), "--replicates", "0"]
     assert main([*words, "--shown-frames", "2"]) == 0
     assert events == ["drawing", "a frame's pictures"] * 2

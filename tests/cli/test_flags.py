@@ -162,7 +162,9 @@ def test_evaluate_prints_the_table_that_score_prints(own: Path, tmp_path: Path, 
 def test_the_demo_says_how_long_it_takes(monkeypatch, tmp_path, capsys) -> None:
     from farfield.cli import demo
 
-    monkeypatch.setattr("farfield.recording.record", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        "farfield.simulation.recording.record", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     assert main(["demo", "--out", str(tmp_path / "d")]) == 130
     said = capsys.readouterr().out.splitlines()[0]
     assert "20 frames" in said

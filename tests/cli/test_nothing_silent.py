@@ -12,13 +12,13 @@ from farfield.api import open_dataset
 from farfield.cli import main
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import CloudFiles
+from farfield.datasets.convert import convert
 from farfield.datasets.folder import write_boxes
-from farfield.detection import detect, given
 from farfield.errors import ConfigError, DatasetError
+from farfield.evaluation import detect, given
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.inspection.doctor import examine
 from farfield.metrics.oddities import meant_by
-from farfield.recording.convert import convert
 
 CARS = np.array([[12.0, 0.0, -1.2], [25.0, 4.0, -1.2], [40.0, -5.0, -1.2]])
 
@@ -193,7 +193,7 @@ class TestPlaces:
         assert "track_id" not in path.read_text()
 
     def test_evaluations_of_two_detectors_stand_apart(self, tmp_path: Path) -> None:
-        from farfield.reports.evaluation import default_folder
+        from farfield.evaluation.record import default_folder
 
         first, other = open_dataset(own(tmp_path / "data")), open_dataset(own(tmp_path / "x" / "data", frames=1))
         runs = tmp_path / "runs"

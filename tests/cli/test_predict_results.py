@@ -156,7 +156,7 @@ def test_evaluate_has_the_same_flags_and_keeps_them(own, tmp_path, monkeypatch, 
         seen.update(detector=detector, data=data, **settings)
         raise ConfigError("far enough")
 
-    monkeypatch.setattr("farfield.reports.evaluating.evaluate_clouds", stop)
+    monkeypatch.setattr("farfield.evaluation.evaluating.evaluate_clouds", stop)
     flags = ["--score-threshold", "0.2", "--max-boxes", "7", "--nms-iou", "0.4", "--classes", "vehicle:car"]
     assert main(["evaluate", DETECTOR, str(own), *flags, "--device", "cpu", "--out", str(tmp_path)]) == 1
     assert "far enough" in capsys.readouterr().err

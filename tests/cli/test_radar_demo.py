@@ -12,7 +12,7 @@ pytest.importorskip("torch")
 
 from farfield.cli import demo, main
 from farfield.detectors.weights import bundled_weights
-from farfield.reports.evaluation import Evaluation
+from farfield.evaluation.record import Evaluation
 
 ROOT = Path(__file__).resolve().parents[2]
 WEIGHTS = ("rtnh-kradar-sim", "pointpillars-kradar-sim")
@@ -36,7 +36,7 @@ def test_it_says_first_how_long_it_takes(
 def test_the_demo_without_radar_stays_what_it_was(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("farfield.recording.record", interrupted)
+    monkeypatch.setattr("farfield.simulation.recording.record", interrupted)
     assert main(["demo", "--out", str(tmp_path / "d")]) == 130
     assert capsys.readouterr().out.startswith("20 frames of 4 roads: about 1 minute on two cores\n")
 

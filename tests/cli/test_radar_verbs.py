@@ -15,7 +15,7 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.maps import Coordinates
-from farfield.detection import as_trained
+from farfield.evaluation import as_trained
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import Bootstrap

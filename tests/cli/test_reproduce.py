@@ -9,7 +9,7 @@ pytest.importorskip("torch")
 from tinygrid import RUNS, tiny_grid
 
 from farfield.cli import main
-from farfield.experiments.reproduce import reproducing
+from farfield.papers import reproducing
 
 
 def test_what_cannot_be_is_refused_before_anything_is_done(

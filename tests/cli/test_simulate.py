@@ -15,8 +15,8 @@ import pytest
 
 from farfield.cli import main
 from farfield.datasets import open_dataset
-from farfield.recording.frames import JOURNAL_NAME
 from farfield.simulation import simulate_frame
+from farfield.simulation.recording.frames import JOURNAL_NAME
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -28,7 +28,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def still_there(out: Path) -> list[psutil.Process]:
     """Workers of a command that was killed, as long as they have not noticed."""
     workers = [process for process in psutil.process_iter(["cmdline", "cwd"]) if process.info["cwd"] == str(out)]
-    return [process for process in workers if "farfield.bulk.worker" in (process.info["cmdline"] or ())]
+    return [process for process in workers if "farfield.jobs.worker" in (process.info["cmdline"] or ())]
 
 
 @pytest.fixture(scope="module")
@@ -157,12 +157,12 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.bulk.folders import locked, sweep_out
+    from farfield.jobs.folders import locked, sweep_out
 
     (tmp_path / ".unfinished-1").mkdir()
     code = f"""
 import sys, pathlib
-from farfield.bulk.folders import locked
+from farfield.jobs.folders import locked
 with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
     print("held", flush=True)
     sys.stdin.read()
@@ -182,7 +182,7 @@ with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
 def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.bulk import folders
+    from farfield.jobs import folders
 
     def refuse(*_: object) -> None:
         raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")

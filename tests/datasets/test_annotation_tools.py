@@ -8,12 +8,12 @@ import pytest
 
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
+from farfield.datasets.convert import convert
 from farfield.datasets.labels.tool_labels import DatumaroLabels, OpenLabels
 from farfield.datasets.sustechpoints import SustechPoints
 from farfield.errors import FileFormatError
 from farfield.files.pcd import read_pcd
 from farfield.frame import Boxes
-from farfield.recording.convert import convert
 from farfield.testing import check_dataset
 
 

@@ -5,19 +5,19 @@ import numpy as np
 import pytest
 from street import street_frame
 
-from farfield.bulk import run
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path
+from farfield.datasets.convert import convert
 from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.store import JOURNAL_NAME
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.clouds import write_bin
 from farfield.frame import Boxes
+from farfield.jobs import run
 from farfield.metrics import reading
-from farfield.recording.convert import convert
 
 
 def test_cirrus_to_kitti_and_back_keeps_everything_that_kitti_holds(street_root, tmp_path):
@@ -136,7 +136,7 @@ def dying(work, units, bulk):
 
 
 def test_what_a_killed_worker_left_of_a_cache_is_swept_out(street_root, monkeypatch):
-    monkeypatch.setattr("farfield.recording.convert.run", dying)
+    monkeypatch.setattr("farfield.datasets.convert.run", dying)
     assert convert(open_dataset(street_root), to="cache").written == 3
     assert not list(street_root.rglob("*.part"))
 

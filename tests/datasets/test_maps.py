@@ -17,8 +17,8 @@ from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.radar_cloud import RadarView
 from farfield.datasets.maps import MAPS, Coordinates, Move, Sweeps, TransformedCloud, described, make, none_before
 from farfield.datasets.recipes import plain, recipe_of_experiment, replay
-from farfield.detection import as_trained
 from farfield.errors import ConfigError
+from farfield.evaluation import as_trained
 from farfield.files.clouds import write_bin
 from farfield.frame import Frame
 from farfield.geometry.poses import invert, pose_from_yaw

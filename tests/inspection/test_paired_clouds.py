@@ -8,7 +8,7 @@ from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
 from farfield.inspection.side import ComparedDataset, paired
-from farfield.reports.comparison import table_lines
+from farfield.pages.comparison import table_lines
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from drive import OS2_T_OS1, frame
 from farfield.cli import stats
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar.writer import KRadarWriter
+from farfield.figures.placement_plot import placement_figure
 from farfield.inspection.placement import RigPlacement, SensorPlacement, placement
-from farfield.reports.placement_plot import placement_figure
 
 
 def test_the_page_draws_the_sensors(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.errors import ConfigError, DatasetError
+from farfield.figures.radar_picture import radar_picture
 from farfield.inspection.radar_frame import RadarLook, look_at
+from farfield.pages.radar_page import caption, write_radar
 from farfield.radar.products import zyx_cube
-from farfield.reports.radar_page import caption, write_radar
-from farfield.reports.radar_picture import radar_picture
 
 
 @pytest.fixture(scope="module")

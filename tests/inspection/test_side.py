@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from street import write_street
 
-from farfield.bulk import JobOptions
 from farfield.datasets import open_dataset
 from farfield.inspection.side import has_sensors, shots_of, side_of
 from farfield.inspection.statistics.notes import notes_of
+from farfield.jobs import JobOptions
 
 
 def test_frames_are_spread_and_progress_sees_each(tmp_path: Path, rng: np.random.Generator) -> None:

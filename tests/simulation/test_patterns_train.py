@@ -10,7 +10,7 @@ pytest.importorskip("embreex")
 
 from farfield.api import load_detector, open_dataset
 from farfield.cli import main
-from farfield.detection import detect
+from farfield.evaluation import detect
 
 EXPERIMENT = """
 name: NAME

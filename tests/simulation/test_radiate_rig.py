@@ -11,10 +11,10 @@ pytest.importorskip("embreex")
 from farfield.datasets import open_dataset
 from farfield.datasets.radiate import CELL_M, Radiate
 from farfield.errors import ConfigError
-from farfield.recording import record
 from farfield.simulation import simulate_frame
 from farfield.simulation.radar.echoes import Scatterers
 from farfield.simulation.radar.turning import TurningRadar, in_sector, polar_picture
+from farfield.simulation.recording import record
 from farfield.simulation.rigs.drive import drive_of
 from farfield.simulation.rigs.radiate import RadiateMoment
 

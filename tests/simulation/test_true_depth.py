@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("embreex")
 
-from farfield.imaging.depth import depth_map
-from farfield.imaging.depth.frames import cloud_and_camera
+from farfield.depth import depth_map
+from farfield.depth.frames import cloud_and_camera
 from farfield.metrics.depth import depth_errors
 from farfield.simulation.camera.depth import true_depth
 from farfield.simulation.presets import find_preset

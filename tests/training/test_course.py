@@ -79,7 +79,7 @@ def test_the_next_command_runs_as_it_stands(experiment, tmp_path, capsys, monkey
         seen.update(detector=detector, data=data)
         raise ConfigError("far enough")
 
-    monkeypatch.setattr("farfield.reports.evaluating.evaluate_clouds", stop)
+    monkeypatch.setattr("farfield.evaluation.evaluating.evaluate_clouds", stop)
     assert main(command[1:]) == 1
     assert "far enough" in capsys.readouterr().err
     assert seen["detector"].name == "tiny"

@@ -27,7 +27,7 @@ from farfield.experiments.catalogue import shipped
 from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.geometry.points import count_points_in_boxes
-from farfield.recording import record
+from farfield.simulation.recording import record
 from farfield.training.augmentation import augment
 from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out
 from farfield.training.checkpoints import load_checkpoint
@@ -207,7 +207,7 @@ def test_experiment_round_trips_and_refuses_unknown_keys(experiment, tmp_path):
 def test_trained_sweeps_are_those_of_prediction(experiment, data, tmp_path):
     """The weights tell how many sweeps they were trained on; prediction stacks as many."""
     from farfield.api import load_detector
-    from farfield.detection import as_trained
+    from farfield.evaluation import as_trained
     from farfield.experiments.plan import Plan
 
     settings = ["training.steps=1", "data.sweeps=3", "detector.use_lag=true"]

@@ -13,9 +13,9 @@ torch = pytest.importorskip("torch")
 
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import CommonRadar
-from farfield.detection import detect
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights
+from farfield.evaluation import detect
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.training.method import LABELLED

@@ -17,11 +17,11 @@ from farfield.detectors.inputs import CloudInput
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.experiments.plan import Plan
-from farfield.experiments.reproduce.grid import load_grid
-from farfield.experiments.reproduce.jobs import DataLocations, jobs_of
-from farfield.experiments.reproduce.places import places_of
 from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
+from farfield.papers.grid import load_grid
+from farfield.papers.jobs import DataLocations, jobs_of
+from farfield.papers.places import places_of
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.laid import OverlaidWeather
 from farfield.training.config import AugmentationConfig, WeatherConfig
@@ -189,7 +189,7 @@ def test_without_intensity_all_points_count_as_of_one_reflectance(rng):
 
 
 def test_a_grids_run_in_weather_is_known_by_the_simulators_code_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from farfield.experiments.reproduce import jobs
+    from farfield.papers import jobs
 
     grid = load_grid(GRID)
     asked: list[tuple[str, ...]] = []

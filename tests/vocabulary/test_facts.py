@@ -107,7 +107,7 @@ def test_the_two_scan_patterns_are_named_once() -> None:
         "vocabulary/patterns.py:PATTERNS",
         "datasets/cirrus/layout.py:KINDS",
         "datasets/cirrus/writer.py:_EXTRA_COLUMNS",
-        "recording/frames.py:_BYTES_PER_SHOT",
+        "simulation/recording/frames.py:_BYTES_PER_SHOT",
         "simulation/raw/clocks.py:KINDS",
     }
 

@@ -13,7 +13,7 @@ from farfield.calibration.depth_jumps import LidarEdges, lidar_edges
 from farfield.datasets.base import Dataset
 from farfield.frame import Frame
 from farfield.frame.cloud import Cloud
-from farfield.timing.deskewing import PoseTrack, deskew
+from farfield.geometry.deskewing import PoseTrack, deskew
 
 _COLUMNS = ("offset_ns", "time_ns")  # since the frame's time
 _NEIGHBOUR_NS = 300_000_000

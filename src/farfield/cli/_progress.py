@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from farfield.bulk import JobOptions
+    from farfield.jobs import JobOptions
 
 T = TypeVar("T")
 
@@ -30,6 +30,6 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
 
 def hands(workers: int, engine: str, what: str) -> "JobOptions":
     """How a verb does its units: ``--workers``, ``--engine``, and one bar over all workers that is named ``what``."""
-    from farfield.bulk import JobOptions
+    from farfield.jobs import JobOptions
 
     return JobOptions(workers=workers, engine=engine, progress=partial(bar, what=what, transient=True))

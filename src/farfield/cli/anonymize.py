@@ -50,9 +50,9 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
-    from farfield.imaging.privacy import AnonymizeOptions, anonymise, check_apart
-    from farfield.imaging.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
-    from farfield.reports.privacy_page import write_privacy_page
+    from farfield.pages.privacy_page import write_privacy_page
+    from farfield.privacy import AnonymizeOptions, anonymise, check_apart
+    from farfield.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
 
     named = [tuple(pair.split(":")) for pair in stereo]
     if any(len(pair) != 2 for pair in named):

@@ -160,8 +160,8 @@ def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | N
     from farfield.calibration.jobs import radar_job, radar_start
     from farfield.calibration.places import save_radar_where_read
     from farfield.calibration.saving import save_radar
+    from farfield.figures.calibration_pictures import radar_picture
     from farfield.files.images import write_image
-    from farfield.reports.calibration_pictures import radar_picture
 
     x, y, yaw, offset = start
     turn = None if yaw is None else math.radians(yaw)
@@ -190,9 +190,9 @@ def _camera(
     from farfield.calibration.jobs import camera_job, read_pairs
     from farfield.calibration.pairs import calibrate_pairs
     from farfield.errors import ConfigError
+    from farfield.figures.calibrated_boxes import boxes_picture
+    from farfield.figures.calibration_pictures import camera_picture
     from farfield.files.images import write_image
-    from farfield.reports.calibrated_boxes import boxes_picture
-    from farfield.reports.calibration_pictures import camera_picture
 
     index, chosen = _pictured(data, indices, name, uncalibrated=beginning.given)
     first = data[index]

@@ -14,7 +14,7 @@ from farfield.cli._words import pairs_of, read_json, write_json
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.inspection.side import ComparedDataset
-    from farfield.reports.comparison import ComparisonLine
+    from farfield.pages.comparison import ComparisonLine
 
 _UNASKED = " (--clouds A:B sets others side by side)"
 
@@ -63,7 +63,7 @@ def run(
     """
     from farfield.errors import ConfigError
     from farfield.inspection.side import paired, side_of
-    from farfield.reports.comparison import table_lines, write_comparison
+    from farfield.pages.comparison import table_lines, write_comparison
 
     if frames < 0:
         raise ConfigError(f"--frames: expected 0 (all) or more, got {frames}")

@@ -73,10 +73,10 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
+    from farfield.datasets.convert import check_apart, convert
+    from farfield.datasets.convert import verify as verify_all
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError, DatasetError
-    from farfield.recording.convert import check_apart, convert
-    from farfield.recording.convert import verify as verify_all
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
     options |= {"roots": roots} if roots else {}

@@ -79,7 +79,7 @@ def _frames_by_weather(sequences: int, frames: int) -> str:
 
 def _with_lidar(out: Path, sequences: int, frames: int, seed: int) -> int:
     from farfield.cli import doctor, evaluate
-    from farfield.recording import record
+    from farfield.simulation.recording import record
 
     began = time.monotonic()
     data = out / f"simulated-{seed}-{sequences}x{frames}"
@@ -97,8 +97,8 @@ def _with_lidar(out: Path, sequences: int, frames: int, seed: int) -> int:
 
 def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
     from farfield.api import load_detector, open_dataset
-    from farfield.recording import record
-    from farfield.reports.weathers import evaluate_weathers, weather_table, write_weathers
+    from farfield.pages.weathers import evaluate_weathers, weather_table, write_weathers
+    from farfield.simulation.recording import record
 
     began, each = time.monotonic(), frames // len(_WEATHERS)
     detectors = [load_detector(name) for name in (_RADAR, _LIDAR)]  # what is missing is told before the work

@@ -63,7 +63,7 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
-    from farfield.imaging.depth.writing import DepthSettings, write_depth_maps
+    from farfield.depth.writing import DepthSettings, write_depth_maps
 
     options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
     options |= {"roots": roots} if roots else {}
@@ -78,7 +78,7 @@ def run(
         max_gap_deg=max_gap_deg,
     )
     if picture is not None:
-        from farfield.reports.trails import check_picture
+        from farfield.figures.trails import check_picture
 
         check_picture(picture)
     if dry_run:
@@ -112,8 +112,8 @@ def _said(written: int, skipped: int, summary: dict[str, Any]) -> str:
 
 
 def _draw(frame: Any, settings: Any, picture: Path) -> None:
-    from farfield.imaging.depth import frame_depth
-    from farfield.reports.depth_picture import write_depth_picture
+    from farfield.depth import frame_depth
+    from farfield.figures.depth_picture import write_depth_picture
 
     made = frame_depth(
         frame,

@@ -94,15 +94,15 @@ def run(
             prints it.
     """
     from farfield.api import load_detector, open_dataset
-    from farfield.detection import as_trained, suitable_clouds
+    from farfield.evaluation import as_trained, suitable_clouds
+    from farfield.evaluation.evaluating import evaluate_clouds
+    from farfield.evaluation.record import default_folder
+    from farfield.figures.lines import classes_of
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
     from farfield.metrics.result import figure_names, value_at
-    from farfield.reports.evaluating import evaluate_clouds
-    from farfield.reports.evaluation import default_folder
-    from farfield.reports.lines import classes_of
-    from farfield.reports.page import write_report
+    from farfield.pages.evaluation_page import write_report
 
     epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
     reading: dict[str, Any] = {"mapping": mapping} if mapping else {}

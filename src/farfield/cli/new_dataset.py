@@ -19,7 +19,7 @@ def run(folder: Positional[Path], *, seed: int = 0) -> None:
         folder: Where to write; absent or empty.
         seed: Another seed draws other points.
     """
-    from farfield.recording.example import write_example
+    from farfield.datasets.example import write_example
 
     files = write_example(folder, seed=seed)
     print("\n".join(str(path) for path in files))

@@ -61,11 +61,11 @@ def run(
     from farfield.cli._progress import hands
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
-    from farfield.reports.odometry_page import write_odometry
-    from farfield.reports.trails import check_picture
-    from farfield.timing.odometry import OdometrySettings
-    from farfield.timing.odometry_runs import odometry
-    from farfield.timing.odometry_sweeps import SweepSettings
+    from farfield.figures.trails import check_picture
+    from farfield.odometry.odometry import OdometrySettings
+    from farfield.odometry.runs import odometry
+    from farfield.odometry.sweeps import SweepSettings
+    from farfield.pages.odometry_page import write_odometry
 
     if picture is not None:
         check_picture(picture)

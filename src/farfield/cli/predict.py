@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from farfield.datasets import Dataset
     from farfield.datasets.cloud_files import CloudFiles
-    from farfield.detection import FrameDetections
+    from farfield.evaluation import FrameDetections
     from farfield.frame import Boxes, Frame, Key
 
 _WORDS = {"boxes-csv": "", "kitti": " as KITTI's results", "nuscenes": " as nuScenes' results"}
@@ -75,12 +75,12 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.api import load_detector
-    from farfield.bulk.folders import sweep_out_file
-    from farfield.detection import search, suitable_clouds
+    from farfield.datasets.convert import check_apart
+    from farfield.datasets.result_files import ResultWriter, result_format, rows_of
     from farfield.errors import ConfigError
+    from farfield.evaluation import search, suitable_clouds
     from farfield.files.boxes_csv import format_boxes_csv_parts
-    from farfield.recording.convert import check_apart
-    from farfield.recording.results import ResultWriter, result_format, rows_of
+    from farfield.jobs.folders import sweep_out_file
 
     chosen_format = result_format(out, format)
     frames = _frames(files, rotate_deg, columns)
@@ -127,8 +127,8 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
     """The frame from above, and each camera's image with the boxes projected into it, beside one another as files."""
     from farfield.api import show
     from farfield.datasets.labels.tool_labels import file_name
-    from farfield.reports.camera import camera_picture
-    from farfield.reports.objects import shown_of
+    from farfield.evaluation.objects import shown_of
+    from farfield.figures.camera import camera_picture
     from farfield.vocabulary.scores import SHOWN_SCORE
 
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -52,7 +52,7 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.inspection.radar_frame import look_at
-    from farfield.reports.radar_page import write_radar
+    from farfield.pages.radar_page import write_radar
 
     if not 0 < false_alarm < 1:
         raise ConfigError(f"--false-alarm: expected a probability between 0 and 1, got {false_alarm:g}")

@@ -59,9 +59,9 @@ def run(
         boxes = None if predictions is None else (predictions, format)
         return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), (workers, engine))
     from farfield.errors import ConfigError
+    from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
-    from farfield.reports.evaluation import EVALUATION, Evaluation
-    from farfield.reports.page import write_report
+    from farfield.pages.evaluation_page import write_report
 
     if not evaluation.exists():
         raise ConfigError(f"evaluation: expected a folder or a JSON file, found nothing at {evaluation}")
@@ -87,9 +87,9 @@ def _film(
 ) -> int:
     from farfield.cli._progress import hands as bulk
     from farfield.datasets import open_dataset
-    from farfield.detection import in_coordinates
+    from farfield.evaluation import in_coordinates
     from farfield.metrics.reading import read_predictions
-    from farfield.reports.film import FilmSettings, drive_named, make_film
+    from farfield.pages.film import FilmSettings, drive_named, make_film
 
     given = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
     data = in_coordinates(open_dataset(root), "" if given is None else given.reference)

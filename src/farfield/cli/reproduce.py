@@ -59,7 +59,7 @@ def run(
         out: Folder; runs/reproduce-PAPER-BUDGET unless given.
         dry_run: Say what would be written, and write nothing; what it costs is measured, by --plan.
     """
-    from farfield.experiments.reproduce import Reproduction, described
+    from farfield.papers import Reproduction, described
 
     if transfer or seeds is not None:
         wanted = out or Path("runs") / "reproduce-kradar-transfer"
@@ -104,7 +104,7 @@ def _transfer(
     dry_run: bool,
 ) -> int:
     """K-Radar's table of transfer."""
-    from farfield.experiments.reproduce.transfer import TransferExperiment, load_table, outline, runs_of
+    from farfield.papers.transfer import TransferExperiment, load_table, outline, runs_of
 
     if paper != "kradar":
         raise ConfigError("--transfer and --seeds: expected the paper kradar, whose appendix G they put to the test")

@@ -136,7 +136,7 @@ def _read(predictions: Path, labels: Path, format: str, reference: str) -> "Dete
     if format != "boxes-csv" or not labels.is_dir() or recognise(labels) is None:
         return read(predictions, labels, format=format, reference=reference)
     from farfield.datasets import open_dataset
-    from farfield.detection import against
+    from farfield.evaluation import against
 
     return against(read_predictions(predictions, reference=reference), open_dataset(labels))
 

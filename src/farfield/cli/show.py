@@ -46,8 +46,8 @@ def run(
         out: The PNG; runs/show-DATA-NUMBER.png unless given.
     """
     from farfield.api import load_detector
-    from farfield.detection import as_trained, suitable_clouds
     from farfield.errors import ConfigError
+    from farfield.evaluation import as_trained, suitable_clouds
     from farfield.frame.provenance import is_simulated
 
     opened, predicted = _opened(data, columns, radar=radar), None
@@ -69,9 +69,9 @@ def run(
 
 
 def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | None, least: float | None) -> "Figure":
-    from farfield.reports.figures import birdseye
-    from farfield.reports.objects import shown_of
-    from farfield.reports.radar_map import radar_map
+    from farfield.evaluation.objects import shown_of
+    from farfield.figures.birds_eye import birdseye
+    from farfield.figures.radar_map import radar_map
     from farfield.vocabulary.scores import SHOWN_SCORE
 
     shown_score = SHOWN_SCORE if least is None else least

@@ -78,7 +78,7 @@ def run(
             raise ConfigError(
                 "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
             )
-        from farfield.recording.raw import record_streams
+        from farfield.simulation.recording.raw import record_streams
 
         record_streams(
             preset,
@@ -97,7 +97,7 @@ def run(
             report=print,
         )
         return 0
-    from farfield.recording import record
+    from farfield.simulation.recording import record
 
     recorded = record(
         preset,

@@ -11,7 +11,7 @@ from farfield.cli._words import read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
-    from farfield.reports.statistics import DatasetFigures
+    from farfield.pages.statistics import DatasetFigures
 
 
 def run(
@@ -56,7 +56,7 @@ def run(
     """
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
-    from farfield.reports.statistics import write_statistics
+    from farfield.pages.statistics import write_statistics
 
     if sweeps < 0:
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
@@ -78,7 +78,7 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: in
     from farfield.inspection.side import has_sensors, side_of
     from farfield.inspection.statistics.census import take_census
     from farfield.inspection.statistics.notes import notes_of
-    from farfield.reports.statistics import DatasetFigures
+    from farfield.pages.statistics import DatasetFigures
 
     census = take_census(dataset, hands(workers, engine, "annotations"))
     sensors = None
@@ -101,7 +101,7 @@ def _print(found: "DatasetFigures") -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from farfield.reports.statistics import tables
+    from farfield.pages.statistics import tables
 
     census, console = found.census, Console(width=None if sys.stdout.isatty() else 160)
     annotated = f"{census['annotated_frames']:,} annotated, {census['empty_frames']:,} of them empty"

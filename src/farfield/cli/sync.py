@@ -41,9 +41,9 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
-    from farfield.reports.sync_writing import write_synchronised
-    from farfield.timing.sources import recordings
-    from farfield.timing.synchronising import describe, reference_of
+    from farfield.pages.sync_writing import write_synchronised
+    from farfield.sync.sources import recordings
+    from farfield.sync.synchronising import describe, reference_of
 
     if tolerance_ms is not None and not 0 <= tolerance_ms < 1e9:
         raise ConfigError(f"--tolerance-ms: expected 0 or more milliseconds, got {tolerance_ms:g}")

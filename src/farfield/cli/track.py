@@ -66,10 +66,10 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.datasets import open_dataset
-    from farfield.detection import in_coordinates
     from farfield.errors import ConfigError
+    from farfield.evaluation import in_coordinates
+    from farfield.figures.trails import check_picture, write_trails
     from farfield.metrics.reading import read_predictions
-    from farfield.reports.trails import check_picture, write_trails
     from farfield.tracking import joined, joining_of, track, with_options
     from farfield.tracking import preset as preset_of
     from farfield.tracking.placing import with_drives

@@ -149,7 +149,7 @@ class Detector:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: where it looks, and for what."""
-        return str(named("farfield.reports.notebook:detector_html")(self))
+        return str(named("farfield.figures.notebook:detector_html")(self))
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from farfield.experiments.announcing import lines_of
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
-from farfield.recording import ensure
+from farfield.simulation.recording import ensure
 from farfield.training.freezing import frozen_names, frozen_now
 from farfield.training.launching import launch
 from farfield.training.loop import CHECKPOINT_NAME, Training

@@ -23,7 +23,7 @@ from farfield.detectors.renaming import renamed, today
 from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
 from farfield.experiments.shape import hint, keys_of, merged
-from farfield.recording import SimulationConfig
+from farfield.simulation.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
 if TYPE_CHECKING:

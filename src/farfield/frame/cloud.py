@@ -101,7 +101,7 @@ class Cloud:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the cloud from above."""
-        return str(named("farfield.reports.notebook:cloud_html")(self))
+        return str(named("farfield.figures.notebook:cloud_html")(self))
 
     def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "Cloud":
         intensity = None if self.intensity is None else self.intensity[index]

@@ -160,7 +160,7 @@ class Frame:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the frame from above, with its boxes."""
-        return str(named("farfield.reports.notebook:frame_html")(self))
+        return str(named("farfield.figures.notebook:frame_html")(self))
 
     @property
     def key(self) -> Key:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from farfield.errors import ConfigError
-from farfield.geometry.box_tables import columns_of, fields_of, read_fields, rows_of, write_fields
+from farfield.files.box_tables import columns_of, fields_of, read_fields, rows_of, write_fields
 from farfield.registry import named
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
@@ -160,7 +160,7 @@ class Boxes:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the boxes from above, and a table of the first."""
-        return str(named("farfield.reports.notebook:boxes_html")(self))
+        return str(named("farfield.figures.notebook:boxes_html")(self))
 
     @classmethod
     def from_csv(cls, path: Path | str, *, frame: str | None = None, sequence: str | None = None) -> "Boxes":

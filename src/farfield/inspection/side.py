@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.inspection.statistics import Statistics
+from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
 

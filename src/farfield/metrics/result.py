@@ -55,7 +55,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the table, and the curves."""
-        return str(named("farfield.reports.notebook:result_html")(self))
+        return str(named("farfield.figures.notebook:result_html")(self))
 
     def __str__(self) -> str:
         rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets import Dataset
-from farfield.detection import detect
 from farfield.detectors.contract import Network
 from farfield.detectors.runtime import Detector
 from farfield.errors import ConfigError
+from farfield.evaluation import detect
 from farfield.files.atomic import write_text
 from farfield.frame import Annotation
 from farfield.metrics import Bootstrap

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from drive import frame
 
-from farfield.bulk import JobOptions, Outcome
 from farfield.cli import main
 from farfield.datasets import open_dataset
+from farfield.datasets.convert import convert
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.manifest import PUBLISHED_BYTES, TASKS, modalities, needs
 from farfield.datasets.kradar.store import StoreSettings, convert_to_store, verify_store
 from farfield.datasets.kradar.tesseract import read_moments, read_polar3d, read_products
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.mat import write_mat
+from farfield.jobs import JobOptions, Outcome
 from farfield.radar.axes import KRADAR_AXES
 from farfield.radar.products import doppler_cube, moments, polar3d, sparse_cloud, zyx_cube
-from farfield.recording.convert import convert
 
 NARROW = StoreSettings(region="narrow")
 

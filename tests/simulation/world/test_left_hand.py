@@ -9,8 +9,8 @@ pytest.importorskip("embreex")
 
 from farfield.datasets import open_dataset
 from farfield.errors import ConfigError
-from farfield.recording import record
 from farfield.simulation import find_preset
+from farfield.simulation.recording import record
 from farfield.simulation.world.scene import ROADS, WorldScene
 
 WITHOUT_LANES = {"parking_lot"}

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FarfieldError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Boxes
+from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, normalised_class
 
 _NUMBER = r"(-?\d{1,5}(?:\.\d{1,20})?(?:e-\d{1,2})?)"

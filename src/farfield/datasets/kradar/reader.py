@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.bulk import HERE, JobOptions
 from farfield.datasets.base import Dataset
 from farfield.datasets.drives import Indices, Poses, all_known, all_poses
 from farfield.datasets.kradar.index import FileIndex, KRadarFiles, find_sequences, index_sequence, radar_geometry
@@ -49,6 +48,7 @@ from farfield.datasets.kradar.video import dash_image
 from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Camera, Constant, Frame, Key, Lazy, Sensor, camera_sensor
+from farfield.jobs import HERE, JobOptions
 
 _USUAL_VIEW = RadarView()
 MOMENTS = "moments"

@@ -10,7 +10,6 @@ from typing import cast
 
 import numpy as np
 
-from farfield.bulk import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.layout import product_path
 from farfield.datasets.kradar.manifest import MANIFEST_NAME, write_manifest
@@ -18,6 +17,7 @@ from farfield.datasets.kradar.products import read_radar, write_radar
 from farfield.datasets.kradar.tesseract import read_moments
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.radar_cells import write_radar_cells
+from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.radar.axes import POWER_UNIT
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import Moments, doppler_cube, polar3d_from_moments, zyx_cube

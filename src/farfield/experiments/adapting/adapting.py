@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from farfield.bulk import JobOptions
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
 from farfield.experiments.adapting.job import PAGE, SCORES, WEIGHTS, AdaptationJob, AdaptationResult
 from farfield.experiments.adapting.settings import SETTLED, choices_of
 from farfield.experiments.adapting.source import FOLDER
+from farfield.jobs import JobOptions
 from farfield.training.report import TrainingReport
 
 _OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")

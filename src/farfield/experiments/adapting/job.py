@@ -10,13 +10,12 @@ from typing import Any
 from farfield.adaptation.pseudo import check_ignores
 from farfield.adaptation.signs import signs_of
 from farfield.adaptation.thresholds import thresholds_of
-from farfield.bulk import JobOptions
 from farfield.datasets import Dataset
 from farfield.datasets.maps import WholeBodies
-from farfield.detection import as_trained, detect, suitable_clouds
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
+from farfield.evaluation import as_trained, detect, suitable_clouds
 from farfield.experiments.adapting.held import HeldOutFrames, held_frames, held_scores
 from farfield.experiments.adapting.page import page_of
 from farfield.experiments.adapting.rounds import (
@@ -39,10 +38,11 @@ from farfield.experiments.adapting.source import FOLDER, TrainingHistory, learnt
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
+from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
-from farfield.recording.frames import bytes_needed
-from farfield.recording.wanted import planned
-from farfield.reports.adapted_scores import HeldScores
+from farfield.pages.adapted_scores import HeldScores
+from farfield.simulation.recording.frames import bytes_needed
+from farfield.simulation.recording.wanted import planned
 from farfield.training.report import TrainingReport
 
 WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"

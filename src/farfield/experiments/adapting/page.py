@@ -13,8 +13,8 @@ from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.detections import Detections
-from farfield.reports.adapted import AdaptedPage, PseudoLabelFrame, write_adapted
-from farfield.reports.adapted_scores import HeldScores
+from farfield.pages.adapted import AdaptedPage, PseudoLabelFrame, write_adapted
+from farfield.pages.adapted_scores import HeldScores
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector

@@ -5,16 +5,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from farfield.bulk.runs import Progress
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import WholeBodies
 from farfield.datasets.recipes import recipe_of_experiment
-from farfield.detection import as_trained, suitable_clouds
 from farfield.errors import ConfigError
+from farfield.evaluation import as_trained, suitable_clouds
 from farfield.experiments.adapting.settings import spread
 from farfield.experiments.plan import annotated_frames
 from farfield.experiments.schema import DataConfig
-from farfield.recording import SimulationConfig, ensure
+from farfield.jobs.runs import Progress
+from farfield.simulation.recording import SimulationConfig, ensure
 from farfield.training.config import AugmentationConfig
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from farfield.bulk import HERE, JobOptions
 from farfield.datasets.base import Dataset
 from farfield.inspection.doctor import content, conventions, inventory, upright
 from farfield.inspection.doctor.calibration import calibration as check_calibration
@@ -10,6 +9,7 @@ from farfield.inspection.doctor.findings import DoctorReport, Finding
 from farfield.inspection.doctor.kradar import kradar
 from farfield.inspection.doctor.stamps import stamps
 from farfield.inspection.doctor.survey import survey
+from farfield.jobs import HERE, JobOptions
 
 __all__ = ["DoctorReport", "Finding", "examine"]
 

@@ -10,7 +10,7 @@ from jaxtyping import Int64
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.findings import Finding, counted
 from farfield.inspection.doctor.survey import Survey
-from farfield.timing.stamps import StreamStats, health
+from farfield.sync.stamps import StreamStats, health
 
 FEWEST = 5
 """A sensor's step is judged where so many of its stamps follow each other."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud, Frame
+from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 
 _BLOCK = 10  # frames that a worker reads at a time
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from farfield.bulk import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
+from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN
 
 _BLOCK = 50  # frames that a worker reads at a time

@@ -4,6 +4,13 @@ import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
+from farfield.annotation.box_edits import MADE, add_box
+from farfield.annotation.checking import CheckSettings, DetectorBox, SizeRange, size_ranges
+from farfield.annotation.findings import all_findings, findings, settings_of
+from farfield.annotation.history import REDO, UNDO
+from farfield.annotation.schema import Extent
+from farfield.annotation.store import Author, EditResult, Store
+from farfield.annotation.track_edits import fill, propagate_track
 from farfield.datasets.edits import CellEdit, Record
 from farfield.datasets.labels import BoxLabel
 from farfield.errors import FarfieldError
@@ -16,13 +23,6 @@ from farfield.studio.annotating.opening import open_store
 from farfield.studio.annotating.planning import plan_of, row_in_drive
 from farfield.studio.annotating.presenting import Presenter
 from farfield.studio.annotating.saves import FORMATS, place_of
-from farfield.studio.editing.box_edits import MADE, add_box
-from farfield.studio.editing.checking import CheckSettings, DetectorBox, SizeRange, size_ranges
-from farfield.studio.editing.findings import all_findings, findings, settings_of
-from farfield.studio.editing.history import REDO, UNDO
-from farfield.studio.editing.schema import Extent
-from farfield.studio.editing.store import Author, EditResult, Store
-from farfield.studio.editing.track_edits import fill, propagate_track
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxRow, CheckRow, ClassSpec, PlacedRow, RemovedRow, TrackRow
 from farfield.studio.settings import StudioSettings

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from farfield.annotation.checking import Surroundings
+from farfield.annotation.checking.scene import in_box_axes
 from farfield.frame import Frame
 from farfield.geometry.points import BOX_MARGIN_M
-from farfield.studio.editing.checking import Surroundings
-from farfield.studio.editing.checking.scene import in_box_axes
 from farfield.studio.showing.cache import Cache
 
 _FRAMES = 6

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from farfield.annotation.fitting import BoxFit, Prior, fit_click, fit_drag, fit_radar_peak, prior_of, refit
+from farfield.annotation.fitting.gestures import fit_rectangle
+from farfield.annotation.motion import RefitBox, TrackFrame, from_world, to_world
+from farfield.annotation.store import Store
 from farfield.datasets.edits import track_cell
 from farfield.errors import ConfigError
 from farfield.frame import Frame, Key
 from farfield.geometry.poses import invert
 from farfield.studio.annotating.counting import cloud_name
 from farfield.studio.annotating.numbering import TrackNumbers
-from farfield.studio.editing.motion import RefitBox, TrackFrame, from_world, to_world
-from farfield.studio.editing.store import Store
-from farfield.studio.fitting import BoxFit, Prior, fit_click, fit_drag, fit_radar_peak, prior_of, refit
-from farfield.studio.fitting.gestures import fit_rectangle
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Candidate, Fitted
 from farfield.studio.showing.classes import our_class

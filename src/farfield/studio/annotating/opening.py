@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from farfield.annotation.box_edits import LARGEST_M
+from farfield.annotation.schema import AttributeSettings, ClassSettings, Extent, Schema, Size, fastest
+from farfield.annotation.store import Store
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.edits.places import user_folder
@@ -14,9 +17,6 @@ from farfield.datasets.labels.choosing import label_files_in, label_format
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Key
-from farfield.studio.editing.box_edits import LARGEST_M
-from farfield.studio.editing.schema import AttributeSettings, ClassSettings, Extent, Schema, Size, fastest
-from farfield.studio.editing.store import Store
 from farfield.studio.messages.rows import ClassSpec
 from farfield.studio.settings import StudioSettings
 from farfield.studio.showing.classes import annotated_classes, shown_classes

@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.errors import RefusedError
+from farfield.annotation.store import Store
+from farfield.annotation.track_edits import interpolate_track, merge_tracks, set_track, split_track
 from farfield.datasets.edits import CellEdit
 from farfield.studio.annotating.numbering import TrackNumbers
-from farfield.studio.editing.box_edits import add_box, delete_box, set_box
-from farfield.studio.editing.errors import RefusedError
-from farfield.studio.editing.store import Store
-from farfield.studio.editing.track_edits import interpolate_track, merge_tracks, set_track, split_track
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxValue
 

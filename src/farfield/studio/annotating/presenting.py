@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from farfield.annotation.checking import LabelIssue
+from farfield.annotation.store import Store, StoredBox
 from farfield.datasets.edits import track_cell
 from farfield.frame import Key
 from farfield.studio.annotating.counting import SortedPoints
 from farfield.studio.annotating.numbering import TrackNumbers
-from farfield.studio.editing.checking import LabelIssue
-from farfield.studio.editing.store import Store, StoredBox
 from farfield.studio.messages.rows import BoxRow, CheckRow, TrackRow
 
 

@@ -5,10 +5,10 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
+from farfield.annotation.saving import export_labels, save_copy, save_in_place, save_place
+from farfield.annotation.store import Author, Store
 from farfield.datasets.labels.choosing import label_files_in
 from farfield.errors import ConfigError
-from farfield.studio.editing.saving import export_labels, save_copy, save_in_place, save_place
-from farfield.studio.editing.store import Author, Store
 from farfield.studio.settings import StudioSettings
 
 FORMATS = ("boxes-csv", "openlabel", "sustechpoints", "cvat")

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Callable
 from typing import IO, Any
 
-from farfield.bulk.messages import receive, send
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
+from farfield.jobs.messages import receive, send
 
 Load = Callable[[str], Callable[[Frame], Boxes]]
 
@@ -35,7 +35,7 @@ def work(source: IO[bytes], target: IO[bytes]) -> None:
 
 
 def _answer(data: Dataset, loader: Load, loaded: dict[str, Any], name: str, index: int) -> tuple[str, Any]:
-    from farfield.detection import search
+    from farfield.evaluation import search
 
     try:
         if name not in loaded:

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from farfield.annotation import notes, undoing
+from farfield.annotation.errors import ConflictError
+from farfield.annotation.history import REDO, UNDO
+from farfield.annotation.store import Author, EditResult
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Boxes
 from farfield.studio.annotating.annotation import AnnotationService
 from farfield.studio.annotating.saves import save as save_labels
-from farfield.studio.editing import notes, undoing
-from farfield.studio.editing.errors import ConflictError
-from farfield.studio.editing.history import REDO, UNDO
-from farfield.studio.editing.store import Author, EditResult
 from farfield.studio.inferring.jobs import InferJob
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Ack, Changed, Checks, Conflict, Failure, PolicyIs, Saved

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from farfield.annotation.fitting.radar_snap import peak_near
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE
 from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
-from farfield.studio.fitting.radar_snap import peak_near
 from farfield.studio.messages.rows import Grid, LayerKind, Polar
 from farfield.vocabulary.kradar import REGIONS_M
 

@@ -1,0 +1,132 @@
+"""Where an object cannot be: rays that ended behind it passed through free space.
+
+A point that was hit says that the object reaches at least so far; a ray that went past, at the height of the body,
+says that it reaches no farther. An end of the object with both is known, whichever side of it looks at the sensor; one
+without rays beyond it is hidden, by the object itself or by what stands in front.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.annotation.fitting.anchoring import axes
+from farfield.annotation.fitting.contract import Prior
+from farfield.annotation.fitting.ground import Ground
+
+_LOW_M, _HIGH_M = 0.3, 0.8  # over the ground: above the sills, below the bonnet
+_SHORT_M = 0.15  # a ray is free up to so much before its end
+_INNER_M = 0.4  # bodies are rounded: so much of the sides is left out
+_CORNER_M, _THIN_M = 0.2, 0.4
+_SECTOR_M = 3.0  # beside the object, what rays are looked at
+_WITHIN_M = 0.1  # a ray that begins so much inside the outermost point still passes it
+_PASSED, _SHARE = 8, 0.15
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ends:
+    """How far an object was seen along its two axes, from the sensor, and how far beyond that rays passed.
+
+    Args:
+        hit_m: Lowest and highest coordinate of its points along each axis, shape (2, 2): axis, end.
+        gap_m: From there to the nearest ray that passed beyond, shape (2, 2); infinite where none did.
+    """
+
+    hit_m: Float[np.ndarray, "2 2"]
+    gap_m: Float[np.ndarray, "2 2"]
+
+
+def ends_of(
+    points_m: Float[np.ndarray, "n 3"],
+    held_m: Float[np.ndarray, "k 3"],
+    rectangle: Float[np.ndarray, " 5"],
+    ground: Ground,
+    prior: Prior,
+) -> Ends:
+    """What hits and passing rays say of an object's ends.
+
+    Args:
+        points_m: All points of the frame.
+        held_m: The object's own, at least one.
+        rectangle: About where it is: x, y, length, width, yaw.
+        ground: The ground about it.
+        prior: Where the sensor stands.
+    """
+    turn, ego = axes(float(rectangle[4])), np.array([*prior.ego_m, prior.ego_z_m or 0.0])
+    own = (held_m[:, :2] - ego[:2]) @ turn.T
+    hit = np.stack([own.min(axis=0), own.max(axis=0)], axis=1)
+    middle = turn @ (rectangle[:2] - ego[:2])
+    half = rectangle[2:4] / 2
+    if prior.ego_z_m is None:
+        return Ends(hit_m=hit, gap_m=np.full((2, 2), np.inf))
+    ends, drop = _rays(points_m, ego, rectangle, turn)
+    height = ego[2] - ground.z_m(float(rectangle[0]), float(rectangle[1]))
+    low, high = _between(np.full(len(drop), height), drop, _LOW_M, _HIGH_M)
+    high = np.minimum(high, 1 - _SHORT_M / np.maximum(np.hypot(*ends.T), _SHORT_M))
+    low = np.maximum(low, 0.0)
+    gap = np.full((2, 2), np.inf)
+    inner = max(half[1] - _INNER_M, _THIN_M / 2)
+    bands = ((middle[1] - inner, middle[1] + inner), _lengthwise(hit[0]))
+    for axis, band in enumerate(bands):
+        first, last = _between(np.zeros(len(ends)), ends[:, 1 - axis], *band)
+        first, last = np.maximum(first, low), np.minimum(last, high)
+        free = first < last
+        stretch = np.sort(np.stack([first, last])[:, free] * ends[free, axis], axis=0)
+        gap[axis] = _gaps(stretch, hit[axis])
+    return Ends(hit_m=hit, gap_m=gap)
+
+
+def _lengthwise(hit_m: Float[np.ndarray, " 2"]) -> tuple[float, float]:
+    """Where along an object it was seen, without its corners: other rays say nothing of its sides."""
+    low, high = float(hit_m[0]) + _CORNER_M, float(hit_m[1]) - _CORNER_M
+    if high - low >= _THIN_M:
+        return low, high
+    if hit_m[1] < 0:  # seen from ahead: the body goes on away from the sensor
+        return min(low, high) - _THIN_M, max(low, high)
+    return min(low, high), max(low, high) + _THIN_M
+
+
+def _gaps(stretch_m: Float[np.ndarray, "2 m"], hit_m: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:
+    """From the outermost points to the second nearest free stretch beyond; none where rays pass through the middle."""
+    low, high = stretch_m
+    tolerance = min(_WITHIN_M, float(hit_m[1] - hit_m[0]) / 4)
+    before, beyond = high <= hit_m[0] + tolerance, low >= hit_m[1] - tolerance
+    through = int((~before & ~beyond).sum())
+    if through > _PASSED and through > _SHARE * len(low):
+        return np.full(2, np.inf)
+    found = np.full(2, np.inf)
+    if before.sum() > 1:
+        found[0] = hit_m[0] - np.partition(high[before], -2)[-2]
+    if beyond.sum() > 1:
+        found[1] = np.partition(low[beyond], 1)[1] - hit_m[1]
+    return np.maximum(found, 0.0)
+
+
+def _rays(
+    points_m: Float[np.ndarray, "n 3"],
+    ego_m: Float[np.ndarray, " 3"],
+    rectangle: Float[np.ndarray, " 5"],
+    turn: Float[np.ndarray, "2 2"],
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
+    """Ends of the rays towards an object along its axes, from the sensor, and how far each rises."""
+    away = rectangle[:2] - ego_m[:2]
+    range_m = max(float(np.hypot(*away)), 1e-6)
+    sight = away / range_m
+    x, y = points_m[:, 0] - ego_m[0], points_m[:, 1] - ego_m[1]
+    deep, beside = x * sight[0] + y * sight[1], np.abs(y * sight[0] - x * sight[1])
+    reach = float(np.hypot(*rectangle[2:4])) / 2
+    near = np.flatnonzero(
+        (deep > range_m - reach - 1.0) & (beside < (reach + _SECTOR_M) * np.maximum(deep / range_m, 1))
+    )
+    chosen = points_m[near].astype(np.float64)
+    chosen = chosen[np.isfinite(chosen).all(axis=1)] - ego_m
+    return chosen[:, :2] @ turn.T, chosen[:, 2]
+
+
+def _between(
+    start: Float[np.ndarray, " m"], step: Float[np.ndarray, " m"], low: float, high: float
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """For which parts of their way rays lie between two values."""
+    safe = np.where(np.abs(step) < 1e-9, 1e-9, step)
+    both = np.sort(np.stack([(low - start) / safe, (high - start) / safe]), axis=0)
+    return both[0], both[1]

@@ -1,0 +1,306 @@
+"""The gestures: each function is one of them, from the points around it to a box on the ground."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.annotation.fitting.anchoring import along_length, axes, footprint
+from farfield.annotation.fitting.clusters import cluster_at, link_radius_m
+from farfield.annotation.fitting.contract import Box, BoxFit, FitCandidate, HeadingFrom, Prior, boxes_of
+from farfield.annotation.fitting.finishing import headed, inside, stood_on
+from farfield.annotation.fitting.freespace import ends_of
+from farfield.annotation.fitting.ground import Ground, above, fit_ground, near
+from farfield.annotation.fitting.lshape import CLOSENESS_BELOW, best_yaw, turned_yaw
+from farfield.annotation.fitting.placing import placed
+from farfield.annotation.fitting.searching import search
+from farfield.geometry.points import inside_box
+
+XY = Sequence[float] | Float[np.ndarray, " 2"]
+
+_SEARCHED_RAD = np.deg2rad(np.array([0.0, -4.0, 4.0]))  # the first is placed, the others are offered
+_REFINED_RAD = np.deg2rad(np.arange(-4.0, 4.5, 0.5))
+_SNAPPED_RAD = np.deg2rad(np.arange(-6.0, 6.5, 0.5))
+_WINDOW_M = 0.2
+REACH_M = 0.8
+_POINTS_TO_TURN = 15
+_POINTS_TO_REFIT = 8
+_LEAST_DRAG_M = 0.3
+_TRUSTED_M = 30.0
+_WIDER_M = 2.0
+_BESIDE_M = 1.0
+_LONGER, _LINK_M, _SAME_M = 0.25, 0.5, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """The points over the ground about a gesture."""
+
+    ground: Ground
+    points_m: Float[np.ndarray, "n 3"]
+    cloud_m: Float[np.ndarray, "m 3"]
+
+    @property
+    def xy_m(self) -> Float[np.ndarray, "n 2"]:
+        return self.points_m[:, :2]
+
+
+def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior: Prior) -> BoxFit:
+    """Press at the object and drag along its heading: the main gesture.
+
+    The box of the prior's size is searched at the drag's direction, where it holds the place of the press; then fitted
+    to the points in it and within 0.2 m of it, turned by up to 4 degrees. Boxes 4 degrees beside are offered.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        start_xy: Where the button went down: on the object, x and y, metres.
+        end_xy: Where it went up; its direction from the start is the heading. A drag shorter than 0.3 m is a click.
+        prior: What is known of the object.
+    """
+    start, end = _pair(start_xy), _pair(end_xy)
+    if np.hypot(end[0] - start[0], end[1] - start[1]) < _LEAST_DRAG_M:
+        return fit_click(points_m, start, prior)
+    begun = time.perf_counter()
+    drawn = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
+    scene = _scene(points_m, start, prior)
+    return _searched(scene, start, drawn, prior, criterion="drag", drawn_rad=drawn, begun=begun)
+
+
+def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> BoxFit:
+    """One click on an object: the quick gesture, for near objects and for tracks.
+
+    With a track's yaw the box is searched as after a drag. Without, the points that hang together at the click give the
+    yaw by the L-shape. Where the lane is known, vehicles of fewer than 30 points beyond 30 m take it, and
+    otherwise the box along the lane is offered beside the other.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        at_xy: The click, x and y, metres.
+        prior: What is known of the object.
+    """
+    begun, at = time.perf_counter(), _pair(at_xy)
+    scene = _scene(points_m, at, prior)
+    if prior.yaw_rad is not None:
+        return _searched(scene, at, prior.yaw_rad, prior, criterion="track", drawn_rad=None, begun=begun)
+    linked = scene.points_m[
+        cluster_at(scene.points_m, at, link_radius_m(_range_m(at, prior), small=not prior.anchored))
+    ]
+    if len(linked) < 2:
+        yaw, criterion = (0.0, "drawn") if prior.lane_rad is None else (prior.lane_rad, "lane")
+        return _searched(scene, at, yaw, prior, criterion=criterion, drawn_rad=None, begun=begun)
+    yaw, criterion = best_yaw(linked[:, :2])
+    yaw, source = headed(along_length(linked[:, :2], yaw, prior), prior)
+    box = stood_on(_whole(scene, linked, yaw, prior), linked, scene.ground, prior)
+    if prior.lane_rad is None:
+        return _fit(scene, box, (), criterion, source, begun)
+    if prior.anchored and len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
+        found = _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
+        return replace(found, candidates=(FitCandidate(box=box, score=0.0), *found.candidates))
+    return _fit(scene, box, _along(scene, at, prior.lane_rad, prior), criterion, source, begun)
+
+
+def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior, *, keep_size: bool = False) -> BoxFit:
+    """Fit a box that was drawn, or moved, to its points.
+
+    With fewer than eight points in or near the box its place and yaw stay, and only its size and height are set.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        box: x, y, z, length, width, height, yaw.
+        prior: What is known of the object.
+        keep_size: Keep the box's size instead of the prior's or the measured one.
+    """
+    begun, old = time.perf_counter(), np.asarray(box, dtype=np.float64)
+    if keep_size:
+        prior = replace(prior, size_m=(float(old[3]), float(old[4]), float(old[5])), fixed_size=True)
+    scene = _scene(points_m, (float(old[0]), float(old[1])), prior, least_m=float(np.hypot(old[3], old[4])) / 2)
+    drawn = old[[0, 1, 3, 4, 6]]
+    held = scene.points_m[inside(scene.xy_m, drawn, _WINDOW_M)]
+    if len(held) < _POINTS_TO_REFIT:
+        size = prior.size_m[:2] if prior.grows else drawn[2:4]
+        rectangle = np.array([drawn[0], drawn[1], *size, drawn[4]])
+        made = stood_on(rectangle, held, scene.ground, prior)
+        note = f"{len(held)} points: place and yaw are as drawn, size and height are set"
+        return _fit(scene, made, (), "drawn", "drag", begun, note)
+    at = (float(drawn[0]), float(drawn[1]))
+    found = search(scene.xy_m, at, drawn[4:], _drawn_size(drawn, prior), reach_m=REACH_M)[0][0]
+    moved = scene.points_m[inside(scene.xy_m, found, _WINDOW_M)]
+    held = moved if len(moved) >= _POINTS_TO_REFIT else held
+    yaw, criterion = _turned(held, float(drawn[4]), _SNAPPED_RAD)
+    made = stood_on(_whole(scene, held, yaw, prior), held, scene.ground, prior)
+    return _fit(scene, made, (), criterion, "drag", begun)
+
+
+def fit_rectangle(
+    points_m: Float[np.ndarray, "n 3"], corners_m: Sequence[Sequence[float]] | Float[np.ndarray, "4 2"], prior: Prior
+) -> BoxFit:
+    """Draw a rectangle: its longer side is the length, and its box is fitted as by :func:`refit`.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        corners_m: Its four corners in order, x and y, metres.
+        prior: What is known of the object.
+
+    Raises:
+        ValueError: If two corners are one.
+    """
+    corners = np.asarray(corners_m, dtype=np.float64).reshape(4, 2)
+    sides = np.array([corners[1] - corners[0], corners[2] - corners[1]])
+    lengths = np.hypot(*sides.T)
+    if not lengths.min() > 0:
+        raise ValueError(f"fit_rectangle: expected four corners apart from each other, got {corners.tolist()}")
+    along = sides[int(np.argmax(lengths))]
+    yaw, source = headed(float(np.arctan2(along[1], along[0])), prior)
+    x, y = corners.mean(axis=0)
+    found = refit(points_m, [x, y, 0.0, lengths.max(), lengths.min(), prior.size_m[2], yaw], prior)
+    return replace(found, heading=source)
+
+
+def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> BoxFit:
+    """Move a box up or down until it stands on the ground; all else stays.
+
+    Args:
+        points_m: All points of the frame, shape (n, 3), metres.
+        box: x, y, z, length, width, height, yaw.
+    """
+    begun = time.perf_counter()
+    x, y, z, length, width, height, yaw = (float(value) for value in box)
+    ground = fit_ground(points_m, (x, y))
+    note = "" if ground.cells else "no points within 60 m tell where the ground is: the height is as it was"
+    z = ground.z_m(x, y) + height / 2 if ground.cells else z
+    made = (x, y, z, length, width, height, yaw)
+    around = near(points_m, (x, y), float(np.hypot(length, width)))
+    return _fit(_Scene(ground, above(around, ground), points_m), made, (), "drawn", "drag", begun, note)
+
+
+def _drawn_size(drawn: Float[np.ndarray, " 5"], prior: Prior) -> Prior:
+    """The size to search with: the prior's, and of a visible part the drawn one."""
+    if prior.grows:
+        return prior
+    return replace(prior, size_m=(float(drawn[2]), float(drawn[3]), prior.size_m[2]))
+
+
+def _pair(xy: XY) -> tuple[float, float]:
+    return float(xy[0]), float(xy[1])
+
+
+def _range_m(at: tuple[float, float], prior: Prior) -> float:
+    return float(np.hypot(at[0] - prior.ego_m[0], at[1] - prior.ego_m[1]))
+
+
+def _scene(
+    points_m: Float[np.ndarray, "n 3"], at: tuple[float, float], prior: Prior, *, least_m: float = 0.0
+) -> _Scene:
+    ground = fit_ground(points_m, at)
+    reach_m = max(float(np.hypot(*prior.size_m[:2])), least_m) + _WIDER_M
+    return _Scene(ground, above(near(points_m, at, reach_m), ground), points_m)
+
+
+def _searched(
+    scene: _Scene,
+    at: tuple[float, float],
+    yaw_rad: float,
+    prior: Prior,
+    *,
+    criterion: str,
+    drawn_rad: float | None,
+    begun: float,
+) -> BoxFit:
+    """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
+    rectangles, score, held = _found(scene, at, yaw_rad, prior)
+    if len(held) == 0:
+        rectangles, score, held = _found(scene, _nearest(scene, at), yaw_rad, prior)
+    rectangle, note = rectangles[0], ""
+    if len(held) == 0:
+        rectangle = np.array([*at, *prior.size_m[:2], yaw_rad])
+        note = "no points over the ground here: the box has its usual size about the pointer"
+    else:
+        yaw, _ = _turned(held, yaw_rad, _REFINED_RAD)
+        held = _longer(scene, held, yaw, prior)
+        rectangle = _whole(scene, held, yaw, prior)
+    yaw, source = headed(float(rectangle[4]), prior, drawn_rad)
+    rectangle[4] = yaw
+    others = tuple(
+        FitCandidate(
+            box=stood_on(rectangles[place], scene.points_m[:0], scene.ground, prior), score=float(score[place])
+        )
+        for place in 1 + np.argsort(-score[1:], kind="stable")
+    )
+    return _fit(scene, stood_on(rectangle, held, scene.ground, prior), others, criterion, source, begun, note)
+
+
+def _found(
+    scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior
+) -> tuple[Float[np.ndarray, "k 5"], Float[np.ndarray, " k"], Float[np.ndarray, "m 3"]]:
+    """Boxes that hold a place, at a yaw and beside it, their scores, and the points of the first."""
+    rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
+    return rectangles, score, scene.points_m[inside(scene.xy_m, rectangles[0], _WINDOW_M)]
+
+
+def _nearest(scene: _Scene, at: tuple[float, float]) -> tuple[float, float]:
+    """The point next to a place that was missed by less than a metre, seen from above; else the place."""
+    apart = np.hypot(*(scene.xy_m - at).T)
+    if len(apart) == 0 or apart.min() > _BESIDE_M:
+        return at
+    return _pair(scene.xy_m[int(np.argmin(apart))])
+
+
+def _longer(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, "m 3"]:
+    """The points of an object and those that go on from them lengthwise, for one longer than usual."""
+    if not (prior.anchored and prior.grows) or prior.fixed_size:
+        return held_m
+    about = footprint(held_m[:, :2], yaw_rad, prior)
+    turn = axes(yaw_rad)
+    own, local = (held_m[:, :2] - about[:2]) @ turn.T, (scene.xy_m - about[:2]) @ turn.T
+    low, high = own.min(axis=0), own.max(axis=0)
+    beside = np.abs(local[:, 1]) <= about[3] / 2 + _WINDOW_M / 2
+    reach = _LONGER * prior.size_m[0]
+    along = np.sort(local[beside & (local[:, 0] > low[0] - reach) & (local[:, 0] < high[0] + reach), 0])
+    for value in along[along > high[0]]:
+        if value - high[0] > _LINK_M:
+            break
+        high[0] = value
+    for value in along[along < low[0]][::-1]:
+        if low[0] - value > _LINK_M:
+            break
+        low[0] = value
+    kept = beside & (local[:, 0] >= low[0] - _SAME_M) & (local[:, 0] <= high[0] + _SAME_M)
+    return scene.points_m[kept]
+
+
+def _whole(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, " 5"]:
+    """The rectangle of an object's points at a yaw, by what was seen of its ends."""
+    about = footprint(held_m[:, :2], yaw_rad, prior)
+    ends = ends_of(scene.cloud_m, held_m, about, scene.ground, prior)
+    return placed(ends, held_m[:, :2], yaw_rad, prior)
+
+
+def _along(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[FitCandidate, ...]:
+    """The box along a lane, as an offer."""
+    rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
+    best = int(np.argmax(score))
+    held = scene.points_m[inside(scene.xy_m, rectangles[best], _WINDOW_M)]
+    return (FitCandidate(box=stood_on(rectangles[best], held, scene.ground, prior), score=float(score[best])),)
+
+
+def _turned(held_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> tuple[float, str]:
+    """The yaw, turned a little where enough points tell by how much."""
+    if len(held_m) < _POINTS_TO_TURN:
+        return yaw_rad, "drawn"
+    return turned_yaw(held_m[:, :2], yaw_rad, turns_rad), "closeness"
+
+
+def _fit(
+    scene: _Scene,
+    box: Box,
+    candidates: tuple[FitCandidate, ...],
+    criterion: str,
+    heading: HeadingFrom,
+    begun: float,
+    note: str = "",
+) -> BoxFit:
+    count = int(inside_box(scene.points_m, boxes_of(box), 0).sum())
+    ms = 1000 * (time.perf_counter() - begun)
+    return BoxFit(box=box, points=count, candidates=candidates, criterion=criterion, heading=heading, ms=ms, note=note)

@@ -1,0 +1,220 @@
+"""The journal: every edit is on the disk before it is acknowledged.
+
+Group commit: a thread writes all edits that wait and calls fsync once for them; those that come meanwhile share the
+next one. A line is never changed or cut, so that every edit can be taken back, also after a restart.
+"""
+
+import os
+import threading
+import time
+import warnings
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from farfield.annotation.errors import JournalError
+from farfield.annotation.locking import hold
+from farfield.datasets.edits import JOURNAL, CellEdit, Record, decode, encode, read_journal
+
+Take = Callable[[Record], None]
+
+
+class EditJournal:
+    """Edits of one data set, appended by one process; any thread may append.
+
+    Args:
+        folder: Its folder, see :func:`farfield.datasets.edits.journal_folder`.
+        take: Called with each edit that the file holds, in order, while it is opened.
+
+    Raises:
+        JournalHeldError: If another process has it open.
+        FileFormatError: If a line before the last is damaged.
+    """
+
+    def __init__(self, folder: Path, take: Take) -> None:
+        self.folder, self.path = folder, folder / JOURNAL
+        folder.mkdir(parents=True, exist_ok=True)
+        self._held = hold(folder)
+        self._ids: dict[str, int] = {}
+        self._take = take
+        try:
+            self._open()
+        except BaseException:
+            os.close(self._held)
+            raise
+        self._waiting: list[tuple[bytes, Record, Future[Record]]] = []
+        self._writing: list[tuple[bytes, Record, Future[Record]]] = []
+        self._changed = threading.Condition()
+        self._closing, self._failure = False, ""
+        self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
+        self._thread.start()
+
+    def _open(self) -> None:
+        if self.path.is_file():
+            replay = read_journal(self.path, self._replayed)
+            self._starts, self._end, torn = replay
+        else:
+            self._starts, self._end, torn = array("q"), 0, b""
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+        if torn:
+            keep = self.folder / f"{JOURNAL}.torn-{len(self._starts) + 1}"
+            keep.write_bytes(torn)
+            os.ftruncate(self._file, self._end)
+            warnings.warn(
+                f"{self.path}: line {len(self._starts) + 1} is torn (an edit that was never acknowledged); it was left "
+                f"out and is kept in {keep.name}",
+                stacklevel=4,
+            )
+        os.lseek(self._file, self._end, os.SEEK_SET)
+        os.fsync(self._file)
+        _sync_folder(self.folder)
+
+    def _replayed(self, record: Record) -> None:
+        self._ids[record.id] = record.seq
+        self._take(record)
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    @property
+    def failure(self) -> str:
+        """Why no more edits are taken; empty while all is well."""
+        return self._failure
+
+    def seq_of(self, name: str) -> int | None:
+        """Number of the edit that a client called so; None if there is none."""
+        return self._ids.get(name)
+
+    def append(
+        self,
+        *,
+        id: str,
+        by: str,
+        window: str,
+        op: str,
+        changes: Sequence[CellEdit] = (),
+        group: str | None = None,
+        undoes: Sequence[int] = (),
+        data: Mapping[str, Any] | None = None,
+    ) -> "tuple[Record, Future[Record]]":
+        """Add an edit at the end.
+
+        Args: those of :class:`~farfield.datasets.edits.Record`; its number and time are given here.
+
+        Returns:
+            The edit, and a future that is done when it is on the disk: only then is it acknowledged.
+
+        Raises:
+            JournalError: If the journal is closed or could not be written before.
+            ValueError: If a number is not finite, or the id was used before.
+        """
+        with self._changed:
+            if self._failure or self._closing:
+                raise JournalError(self._failure or f"{self.path} is closed")
+            if id in self._ids:
+                raise ValueError(f"Journal.append: the id {id!r} was used by edit {self._ids[id]}")
+            seq = len(self._starts) + 1
+            record = Record(seq, id, time.time_ns(), by, window, op, tuple(changes), group, tuple(undoes), data)
+            line, done = encode(record), Future[Record]()
+            done.set_running_or_notify_cancel()  # whoever waits may go away; the edit stays
+            self._take(record)
+            self._starts.append(self._end)
+            self._end += len(line)
+            self._ids[id] = seq
+            self._waiting.append((line, record, done))
+            self._changed.notify()
+        return record, done
+
+    def read(self, seq: int) -> Record:
+        """An edit by its number.
+
+        Raises:
+            IndexError: If there is none.
+        """
+        with self._changed:
+            if not 1 <= seq <= len(self._starts):
+                raise IndexError(f"{self.path}: expected an edit from 1 to {len(self._starts)}, got {seq}")
+            waiting = {record.seq: record for _, record, _ in (*self._writing, *self._waiting)}
+            if seq in waiting:
+                return waiting[seq]
+            start, end = self._starts[seq - 1], self._starts[seq] if seq < len(self._starts) else self._end
+        with self.path.open("rb") as handle:
+            handle.seek(start)
+            return decode(handle.read(end - start))
+
+    def pending(self, seq: int) -> "Future[Record]":
+        """A future that is done when the edit is on the disk, also long after."""
+        with self._changed:
+            for _, record, done in (*self._writing, *self._waiting):
+                if record.seq == seq:
+                    return done
+        done = Future[Record]()
+        done.set_result(self.read(seq))
+        return done
+
+    def _write(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting and not self._closing:
+                    self._changed.wait()
+                if not self._waiting:
+                    return
+                self._writing, self._waiting = self._waiting, []
+                batch = self._writing
+            try:
+                _write_all(self._file, b"".join(line for line, _, _ in batch))
+                os.fsync(self._file)
+            except OSError as error:
+                self._fail(error)
+                return
+            with self._changed:
+                self._writing = []
+            for _, record, done in batch:
+                done.set_result(record)
+
+    def _fail(self, error: OSError) -> None:
+        with self._changed:
+            self._failure = (
+                f"{self.path}: edits could not be written ({error.strerror or error}). Those that were acknowledged "
+                "are safe. Make room or repair the disk, then start the studio again."
+            )
+            lost = [done for _, _, done in (*self._writing, *self._waiting)]
+            self._writing, self._waiting = [], []
+        for done in lost:
+            done.set_exception(JournalError(self._failure))
+
+    def close(self) -> None:
+        """Write what waits and let the journal go."""
+        with self._changed:
+            if self._closing:
+                return
+            self._closing = True
+            self._changed.notify()
+        self._thread.join()
+        os.close(self._file)
+        os.close(self._held)
+
+    def __enter__(self) -> "EditJournal":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _write_all(file: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(file, view) :]
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a new name in a folder to the disk."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

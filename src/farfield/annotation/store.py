@@ -1,0 +1,250 @@
+"""The annotation of a data set as it stands: label files with the edits on top, versions, undo."""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from farfield.annotation.drives import DriveTable
+from farfield.annotation.errors import ConflictError, RefusedError
+from farfield.annotation.history import History
+from farfield.annotation.journal import EditJournal
+from farfield.annotation.label_files import LabelFiles
+from farfield.annotation.schema import Extent, Schema, load_schema
+from farfield.annotation.track_index import TrackIndex
+from farfield.datasets.base import Dataset
+from farfield.datasets.edits import Cell, CellEdit, EditState, Record, box_cell, label_of, numbers, value_of
+from farfield.datasets.labels import BoxLabel, LabelFormat, Numbers
+from farfield.frame import Key
+
+EXTENT: Cell = ("extent",)
+
+
+class Author(NamedTuple):
+    """Who edits, and in which window."""
+
+    by: str
+    window: str = ""
+
+
+class StoredBox(NamedTuple):
+    """A box of a frame as it stands.
+
+    Args:
+        label: The box.
+        version: Number of the edit that set it last: the ``base`` of the next one; 0 as the files have it.
+        by: Who made that edit; empty as the files have it.
+        proposal: The detector's box from which it came, or None.
+    """
+
+    label: BoxLabel
+    version: int = 0
+    by: str = ""
+    proposal: Numbers | None = None
+
+
+class EditResult(NamedTuple):
+    """An edit that was taken.
+
+    Args:
+        record: The edit; its number is the new version of all that it changed.
+        saved: Done when the edit is on the disk: acknowledge it only then.
+        repeated: Whether it is a message that came before, sent again; nothing was changed by it now.
+    """
+
+    record: Record
+    saved: "Future[Record]"
+    repeated: bool = False
+
+
+Plan = Callable[["Store"], Sequence[CellEdit]]
+"""What an edit changes, found from the store as it stands; raises where the edit is not possible."""
+
+
+class Store:
+    """The annotation of one data set. Any thread may call; edits are taken one at a time.
+
+    Args:
+        data: The data set, as its reader gives it (no maps: labels are kept in the reader's coordinates).
+        labels: Its label files.
+        folder: Folder of the journal, see :func:`farfield.datasets.edits.journal_folder`.
+        schema: What may be annotated where ``classes.yaml`` beside the journal says nothing else.
+
+    Raises:
+        JournalHeldError: If another process annotates with this journal.
+        FileFormatError: If the journal is damaged before its last line.
+    """
+
+    def __init__(self, data: Dataset, labels: LabelFormat, folder: Path, schema: Schema) -> None:
+        self.data, self.folder = data, folder
+        self.keys = data.keys
+        self.index_of = {key: index for index, key in enumerate(self.keys)}
+        self.drives = DriveTable(data)
+        self.files = LabelFiles(labels, self.keys, folder, data.root)
+        self.state, self.history = EditState(), History()
+        self.tracks = TrackIndex(self.rows, self.drives)
+        self.lock, self.saving = threading.RLock(), threading.Lock()
+        self.journal = EditJournal(folder, self._take)
+        try:
+            self.schema = load_schema(folder, schema)
+        except BaseException:
+            self.journal.close()
+            raise
+
+    def _take(self, record: Record) -> None:
+        self.history.take(record)
+        self.state.apply(record)
+        self.files.take(record)
+        self.tracks.take(record)
+
+    @property
+    def extent(self) -> Extent | None:
+        """Whether boxes are whole bodies (``full``) or visible parts; None: not declared yet."""
+        declared = self.state.get(EXTENT)
+        return declared.value if declared is not None else self.schema.extent
+
+    def rows(self, key: Key) -> tuple[StoredBox, ...]:
+        """The boxes of a frame as they stand, the files' first, in their order; rejected proposals too.
+
+        Raises:
+            DatasetError: If there is no such frame, or its file was changed by another program.
+            FileFormatError: If its file is damaged.
+        """
+        with self.lock:
+            touched = self.state.touched(key)
+            found = {label.id: StoredBox(label) for label in self.files.labels(key) if label.id not in touched}
+            for name, standing in touched.items():
+                if standing.value is not None:
+                    found[name] = _row(name, standing.value, standing.version, standing.by)
+        return tuple(sorted(found.values(), key=_BoxOrder(touched)))
+
+    def row(self, key: Key, name: str) -> StoredBox | None:
+        """One box of a frame; None where there is none (any more)."""
+        with self.lock:
+            standing = self.state.get(box_cell(key, name))
+            if standing is not None:
+                value = standing.value
+                return None if value is None else _row(name, value, standing.version, standing.by)
+            return next((StoredBox(label) for label in self.files.labels(key) if label.id == name), None)
+
+    def value(self, cell: Cell) -> Any:
+        """The value of a cell as it stands; None where there is nothing."""
+        standing = self.state.get(cell)
+        if standing is not None:
+            return standing.value
+        if cell[0] != "box":
+            return None
+        row = self.row((cell[1], cell[2]), cell[3])
+        return None if row is None else value_of(row.label)
+
+    def version(self, cell: Cell) -> int:
+        """The version of a cell as it stands."""
+        standing = self.state.get(cell)
+        return 0 if standing is None else standing.version
+
+    def change(self, cell: Cell, new: Any, *, base: int | None = None) -> CellEdit:
+        """A change of a cell from what it is now.
+
+        Args:
+            cell: The cell.
+            new: Its new value; None removes it.
+            base: The version from which the edit starts; None: whatever it is.
+
+        Raises:
+            ConflictError: If the cell has another version.
+        """
+        present = self.version(cell)
+        if base is not None and base != present:
+            standing = self.state.get(cell)
+            by = "" if standing is None else standing.by
+            raise ConflictError(cell, self.value(cell), present, by)
+        return CellEdit(cell, present, self.value(cell), new)
+
+    def edit(
+        self,
+        author: Author,
+        id: str,
+        op: str,
+        plan: Plan,
+        *,
+        group: str | None = None,
+        undoes: Sequence[int] = (),
+        data: Mapping[str, Any] | None = None,
+    ) -> EditResult:
+        """Make an edit: all of it, or nothing.
+
+        Args:
+            author: Who, and in which window.
+            id: The client's name of it. One that was taken before is not made again.
+            op: What is done; what begins with ``box.`` or ``track.`` can be taken back.
+            plan: Finds what changes.
+            group: Joins edits that are taken back together.
+            undoes: The edits that it takes back or does again.
+            data: What else the journal is to note.
+
+        Raises:
+            RefusedError: If it is not possible.
+            ConflictError: If somebody changed the object in the meantime.
+            JournalError: If the journal cannot be written.
+        """
+        with self.lock:
+            before = self.journal.seq_of(id)
+            if before is not None:
+                return self._repeated(before, op)
+            changes = tuple(plan(self))
+            notes = dict(data or {}) | self._file_states(changes)
+            record, saved = self.journal.append(
+                id=id,
+                by=author.by,
+                window=author.window,
+                op=op,
+                changes=changes,
+                group=group,
+                undoes=undoes,
+                data=notes,
+            )
+        return EditResult(record, saved)
+
+    def _repeated(self, seq: int, op: str) -> EditResult:
+        record = self.journal.read(seq)
+        if record.op != op:
+            raise RefusedError("id", f"the id {record.id!r} was used before, by a {record.op}", "Use a new id.")
+        return EditResult(record, self.journal.pending(seq), repeated=True)
+
+    def _file_states(self, changes: Sequence[CellEdit]) -> dict[str, Any]:
+        """What is to be noted of the label files that are touched for the first time."""
+        states: dict[str, Any] = {}
+        for change in changes:
+            if change.cell[0] == "box":
+                states |= self.files.state((change.cell[1], change.cell[2]))
+        return {"files": states} if states else {}
+
+    def close(self) -> None:
+        """Write what waits and let the journal go."""
+        self.journal.close()
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class _BoxOrder:
+    """Places of a frame's boxes: those of the files in their order, then the added ones in theirs."""
+
+    def __init__(self, touched: Mapping[str, Any]) -> None:
+        self._born = {name: (standing.born, place) for place, (name, standing) in enumerate(touched.items())}
+        self._added = {name for name, standing in touched.items() if not standing.original}
+
+    def __call__(self, row: StoredBox) -> tuple[int, int, int]:
+        name = row.label.id
+        if name in self._added or not name.isdigit():
+            return (1, *self._born[name])
+        return (0, int(name), 0)
+
+
+def _row(name: str, value: Mapping[str, Any], version: int, by: str) -> StoredBox:
+    proposal = value.get("proposal")
+    return StoredBox(label_of(name, value), version, by, None if proposal is None else numbers(proposal))

@@ -1,0 +1,276 @@
+"""Edits of tracks, each a plan for :meth:`~farfield.annotation.store.Store.edit`; one edit, however many boxes."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from farfield.annotation.box_edits import resized, sound
+from farfield.annotation.errors import RefusedError
+from farfield.annotation.motion import PropagatedTrack, Refit, TrackFrame, between, propagate
+from farfield.annotation.store import Store, StoredBox
+from farfield.datasets.edits import CellEdit, box_cell, track_cell
+from farfield.datasets.labels import Numbers
+from farfield.frame import Key
+
+Plan = Callable[[Store], Sequence[CellEdit]]
+
+
+def moments(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:
+    """Time and pose of some frames."""
+    return [TrackFrame(key, store.drives.time_s(key), store.drives.pose(key)) for key in keys]
+
+
+def boxes_of(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
+    """The boxes of a track that stand (rejected ones left out): row in the drive, frame, box; in the order of time."""
+    found = [(seen.row, seen.key, store.row(seen.key, seen.name)) for seen in store.tracks.seen(drive, track)]
+    return [(row, key, box) for row, key, box in found if box is not None and box.label.state != "rejected"]
+
+
+def set_track(
+    store: Store,
+    drive: str,
+    track: str,
+    base: int,
+    *,
+    label: str | None = None,
+    size: Sequence[float] | None = None,
+    locked: bool | None = None,
+    ends: str | None = None,
+) -> Sequence[CellEdit]:
+    """Set what holds for a track in all its frames.
+
+    Args:
+        store: The annotation.
+        drive: The drive.
+        track: The track.
+        base: Version of the track from which the edit starts.
+        label: Class of all its boxes.
+        size: Length, width, height of all its boxes; given with ``locked``, or where the size is locked.
+        locked: Whether all its boxes have one size. Locked without a size, they get that of the middle keyframe.
+        ends: Name of the frame in which the object is last there: later boxes that no person placed go; empty: no end.
+
+    Raises:
+        RefusedError: If there is no such track, or a value is not possible.
+        ConflictError: If somebody changed the track since ``base``.
+    """
+    boxes = _existing(store, drive, track)
+    cell = track_cell(drive, track)
+    old = store.value(cell) or {}
+    new = dict(old) | {
+        name: value for name, value in (("locked", locked), ("ends", ends), ("label", label)) if value is not None
+    }
+    if size is not None:
+        new["size"] = [float(length) for length in size]
+    if new.get("locked") and "size" not in new:
+        new["size"] = _middle_size(boxes)
+    if locked is False:
+        new.pop("size", None)
+    last = _row_of(store, drive, new.get("ends", ""))
+    changes = [store.change(cell, new, base=base)]
+    for row, key, box in boxes:
+        if last is not None and row > last and not box.label.keyframe:
+            changes.append(store.change(box_cell(key, box.label.id), None))
+        else:
+            changes += _altered(store, key, box, label, new.get("size") if size is not None or locked else None)
+    return changes
+
+
+def _altered(store: Store, key: Key, box: StoredBox, label: str | None, size: Sequence[float] | None) -> list[CellEdit]:
+    cell = box_cell(key, box.label.id)
+    old = store.value(cell)
+    new = dict(old) if label is None else {**old, "label": label}
+    if size is not None:
+        new = resized(new, size)
+    return [store.change(cell, sound(store, new, old))] if new != old else []
+
+
+def _existing(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
+    boxes = boxes_of(store, drive, track)
+    if not track or not boxes:
+        raise RefusedError("track", f"drive {drive} has no track {track!r}")
+    return boxes
+
+
+def _middle_size(boxes: Sequence[tuple[int, Key, StoredBox]]) -> list[float]:
+    keyframes = [box.label.box for _, _, box in boxes if box.label.keyframe] or [box.label.box for _, _, box in boxes]
+    by_volume = sorted(keyframes, key=_volume)
+    return list(by_volume[len(by_volume) // 2][3:6])
+
+
+def _volume(box: Numbers) -> float:
+    return box[3] * box[4] * box[5]
+
+
+def _row_of(store: Store, drive: str, frame: str) -> int | None:
+    if not frame:
+        return None
+    rows = [row for row, key in enumerate(store.drives.keys(drive)) if key[1] == frame]
+    if not rows:
+        raise RefusedError("frame", f"drive {drive} has no frame {frame!r}")
+    return rows[0]
+
+
+def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, into_base: int) -> Sequence[CellEdit]:
+    """Make one track a part of another, whose class, and size if it is locked, its boxes take.
+
+    Raises:
+        RefusedError: If there is no such track, or both have a box in one frame.
+        ConflictError: If somebody changed either since.
+    """
+    mine, theirs = _existing(store, drive, track), _existing(store, drive, into)
+    if track == into:
+        raise RefusedError("track", f"track {track} cannot be merged with itself")
+    both = sorted({row for row, _, _ in mine} & {row for row, _, _ in theirs})
+    if both:
+        frames = ", ".join(store.drives.keys(drive)[row][1] for row in both[:3])
+        mend = "Delete one of the two boxes there first."
+        raise RefusedError(
+            "overlap", f"tracks {track} and {into} both have a box in {len(both)} frames ({frames})", mend
+        )
+    other = store.value(track_cell(drive, into)) or {}
+    label = theirs[-1][2].label.label
+    size = other.get("size") if other.get("locked") else None
+    changes = [
+        store.change(track_cell(drive, track), None, base=base),
+        store.change(track_cell(drive, into), other or None, base=into_base),
+    ]
+    for _, key, box in mine:
+        cell = box_cell(key, box.label.id)
+        old = store.value(cell)
+        new = {**old, "track": into, "label": label}
+        changes.append(store.change(cell, sound(store, new if size is None else resized(new, size), old)))
+    return changes
+
+
+def split_track(store: Store, drive: str, track: str, frame: str, new_track: str, base: int) -> Sequence[CellEdit]:
+    """Give the boxes of a track from a frame on a new number.
+
+    Raises:
+        RefusedError: If there is no such track, the number is in use, or nothing would stay or go.
+        ConflictError: If somebody changed the track since ``base``.
+    """
+    boxes = _existing(store, drive, track)
+    if boxes_of(store, drive, new_track):
+        raise RefusedError("track", f"drive {drive} has a track {new_track} already", "Take a number that is free.")
+    first = _row_of(store, drive, frame) or 0
+    later = [(key, box) for row, key, box in boxes if row >= first]
+    if not later or len(later) == len(boxes):
+        raise RefusedError("frame", f"track {track} has no boxes on both sides of frame {frame}")
+    own = store.value(track_cell(drive, track))
+    changes = [store.change(track_cell(drive, track), own, base=base)]
+    if own is not None:
+        changes.append(store.change(track_cell(drive, new_track), own))
+    for key, box in later:
+        cell = box_cell(key, box.label.id)
+        old = store.value(cell)
+        changes.append(store.change(cell, sound(store, {**old, "track": new_track}, old)))
+    return changes
+
+
+def interpolate_track(store: Store, drive: str, track: str, first: int, last: int, prefix: str) -> Sequence[CellEdit]:
+    """Boxes in all frames between keyframes; keyframes stay as they are.
+
+    Args:
+        store: The annotation.
+        drive: The drive.
+        track: The track.
+        first: First row of the drive that may get a box.
+        last: Last one.
+        prefix: How the names of new boxes begin, such as the edit's id.
+
+    Raises:
+        RefusedError: If there are not two keyframes.
+    """
+    boxes = _existing(store, drive, track)
+    keyframes = [(key, box) for _, key, box in boxes if box.label.keyframe]
+    if len(keyframes) < 2:
+        raise RefusedError("keyframes", f"track {track} has {len(keyframes)} keyframes", "Set two or more (key K).")
+    keys = store.drives.keys(drive)
+    wanted = moments(store, keys[max(first, 0) : last + 1])
+    anchors = moments(store, (key for key, _ in keyframes))
+    placed = [(moment, box.label.box) for moment, (_, box) in zip(anchors, keyframes, strict=True)]
+    size = (store.value(track_cell(drive, track)) or {}).get("size")
+    return fill(store, drive, track, between(placed, wanted, size), "interpolated", prefix)
+
+
+def propagate_track(
+    store: Store, drive: str, track: str, first: int, last: int, refit: Refit | None = None
+) -> PropagatedTrack:
+    """Where a track goes on from a frame; :func:`fill` makes an edit of it.
+
+    It reads the annotation and changes nothing, so that the fits, which take time, hold up nobody's edits.
+
+    Args:
+        store: The annotation.
+        drive: The drive.
+        track: The track.
+        first: Row of the drive from which it goes on; the track has a box there.
+        last: Row to which it goes; before ``first`` to go backwards. The track's end is respected.
+        refit: Fits the object in a frame; None: it goes where its motion takes it.
+
+    Raises:
+        RefusedError: If the track has no box in the first frame.
+    """
+    with store.lock:
+        boxes = {row: (key, box) for row, key, box in _existing(store, drive, track)}
+        ends = _row_of(store, drive, (store.value(track_cell(drive, track)) or {}).get("ends", ""))
+    keys = store.drives.keys(drive)
+    if first not in boxes:
+        raise RefusedError("frame", f"track {track} has no box in the frame from which it is to go on")
+    step = 1 if last >= first else -1
+    if ends is not None and step > 0:
+        last = min(last, ends)
+    before = [row for row in sorted(boxes, reverse=step < 0) if (first - row) * step >= 0]
+    anchors = [row for row in before if row == first or boxes[row][1].label.keyframe]
+    trail = moments(store, (boxes[row][0] for row in anchors))
+    placed = [(moment, boxes[row][1].label.box) for moment, row in zip(trail, anchors, strict=True)]
+    ahead = [keys[row] for row in range(first + step, last + step, step) if 0 <= row < len(keys)]
+    known = {key: box.label.box for key, box in boxes.values() if box.label.keyframe and key in ahead}
+    return propagate(placed, moments(store, ahead), refit, known=known)
+
+
+def fill(
+    store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], source: str, prefix: str
+) -> list[CellEdit]:
+    """Put boxes of a track into frames, with class and attributes of the keyframe before; keyframes stay.
+
+    Args:
+        store: The annotation.
+        drive: The drive.
+        track: The track.
+        boxes: A box for each frame.
+        source: ``interpolated`` or ``propagated``.
+        prefix: How the names of new boxes begin.
+
+    Raises:
+        RefusedError: If a box is not possible, such as one beyond a kilometre.
+    """
+    present = {key: box for _, key, box in boxes_of(store, drive, track)}
+    rows = {key: row for row, key in enumerate(store.drives.keys(drive))}
+    keyframes = [(rows[key], box) for key, box in present.items() if box.label.keyframe]
+    if not keyframes:
+        raise RefusedError("keyframes", f"track {track} has no keyframe", "Set one (key K).")
+    changes = []
+    for key, numbers in boxes.items():
+        old = present.get(key)
+        if old is not None and old.label.keyframe:
+            continue
+        before = [box for row, box in keyframes if row <= rows[key]] or [keyframes[0][1]]
+        cell = box_cell(key, f"{prefix}.{rows[key]}"[-64:] if old is None else old.label.id)
+        value: dict[str, Any] = {"label": before[-1].label.label, "box": list(numbers), "track": track}
+        value |= {"state": "edited", "source": source, "attributes": dict(before[-1].label.attributes)}
+        changes.append(store.change(cell, sound(store, value, None)))
+    return [change for change in changes if change.old != change.new]
+
+
+def together(plans: Sequence[Plan], store: Store) -> Sequence[CellEdit]:
+    """Several plans as one edit, such as one nudge of all boxes that are selected, or a row that is accepted.
+
+    Raises:
+        RefusedError: If two of them change the same thing.
+    """
+    changes = [change for plan in plans for change in plan(store)]
+    cells = [change.cell for change in changes]
+    twice = next((cell for cell in cells if cells.count(cell) > 1), None) if len(set(cells)) < len(cells) else None
+    if twice is not None:
+        raise RefusedError("twice", f"{'/'.join(twice)} would be changed twice by one edit")
+    return changes

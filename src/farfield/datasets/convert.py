@@ -1,0 +1,381 @@
+"""Write a data set in another's layout, or its ASCII clouds as a binary cache beside them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from farfield.datasets.annotated import AnnotationTool, BoxSource, ToolExport, boxes_of, views
+from farfield.datasets.base import Dataset
+from farfield.datasets.cirrus import Cirrus, CirrusWriter
+from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
+from farfield.datasets.folder import Folder
+from farfield.datasets.kitti.writer import KittiWriter
+from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
+from farfield.datasets.labels.tool_labels import file_name
+from farfield.errors import ConfigError, DatasetError
+from farfield.files.atomic import write_text
+from farfield.files.boxes_csv import BoxRows, write_boxes_csv
+from farfield.files.coordinates import camera_words, write_coordinates
+from farfield.frame import Boxes, Frame, Key
+from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
+from farfield.jobs.folders import locked, sweep_out
+
+Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
+TARGETS: tuple[str, ...] = get_args(Target)
+_FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
+_PAUSE_NS = 10_000_000_000
+
+
+def convert(
+    dataset: Dataset,
+    target: Path | str | None = None,
+    *,
+    to: Target,
+    boxes: BoxSource = "boxes",
+    cloud: str | None = None,
+    overwrite: bool = False,
+    store: StoreSettings | None = None,
+    bulk: JobOptions = HERE,
+) -> Outcome:
+    """Convert a data set. What was written before from unchanged sources, and is intact, is skipped.
+
+    Args:
+        dataset: The source.
+        target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
+        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``, ``"cvat"``, ``"cache"``
+            or, of K-Radar, ``"radar-store"``.
+        boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
+        cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
+        overwrite: Write everything anew.
+        store: What a radar store keeps.
+        bulk: How: workers, engine, progress.
+
+    Returns:
+        How many units (frames, sequences or clouds) were written, and how many stood there intact.
+
+    Raises:
+        ConfigError: If target and ``to`` do not fit.
+        DatasetError: If the source lacks what the target needs.
+        BulkError: If units killed their workers twice.
+    """
+    if to == "cache":
+        if target is not None and Path(target).resolve() != dataset.root.resolve():
+            raise ConfigError("convert: a cache stands beside its source; leave the target out with to='cache'")
+        return _to_cache(dataset, overwrite, bulk)
+    if target is None:
+        raise ConfigError(f"convert: expected a target folder with to={to!r}, got none")
+    target = Path(target)
+    check_apart(target, dataset)
+    if to == "radar-store":
+        return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+    if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
+        target.parent.mkdir(parents=True, exist_ok=True)
+        unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
+        return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
+    work = _work(dataset, target, to, boxes, cloud)
+    journal = JobJournal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
+    outcome = run(work, work.units(), bulk, journal=journal)
+    if to == "kitti":
+        _finish_kitti(dataset, target)
+    return outcome
+
+
+def verify(
+    dataset: Dataset,
+    target: Path | str,
+    *,
+    to: Target,
+    boxes: BoxSource = "boxes",
+    cloud: str | None = None,
+    store: StoreSettings | None = None,
+) -> list[str]:
+    """Compare what a conversion wrote with its checksums and its source; nothing is written.
+
+    Args:
+        dataset: The source.
+        target: The folder.
+        to: As of :func:`convert`, and so the others.
+        boxes: Which boxes were labelled.
+        cloud: Which cloud was written.
+        store: What a radar store keeps.
+
+    Returns:
+        What is wrong, one line a unit: not written, damaged or missing, of another source or with other settings.
+
+    Raises:
+        ConfigError: If the target has no journal to compare with.
+        DatasetError: If nothing was converted there.
+    """
+    target = Path(target)
+    if to == "radar-store":
+        return verify_store(_kradar(dataset), target, store)
+    work = _work(dataset, target, to, boxes, cloud)
+    if not (target / JOURNAL_NAME).is_file():
+        raise DatasetError(f"{target}: expected what `farfield convert --to {to}` wrote, found no {JOURNAL_NAME}")
+    return faults(work.units(), JobJournal(target / JOURNAL_NAME, work.setting))
+
+
+def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
+    """Refuse to write over what is read: the data's folder, or one of its files.
+
+    Args:
+        target: What is going to be written.
+        data: What is read; of many frames the files of a hundred are looked at, spread evenly.
+
+    Raises:
+        ConfigError: If they meet.
+    """
+    place, files = target.resolve(), getattr(data, "files", None)
+    if isinstance(data, Dataset) and place == data.root.resolve():
+        raise ConfigError(f"{target}: expected a folder beside the data, got their own: they would be written over")
+    chosen = range(0, len(data), max(1, len(data) // 100)) if files is not None else ()
+    read = {Path(file).resolve() for index in chosen for file in (files(index) if files is not None else ())}
+    if place in read or (not target.suffix and place in {file.parent for file in read}):
+        raise ConfigError(
+            f"{target}: expected another name, got that of data which are read: they would be written over"
+        )
+
+
+def _kradar(dataset: Dataset) -> Dataset:
+    if dataset.name != "kradar":
+        raise DatasetError(f"{dataset.root}: expected K-Radar with to='radar-store', got {dataset.name}")
+    return dataset
+
+
+def _work(
+    dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
+) -> "_ToKitti | _ToCirrus | _ToCsv | ToolExport":
+    if to == "kitti":
+        return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
+    if to == "cirrus":
+        return _ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
+    if to == "boxes-csv" and target.suffix != ".csv":
+        return _ToCsv(dataset, target, boxes)
+    tool: AnnotationTool
+    for tool in get_args(AnnotationTool):
+        if to == tool:
+            return ToolExport(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
+    expected = f"expected to to be one of {', '.join(TARGETS)}"
+    raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
+
+
+def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
+    reader = dataset.unwrapped
+    if isinstance(reader, Cirrus):
+        columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
+        sources = [
+            (getattr(entry, pattern), entry.part.root, len(getattr(columns, pattern)))
+            for entry in (reader.entries[index] for index in dataset.origins)
+            for pattern in ("gaussian", "uniform")
+            if getattr(entry, pattern) is not None
+        ]
+    elif isinstance(reader, Folder):
+        clouds = (reader.clouds[index] for index in dataset.origins)
+        sources = [(path, dataset.root, 5) for path in clouds if path.suffix == ".xyz"]
+        delimiter = "auto"
+    else:
+        sources = []
+        delimiter = "auto"
+    if not sources:
+        raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
+    sources = list(dict.fromkeys(sources))
+    missing = [each for each in sources if overwrite or not is_fresh(cache_path(each[0], each[1]), each[0])]
+    folders = {root / CACHE_FOLDER for _, root, _ in missing}
+    _sweep(folders)
+    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
+    try:
+        done = run(_CloudCache(delimiter), units, bulk)
+    finally:
+        _sweep(folders)  # a worker that was killed left what it was at
+    return Outcome(written=done.written, skipped=len(sources) - done.written)
+
+
+def _sweep(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        if folder.is_dir():
+            sweep_out(folder)
+
+
+@dataclass(frozen=True)
+class _CloudCache:
+    """Writes the cache of one cloud."""
+
+    delimiter: str
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        root, count = unit.parameters
+        columns = None if count in (5, 8) else count
+        folder = root / CACHE_FOLDER
+        folder.mkdir(exist_ok=True)
+        with locked(folder, shared=True):  # or another command would sweep out what is being written
+            path = write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter)
+        return UnitResult(files=(path,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FrameConversion:
+    """Writes frames of a data set in another layout; the unit's parameters are the frame's index.
+
+    Args:
+        dataset: The frames.
+        target: Folder to write into.
+        boxes: Which boxes to label.
+        cloud: Which cloud to write.
+    """
+
+    dataset: Dataset
+    target: Path
+    boxes: BoxSource
+    cloud: str | None
+    to: ClassVar[str]
+    memory_bytes = 500_000_000
+
+    def units(self) -> list[Unit]:
+        """One a frame."""
+        keys = enumerate(self.dataset.keys)
+        return [Unit("/".join(key), tuple(self.dataset.files(index)), index) for index, key in keys]
+
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
+
+
+class _ToKitti(_FrameConversion):
+    to = "kitti"
+
+    def units(self) -> list[Unit]:
+        """One a frame; the number names its files."""
+        return [replace(unit, name=f"{unit.parameters:06d}/{unit.name}") for unit in super().units()]
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        index, frame = unit.parameters, self.dataset[unit.parameters]
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
+        return UnitResult(files=tuple(paths.values()))
+
+
+def _finish_kitti(dataset: Dataset, target: Path) -> None:
+    """Write what belongs to all frames."""
+    lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
+    write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
+    first = dataset[0]
+    named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
+    write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
+    _write_image_sets(dataset, target)
+
+
+def _write_image_sets(dataset: Dataset, target: Path) -> None:
+    """Carry the split over as KITTI's usual lists; a set of fewer than three sequences has no split."""
+    if len(set(dataset.split_units())) < 3:
+        return
+    number = {key: index for index, key in enumerate(dataset.keys)}
+    (target / "ImageSets").mkdir(exist_ok=True)
+    for name in ("train", "val", "test"):
+        rows = [f"{number[key]:06d}\n" for key in dataset.split(name).keys]
+        write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
+
+
+class _ToCirrus(_FrameConversion):
+    to = "cirrus"
+
+    @cached_property
+    def times(self) -> list[int]:
+        return _times(self.dataset)
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        frame = _as_cirrus(self.dataset[unit.parameters], self.times[unit.parameters], self.cloud)
+        return UnitResult(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
+
+
+def _times(dataset: Dataset) -> list[int]:
+    """A time for every frame: its name where that is one, else made up with a pause between sequences."""
+    if all(name.isdigit() and 16 <= len(name) <= 19 for name in dataset.frame_ids):
+        return [int(name) for name in dataset.frame_ids]
+    order = {name: place for place, name in enumerate(dict.fromkeys(dataset.sequences))}
+    return [_FIRST_NS + index * 100_000_000 + order[name] * _PAUSE_NS for index, name in enumerate(dataset.sequences)]
+
+
+def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
+    """Give the chosen cloud the place of the Gaussian sweep; the first image becomes the camera's."""
+    clouds = dict.fromkeys(frame.clouds)
+    if cloud is not None or "gaussian" not in clouds:
+        chosen = {"gaussian": frame.cloud(cloud)}
+    else:
+        chosen = {name: frame.clouds[name] for name in ("gaussian", "uniform") if name in clouds}
+    camera = next(iter(frame.images), None)
+    timed = frame.time_ns is not None  # made-up times are the frame's alone
+    return replace(
+        frame,
+        time_ns=time_ns,
+        clouds=chosen,
+        images={} if camera is None else {"camera": frame.images[camera]},
+        cameras={"camera": frame.cameras[camera]} if camera is not None and camera in frame.cameras else {},
+        sensors=frame.sensors if timed else {name: replace(s, time_ns=None) for name, s in frame.sensors.items()},
+    )
+
+
+@dataclass(frozen=True)
+class _ToCsv:
+    """Writes the boxes of some frames into one file; the unit's parameters are its name and the frames' indices."""
+
+    dataset: Dataset
+    target: Path
+    boxes: BoxSource
+
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return f"boxes-csv {self.boxes} {self.dataset.name} with reference{views(self.dataset)}"
+
+    def units(self) -> list[Unit]:
+        """One a sequence."""
+        groups: dict[str, list[int]] = {}
+        for index, sequence in enumerate(self.dataset.sequences):
+            groups.setdefault(sequence, []).append(index)
+        files = self.dataset.files
+        return [
+            Unit(
+                name,
+                tuple(dict.fromkeys(file for index in indices for file in files(index))),
+                (f"{file_name(name)}.csv", indices),
+            )
+            for name, indices in groups.items()
+        ]
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        name, indices = unit.parameters
+        frames = (self.dataset.frame(index) for index in indices)
+        reference = self.dataset[indices[0]].reference
+        rows = box_rows(((frame.key, boxes_of(frame, self.boxes)) for frame in frames), reference=reference)
+        write_boxes_csv(self.target / name, rows)
+        return UnitResult(files=(self.target / name,))
+
+
+def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "") -> BoxRows:
+    """Join the boxes of frames, by (sequence, frame), to the rows of a CSV file; one without boxes leaves no row.
+
+    Args:
+        frames: The boxes of each frame.
+        reference: Sensor in whose coordinates they stand; empty where not known.
+    """
+    filled = [(key, boxes) for key, boxes in frames if boxes is not None and len(boxes)]
+    together = Boxes.concatenate([boxes for _, boxes in filled]) if filled else Boxes.empty()
+    counts = [len(boxes) for _, boxes in filled]
+    sequences, frame_ids = ([key[place] for key, _ in filled] for place in (0, 1))
+    return BoxRows(
+        sequence=np.repeat(np.array(sequences, dtype=np.str_), counts),
+        frame=np.repeat(np.array(frame_ids, dtype=np.str_), counts),
+        label=np.asarray(together.label),
+        centre_m=together.centre_m,
+        size_m=together.size_m,
+        yaw_rad=together.yaw_rad,
+        score=together.score,
+        track_id=together.track_id,
+        point_count=together.point_count,
+        velocity_m_s=together.velocity_m_s,
+        reference=np.full(len(together), reference) if reference else None,
+    )

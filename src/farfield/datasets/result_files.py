@@ -1,0 +1,165 @@
+"""A detector's boxes in the result files of other tools: KITTI's folder of texts, nuScenes' JSON."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.convert import box_rows
+from farfield.datasets.kitti.object import objects_from_boxes
+from farfield.datasets.kitti.writer import VIRTUAL_CAMERA
+from farfield.errors import ConfigError
+from farfield.files.atomic import open_atomic
+from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
+from farfield.files.coordinates import camera_words, write_coordinates
+from farfield.files.kitti import write_labels
+from farfield.files.nuscenes import WORLD
+from farfield.frame import Boxes, Frame, Key
+from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, NUSCENES_FROM_CIRRUS
+
+ResultFormat = Literal["boxes-csv", "kitti", "nuscenes"]
+RESULT_FORMATS: tuple[str, ...] = get_args(ResultFormat)
+_SUFFIX = {".csv": "boxes-csv", ".json": "nuscenes"}
+_WANTED = {"boxes-csv": "a file ending in .csv", "nuscenes": "a file ending in .json", "kitti": "a folder"}
+
+Found = Iterable[tuple[Key, Boxes]]
+"""Scored boxes by (sequence, frame), frame after frame."""
+
+
+def result_format(out: Path | None, format: str | None = None) -> str:
+    """The format of a file or folder of results: the one asked for, or what the suffix says.
+
+    Args:
+        out: Where to write; None prints.
+        format: One of ``RESULT_FORMATS``; None leaves it to the suffix.
+
+    Raises:
+        ConfigError: If the name does not fit the format, or says none.
+    """
+    if format is not None and format not in RESULT_FORMATS:
+        raise ConfigError(f"format: expected one of {', '.join(RESULT_FORMATS)}, got {format!r}")
+    if out is None:
+        if format not in (None, "boxes-csv"):
+            raise ConfigError(f"--format {format} needs --out: {_WANTED[str(format)]}")
+        return "boxes-csv"
+    said = _SUFFIX.get(out.suffix)
+    if format is None and said is None:
+        raise ConfigError(
+            f"--out {out}: expected a name ending in .csv (boxes as CSV) or .json (nuScenes' results), or a folder "
+            "with --format kitti (KITTI's results)"
+        )
+    chosen = format or str(said)
+    fits = said is None and not out.is_file() if chosen == "kitti" else said == chosen and not out.is_dir()
+    if not fits:
+        what = "a folder" if out.is_dir() else "that name"
+        raise ConfigError(f"--out {out}: expected {_WANTED[chosen]} for the format {chosen}, got {what}")
+    return chosen
+
+
+@dataclass
+class ResultWriter:
+    """Writes what was found, once, and remembers what was assumed.
+
+    Args:
+        format: One of ``RESULT_FORMATS``.
+        frames: The frames in whose coordinates the boxes stand, in the order in which they come.
+        keys: Their (sequence, frame).
+        kind: Of which kind of sensor the detector reads the clouds.
+        notes: What was assumed, once written.
+    """
+
+    format: str
+    frames: Sequence[Frame] | Dataset
+    keys: Sequence[Key]
+    kind: str = "lidar"
+    notes: list[str] = field(default_factory=list)
+
+    def write(self, out: Path, found: Found) -> None:
+        """Write all boxes; a file appears whole or not at all.
+
+        Args:
+            out: A file, or KITTI's folder.
+            found: The boxes of each frame.
+        """
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if self.format == "kitti":
+            self._kitti(out, found)
+        elif self.format == "nuscenes":
+            self._nuscenes(out, found)
+        else:
+            write_boxes_csv_parts(out, rows_of(found, self.frames[0].reference))
+
+    def _kitti(self, out: Path, found: Found) -> None:
+        """``FRAME.txt`` for each frame, the empty ones too, below a folder for each of several sequences."""
+        several = len({sequence for sequence, _ in self.keys}) > 1
+        virtual, named = 0, set[Path]()
+        for number, ((sequence, frame_id), boxes) in enumerate(found):
+            frame = self.frames[number]
+            called, camera = next(iter(frame.cameras.items()), ("", None))
+            virtual += camera is None
+            folder = out / sequence if several else out
+            if folder not in named:
+                named.add(folder)
+                write_coordinates(folder, camera_words(called, frame.reference))
+            classes = _named(boxes, KITTI_FROM_CIRRUS)
+            objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=classes)
+            write_labels(folder / f"{frame_id}.txt", objects)
+        if virtual:
+            self.notes.append(
+                f"{virtual} frames have no camera: their boxes stand in KITTI's axes at the sensor, and 2D boxes are "
+                "those of a virtual camera there"
+            )
+
+    def _nuscenes(self, out: Path, found: Found) -> None:
+        """One list of boxes a sample, in the world where every frame's pose is known."""
+        posed = all(self.frames[number].world_T_frame is not None for number in range(len(self.keys)))
+        plain = len({frame for _, frame in self.keys}) == len(self.keys)
+        meta = {"use_camera": False, "use_map": False, "use_external": False}
+        meta |= {"use_lidar": self.kind == "lidar", "use_radar": self.kind == "radar"}
+        meta_text = json.dumps(meta | {"reference": WORLD if posed else self.frames[0].reference})
+        still = False
+        with open_atomic(out) as handle:
+            handle.write(f'{{"meta": {meta_text}, "results": {{'.encode())
+            for number, ((sequence, frame_id), boxes) in enumerate(found):
+                pose = self.frames[number].world_T_frame if posed else None
+                token = frame_id if plain else f"{sequence}/{frame_id}"
+                still = still or (len(boxes) > 0 and boxes.velocity_m_s is None)
+                rows = list(_samples(token, boxes if pose is None else boxes.transform(pose)))
+                handle.write(f"{', ' if number else ''}{json.dumps(token)}: {json.dumps(rows)}".encode())
+            handle.write(b"}}\n")
+        where = "the world" if posed else f"each frame ({self.frames[0].reference}), since poses are not known"
+        self.notes.append(f"boxes stand in the coordinates of {where}")
+        if still:
+            self.notes.append("velocities are not known and stand as 0: nuScenes' results must have numbers there")
+
+
+def rows_of(found: Found, reference: str = "") -> Iterator[BoxRows]:
+    """Rows of a CSV file, one frame at a time; ``reference`` names the coordinates of the boxes."""
+    for key, boxes in found:
+        yield box_rows([(key, boxes)], reference=reference)
+
+
+def _named(boxes: Boxes, names: Mapping[str, str]) -> dict[str, str]:
+    """The other tool's name of each class; one that has none there keeps its own."""
+    return {name: names.get(name, name) for name in map(str, np.unique(boxes.label))}
+
+
+def _samples(token: str, boxes: Boxes) -> Iterator[dict[str, Any]]:
+    names, half = _named(boxes, NUSCENES_FROM_CIRRUS), boxes.yaw_rad / 2
+    velocity = np.zeros((len(boxes), 2)) if boxes.velocity_m_s is None else np.nan_to_num(boxes.velocity_m_s[:, :2])
+    score = np.ones(len(boxes)) if boxes.score is None else boxes.score
+    for row in range(len(boxes)):
+        yield {
+            "sample_token": token,
+            "translation": boxes.centre_m[row].tolist(),
+            "size": boxes.size_m[row, [1, 0, 2]].tolist(),
+            "rotation": [float(np.cos(half[row])), 0.0, 0.0, float(np.sin(half[row]))],
+            "velocity": velocity[row].tolist(),
+            "detection_name": names[str(boxes.label[row])],
+            "detection_score": float(score[row]),
+            "attribute_name": "",
+        }

@@ -1,0 +1,390 @@
+"""Bird's-eye pictures: points, annotated and predicted boxes on a grid of metres, forward to the right."""
+
+from collections.abc import Collection, Sequence
+from importlib import import_module
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from farfield.evaluation.objects import of_classes, shown_of
+from farfield.evaluation.sensing import kind_of, returns_word
+from farfield.figures.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
+from farfield.figures.tags import draw_tags
+from farfield.frame import Cloud, Frame
+from farfield.geometry.boxes import Boxes
+from farfield.metrics.centre.matching import found_by
+from farfield.vocabulary.scores import SHOWN_SCORE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame", "zooms"]
+
+Window = tuple[float, float, float, float]
+_POINT_DPI = 110  # pixels an inch of the points
+WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
+RANGES_M = (70.0, 150.0, 250.0)
+SHORT_WINDOW_M: Window = (0.0, 120.0, -30.0, 30.0)
+ZOOMS_M: tuple[tuple[str, Window], ...] = (
+    ("near: 0 to 70 m", (0.0, 70.0, -35.0, 35.0)),
+    ("mid: 70 to 150 m", (70.0, 150.0, -40.0, 40.0)),
+    ("far: 150 to 250 m", (150.0, 250.0, -50.0, 50.0)),
+)
+
+
+def draw_birdseye(
+    axes: "Axes",
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window = WINDOW_M,
+    rings_m: Sequence[float] = RANGES_M,
+    point_size: float = 0.5,
+    line_width: float = 1.1,
+) -> None:
+    """Draw one cloud from above: x (forward) to the right, y (left) upwards.
+
+    Args:
+        axes: Where to draw.
+        cloud: The points.
+        annotated: Annotated boxes, or None where there are none.
+        predicted: Predicted boxes.
+        labels: Classes that the detector was asked for; annotated boxes of other classes are drawn in grey.
+        window_m: x from, x to, y from, y to.
+        rings_m: Ranges to mark by arcs.
+        point_size: Marker area of a point, in square points.
+        line_width: Line width of boxes, in points.
+    """
+    x_from, x_to, y_from, y_to = window_m
+    _draw_grid(axes, window_m)
+    draw_rings(axes, window_m, rings_m)
+    _draw_points(axes, cloud.points_m[in_window(cloud.points_m, window_m)], window_m, point_size)
+    if annotated is not None:
+        asked = of_classes(annotated, labels)
+        draw_boxes(axes, annotated[~asked], MUTED, line_width=0.7 * line_width, order=3)
+        draw_boxes(axes, annotated[asked], ANNOTATED, line_width=1.9 * line_width, order=4)
+    if predicted is not None:
+        draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
+        draw_tags(axes, predicted[in_window(predicted.centre_m, window_m)], PREDICTED)
+    elif annotated is not None:
+        draw_tags(axes, annotated[in_window(annotated.centre_m, window_m)], ANNOTATED)
+    if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
+        axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
+    axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
+    place_names(axes)
+
+
+def place_names(axes: "Axes") -> None:
+    """Put the axes' names at fixed places: to find them, matplotlib measures every number beside the axes."""
+    from matplotlib.transforms import ScaledTranslation
+
+    move = axes.get_figure(root=True).dpi_scale_trans  # type: ignore[union-attr]
+    axes.xaxis.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0, -0.24, move))
+    axes.yaxis.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-0.36, 0, move))
+
+
+def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Window, point_size: float) -> None:
+    """Points as one picture of their number a pixel, which takes a tenth of the time of markers."""
+    from matplotlib.colors import to_rgb
+
+    x_from, x_to, y_from, y_to = window_m
+    place = axes.get_position()
+    width = axes.get_figure(root=True).get_figwidth() * place.width * _POINT_DPI  # type: ignore[union-attr]
+    pixel_m = max((x_to - x_from) / max(width, 1.0), 1e-6)
+    shape = max(round((x_to - x_from) / pixel_m), 1), max(round((y_to - y_from) / pixel_m), 1)
+    count, _, _ = np.histogram2d(points_m[:, 0], points_m[:, 1], bins=shape, range=((x_from, x_to), (y_from, y_to)))
+    size = max(round(point_size**0.5 * _POINT_DPI / 72), 1)
+    spread = np.zeros_like(count)
+    for across, up in np.ndindex(size, size):
+        spread[across:, up:] += count[: shape[0] - across, : shape[1] - up]
+    picture = np.zeros((shape[1], shape[0], 4), dtype=np.uint8)
+    picture[..., :3] = np.round(255 * np.array(to_rgb(POINT)))
+    picture[..., 3] = np.round(255 * (1.0 - 0.25 ** np.minimum(spread.T, 4.0)))
+    axes.imshow(
+        picture, origin="lower", extent=(x_from, x_to, y_from, y_to), interpolation="none", aspect="auto", zorder=2
+    )
+
+
+def _draw_grid(axes: "Axes", window_m: Window) -> None:
+    from matplotlib.collections import LineCollection
+
+    x_from, x_to, y_from, y_to = window_m
+    step_m = 20.0 if x_to - x_from <= 120 else 50.0
+    axes.set_xticks(_multiples(x_from, x_to, step_m))
+    axes.set_yticks(_multiples(y_from, y_to, step_m))
+    lines = [[(x, y_from), (x, y_to)] for x in _multiples(x_from, x_to, 10.0)]
+    lines += [[(x_from, y), (x_to, y)] for y in _multiples(y_from, y_to, 10.0)]
+    grid = LineCollection(lines, colors="#e9edf1", linewidths=0.7, alpha=0.55, zorder=0.5)
+    axes.add_collection(grid, autolim=False)
+    axes.grid(visible=True)
+    axes.set_xlabel("x forward (m)")
+    axes.set_ylabel("y left (m)")
+
+
+def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " n"]:
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+
+
+def draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float], *, colour: str = INK) -> None:
+    """Mark ranges by dotted arcs with their metres."""
+    angle_rad = np.linspace(-np.pi, np.pi, 721)
+    x_from, x_to, y_from, y_to = window_m
+    for ring_m in rings_m:
+        axes.plot(
+            ring_m * np.cos(angle_rad), ring_m * np.sin(angle_rad), color=colour, lw=0.8, ls=(0, (1, 3)), zorder=2.5
+        )
+        label_y = y_to - 0.035 * (y_to - y_from)
+        label_x = np.sqrt(max(ring_m**2 - label_y**2, 0.0))
+        if x_from < label_x < x_to:
+            axes.annotate(
+                f"{ring_m:g} m",
+                (label_x, label_y),
+                xytext=(-4, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                fontsize=7.5,
+                color=INK,
+                bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8},
+                zorder=6,
+            )
+
+
+def draw_boxes(axes: "Axes", boxes: Boxes, colour: str, *, line_width: float, order: int, dashes: Any = "-") -> None:
+    """Draw box outlines from above, with a tick from the centre to the front that shows the heading."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    if not len(boxes):
+        return
+    corners = boxes.bev_corners_m()
+    edge = PolyCollection(
+        list(corners), facecolor="none", edgecolor=colour, linewidth=line_width, linestyle=dashes, zorder=order
+    )
+    front = (corners[:, 0] + corners[:, 3]) / 2
+    heading = LineCollection(
+        list(np.stack([boxes.centre_m[:, :2], front], axis=1)), colors=colour, linewidths=line_width, zorder=order
+    )
+    for artist in (edge, heading):
+        axes.add_collection(artist, autolim=False)
+
+
+def draw_legend(
+    figure: "Figure",
+    *,
+    others: bool = False,
+    annotated: bool = True,
+    predicted: bool = True,
+    point: str = "point",
+    rings: bool = True,
+) -> None:
+    """Put one legend under a figure's panels; ``point`` is what a dot is."""
+    from matplotlib.lines import Line2D
+
+    entries = [Line2D([], [], color=POINT, marker=".", ls="none", ms=5, label=point)]
+    if annotated:
+        entries += [Line2D([], [], color=ANNOTATED, lw=2.2, label="annotated")]
+    if predicted:
+        entries += [Line2D([], [], color=PREDICTED, lw=1.3, label="predicted")]
+    if others:
+        entries += [Line2D([], [], color=MUTED, lw=1.0, label="annotated, class not asked for")]
+    if rings:
+        entries += [Line2D([], [], color=INK, lw=0.9, ls=(0, (1, 3)), label="range")]
+    entries += [Line2D([], [], color=INK, marker=">", ls="none", ms=6, label="sensor")]
+    loc: Any = "lower center" if figure.get_layout_engine() is None else "outside lower center"
+    figure.legend(handles=entries, loc=loc, ncols=len(entries), handlelength=1.6)
+
+
+def _leave_room(figure: "Figure", *, above_in: float, below_in: float = 0.75) -> None:
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=0.6 / width, right=1 - 0.15 / width, bottom=below_in / height, top=1 - above_in / height, wspace=0.16
+    )
+
+
+def overview(
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window = WINDOW_M,
+    rings_m: Sequence[float] = RANGES_M,
+    point: str = "point",
+    title: str = "",
+) -> "Figure":
+    """The whole window in one picture; arguments as in :func:`draw_birdseye`, ``point`` is what a dot is."""
+    with house_style():
+        x_from, x_to, y_from, y_to = window_m
+        above_in = 0.35 if title else 0.1
+        figure = new_figure(11.0, 0.85 + above_in + 10.2 * (y_to - y_from) / (x_to - x_from), fixed=True)
+        _leave_room(figure, above_in=above_in)
+        axes = figure.add_subplot()
+        draw_birdseye(
+            axes,
+            cloud,
+            annotated=annotated,
+            predicted=predicted,
+            labels=labels,
+            window_m=window_m,
+            rings_m=rings_m,
+            line_width=0.9,
+        )
+        if title:
+            axes.set_title(title)
+        draw_legend(
+            figure,
+            others=annotated is not None and not of_classes(annotated, labels).all(),
+            annotated=annotated is not None,
+            predicted=predicted is not None,
+            point=point,
+            rings=len(rings_m) > 0,
+        )
+    return figure
+
+
+def zooms(
+    cloud: Cloud,
+    *,
+    annotated: Boxes | None = None,
+    predicted: Boxes | None = None,
+    labels: Collection[str] | None = None,
+    windows_m: Sequence[tuple[str, Window]] = ZOOMS_M,
+    rings_m: Sequence[float] = RANGES_M,
+) -> "Figure":
+    """Near, mid and far side by side, each with its own scale; arguments as in :func:`draw_birdseye`."""
+    with house_style():
+        figure = new_figure(11.0, 4.0, fixed=True)
+        _leave_room(figure, above_in=0.35, below_in=0.5)
+        for place, (name, window_m) in enumerate(windows_m, 1):
+            axes = figure.add_subplot(1, len(windows_m), place)
+            draw_birdseye(
+                axes,
+                cloud,
+                annotated=annotated,
+                predicted=predicted,
+                labels=labels,
+                window_m=window_m,
+                rings_m=rings_m,
+                point_size=1.2 + 0.02 * window_m[0],
+                line_width=1.1,
+            )
+            axes.set_title(name)
+            axes.set_ylabel("y left (m)" if place == 1 else "")
+    return figure
+
+
+def birdseye(
+    frame: Frame,
+    predictions: Boxes | None = None,
+    *,
+    cloud: str | None = None,
+    labels: Collection[str] | None = None,
+    window_m: Window | Literal["fit"] = WINDOW_M,
+    shown_score: float = SHOWN_SCORE,
+) -> "Figure":
+    """Draw a frame from above with its annotated boxes and a detector's predictions.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        cloud: Which cloud; None takes the first.
+        labels: Classes that the detector was asked for; others are drawn in grey.
+        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        shown_score: Predicted boxes of a lower score are left out, which the title says.
+    """
+    predictions, left_out = shown_of(predictions, shown_score)
+    points = frame.cloud(cloud)
+    window = fit_window(points.points_m) if window_m == "fit" else window_m
+    title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
+    if predictions is not None and frame.boxes is not None:
+        annotated = frame.boxes[of_classes(frame.boxes, labels)]
+        annotated = annotated[in_window(annotated.centre_m, window)]
+        found = int((found_by(predictions, annotated) >= 0).sum())
+        title += f": {found} of {len(annotated)} annotated objects found within 2 m"
+    title += f"; {left_out}" if left_out else ""
+    point = returns_word(kind_of(frame, cloud))
+    return overview(
+        points, annotated=frame.boxes, predicted=predictions, labels=labels, window_m=window, point=point, title=title
+    )
+
+
+def fitting_window(cloud: Cloud, *boxes: Boxes | None, edges_m: Sequence[float] = RANGES_M) -> Window:
+    """The window to the outermost range edge, or one of 120 m where neither points nor boxes reach beyond."""
+    reach_m = min(max(edges_m, default=WINDOW_M[1]), WINDOW_M[1])
+    farthest = [float(np.percentile(cloud.points_m[:, 0], 99.8))] if len(cloud) else []
+    farthest += [float(part.centre_m[:, 0].max()) for part in boxes if part is not None and len(part)]
+    if reach_m > SHORT_WINDOW_M[1] and max(farthest, default=reach_m) > SHORT_WINDOW_M[1]:
+        return WINDOW_M[0], reach_m, *WINDOW_M[2:]
+    return SHORT_WINDOW_M[0], min(reach_m, SHORT_WINDOW_M[1]), *SHORT_WINDOW_M[2:]
+
+
+def zoom_windows(edges_m: Sequence[float] = RANGES_M) -> tuple[tuple[str, Window], ...]:
+    """A window for each range bin, named; none where there are too many or the outermost is near enough as it is."""
+    edges = [0.0, *edges_m]
+    if len(edges) not in (3, 4, 5) or edges[-1] <= SHORT_WINDOW_M[1] or edges[-1] > WINDOW_M[1]:
+        return ()
+    words = ("near: ", "mid: ", "far: ") if len(edges) == 4 else ("",) * 4
+    half_m = (35.0, 40.0, 50.0, 50.0)
+    return tuple(
+        (f"{word}{low:g} to {high:g} m", (low, high, -half, half))
+        for word, half, (low, high) in zip(words, half_m, pairwise(edges), strict=False)
+    )
+
+
+def filled_zooms(cloud: Cloud, *boxes: Boxes | None, edges_m: Sequence[float] = RANGES_M) -> list[tuple[str, Window]]:
+    """Those of the zooms that hold boxes or at least twenty points."""
+    centres = [part.centre_m for part in boxes if part is not None]
+    return [
+        (name, window_m)
+        for name, window_m in zoom_windows(edges_m)
+        if in_window(cloud.points_m, window_m).sum() >= 20 or any(in_window(c, window_m).any() for c in centres)
+    ]
+
+
+def fit_window(points_m: Float[np.ndarray, "n 3"]) -> Window:
+    """The window that shows all points, in whole tens of metres."""
+    if not len(points_m):
+        return WINDOW_M
+    low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
+    low, high = np.floor(low / 10) * 10, np.ceil(high / 10) * 10
+    return float(low[0]), float(max(high[0], low[0] + 10)), float(low[1]), float(max(high[1], low[1] + 10))
+
+
+def in_window(points_m: Float[np.ndarray, "n 3"], window_m: Window) -> Bool[np.ndarray, " n"]:
+    """Which points lie in a window, seen from above, shape (n,)."""
+    x, y = points_m[:, 0], points_m[:, 1]
+    return (x >= window_m[0]) & (x <= window_m[1]) & (y >= window_m[2]) & (y <= window_m[3])
+
+
+def show_frame(
+    frame: Frame,
+    predictions: Boxes | None = None,
+    *,
+    cloud: str | None = None,
+    window_m: Window | Literal["fit"] = WINDOW_M,
+    shown_score: float = SHOWN_SCORE,
+) -> "Figure":
+    """Draw a frame from above and, where matplotlib has a window or a notebook, show it.
+
+    Args:
+        frame: The frame.
+        predictions: Predicted boxes.
+        cloud: Which cloud; None takes the first.
+        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        shown_score: Predicted boxes of a lower score are left out, which the title says.
+
+    Returns:
+        The figure; ``figure.savefig("frame.png", dpi=150)`` writes it.
+    """
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    figure = birdseye(frame, predictions, cloud=cloud, window_m=window_m, shown_score=shown_score)
+    pyplot: Any = import_module("matplotlib.pyplot")  # its types hide the one function that adopts a figure
+    if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        pyplot.new_figure_manager_given_figure(max(pyplot.get_fignums(), default=0) + 1, figure).show()
+    return figure

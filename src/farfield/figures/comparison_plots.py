@@ -1,0 +1,363 @@
+"""The figures of a comparison, each from plain numbers; a figure that no side has the data for is None."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.figures.style import INK, MUTED, SIDES, house_style, new_figure
+from farfield.inspection.side import ComparedDataset
+from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
+from farfield.vocabulary.patterns import PATTERNS
+from farfield.vocabulary.published import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
+_MAPS = ("Blues", "Oranges")
+LEAST_BOXES = 5
+"""In a distance bin, of which a median is drawn."""
+_SHARES = {limit: float(share) for limit, share in SHARES_NEAR_HORIZON.items()}
+_QUANTILES = {quantile: float(level) for quantile, level in ROW_QUANTILES_DB.items()}
+
+
+def _series(sides: Sequence[ComparedDataset]) -> Iterator[tuple[ComparedDataset, str, Mapping[str, Any], str, Any]]:
+    """Every cloud of every side: side, cloud, its figures, colour (by side) and dashes (by cloud)."""
+    names = list(dict.fromkeys(name for side in sides for name in side.summary["clouds"]))
+    for side, colour in zip(sides, SIDES, strict=False):
+        for name, cloud in side.summary["clouds"].items():
+            yield side, name, cloud, colour, _DASHES[names.index(name) % len(_DASHES)]
+
+
+def _legend(figure: "Figure", axes: "Axes", *, columns: int = 2) -> None:
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, handlelength=2.6)
+
+
+def elevation(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Density of returns over elevation, and the shares near the horizon."""
+    series = list(_series(sides))
+    if not series:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 4.3)
+        left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+        for place, (side, name, cloud, colour, dash) in enumerate(series):
+            edges = np.asarray(cloud["elevation"]["edges_deg"])[::4]  # whole degrees: finer ones show each line
+            count = np.asarray(cloud["elevation"]["count"], dtype=np.float64).reshape(-1, 4).sum(axis=1)
+            density = count / max(count.sum(), 1) / np.diff(edges)
+            left.stairs(density, edges, color=colour, lw=1.7, ls=dash, label=f"{side.title}, {name}", baseline=None)
+            shares = [cloud["far_share_of_horizon"][limit] for limit in _SHARES]
+            width = 0.8 / len(series)
+            at = np.arange(3) + (place - (len(series) - 1) / 2) * width
+            bars = right.bar(at, shares, width * 0.92, color=colour, alpha=1.0 if dash == "-" else 0.45)
+            right.bar_label(bars, [f"{share:.2f}" for share in shares], fontsize=7.5, color=INK, padding=1)
+        if any(name == PATTERNS[0] for _, name, *_ in series):
+            right.plot(np.arange(3), list(_SHARES.values()), ls="none", marker="x", ms=9, mew=2, color=INK)
+        right.set_xticks(np.arange(3), [f"within {limit}°" for limit in _SHARES])
+        right.set(ylim=(0, 1.1), ylabel="share of returns beyond 8 m")
+        right.set_title("Shares about the horizon")
+        left.set(xlim=(-25, 15), ylim=(0, None), xlabel="elevation (degrees)", ylabel="share of returns per degree")
+        left.grid(visible=True)
+        left.set_title("All returns")
+        _legend(figure, left)
+    return figure
+
+
+def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them.
+
+    Without a median or a line there is no such panel.
+    """
+    drawn = [
+        (series, series[0].arrays[f"points/{series[1]}"])
+        for series in _series(sides)
+        if len(series[0].arrays.get(f"points/{series[1]}", {}).get("range_m", ()))
+    ]
+    if not drawn:
+        return None
+    overlaid = any(_is_known(cloud["points_in_vehicles"]) for (_, _, cloud, *_), _ in drawn)
+    count = len(drawn) + overlaid
+    columns = min(count, 2 if count in (2, 4) else 3)
+    rows = -(-count // columns)
+    with house_style():
+        figure = new_figure(11.0, 0.5 + 3.5 * rows)
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        panels = list(grid.ravel())
+        for axes in panels[count:]:
+            axes.set_visible(False)
+        for axes, ((side, name, cloud, colour, dash), found) in zip(panels, drawn, strict=False):
+            _draw_boxes(axes, found, _MAPS[SIDES.index(colour)])
+            fit = cloud["points_in_vehicles"]
+            _draw_medians(axes, fit, INK, "-")
+            slope = "too few boxes for a line" if fit["slope"] is None else _fit_words(fit)
+            axes.set_title(f"{side.title}, {name}\n{len(found['range_m']):,} boxes; {slope}")
+            if overlaid:
+                _draw_medians(panels[len(drawn)], fit, colour, dash, label=f"{side.title}, {name}")
+        for axes in panels[:count]:
+            axes.set(xscale="log", yscale="log", xlim=(5, 320), ylim=(0.4, 2e4))
+            axes.set_xticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
+            axes.set_yticks([0.5, 1, 10, 100, 1000, 10000], ["0", "1", "10", "100", "1,000", "10,000"])
+            axes.minorticks_off()
+            axes.grid(visible=True)
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("distance (m)")
+        for axes in grid[:, 0]:
+            axes.set_ylabel("points in the box")
+        if overlaid:
+            panels[len(drawn)].set_title("Medians and lines together\n")
+            _legend(figure, panels[len(drawn)])
+    return figure
+
+
+def _is_known(fit: Mapping[str, Any]) -> bool:
+    """Whether boxes are enough for a median or a line."""
+    return fit["slope"] is not None or any(boxes >= LEAST_BOXES for boxes in fit["boxes"])
+
+
+def _draw_boxes(axes: "Axes", found: Mapping[str, np.ndarray], colours: str) -> None:
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    range_m, count = found["range_m"], np.maximum(found["count"], 0.5)
+    axes.hexbin(
+        np.clip(range_m, 5, 320),
+        count,
+        xscale="log",
+        yscale="log",
+        gridsize=(30, 20),
+        extent=(np.log10(5), np.log10(320), np.log10(0.4), np.log10(2e4)),
+        mincnt=1,
+        bins="log",
+        cmap=ListedColormap(colormaps[colours](np.linspace(0.25, 0.95, 128))),
+        linewidths=0.1,
+    )
+
+
+def _fit_words(fit: Mapping[str, Any]) -> str:
+    return f"slope {fit['slope']:.2f}, {fit['level']:.0f} at 50 m"
+
+
+def _draw_medians(axes: "Axes", fit: Mapping[str, Any], colour: str, dash: Any, *, label: str = "") -> None:
+    edges = np.asarray(fit["edges_m"])
+    centre = np.sqrt(edges[:-1] * edges[1:])
+    enough = [(x, max(y, 0.5)) for x, y, n in zip(centre, fit["median"], fit["boxes"], strict=True) if n >= LEAST_BOXES]
+    if enough:
+        x, y = np.array(enough).T
+        axes.plot(x, y, ls="none", marker="o", ms=3.6, mfc="white" if dash != "-" else colour, mec=colour, zorder=4)
+    if fit["slope"] is None:
+        axes.plot([], [], color=colour, lw=1.6, ls=dash, label=label or None)
+        return
+    ends = np.array(fit["fitted_m"])
+    axes.plot(ends, fit["level"] * (ends / 50.0) ** fit["slope"], color=colour, lw=1.6, ls=dash, zorder=3, label=label)
+
+
+def ranges(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Share of returns by range."""
+    series = list(_series(sides))
+    if not series:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 3.6)
+        axes = figure.add_subplot()
+        for side, name, cloud, colour, dash in series:
+            count = np.asarray(cloud["range"]["count"], dtype=np.float64)
+            share = np.maximum(count / max(count.sum(), 1), 1e-7)
+            axes.stairs(
+                share,
+                cloud["range"]["edges_m"],
+                color=colour,
+                ls=dash,
+                lw=1.7,
+                baseline=None,
+                label=f"{side.title}, {name}",
+            )
+        axes.set(yscale="log", ylim=(1e-6, 1), xlim=(0, 360), xlabel="range (m)", ylabel="share of returns in 5 m")
+        axes.grid(visible=True)
+        _legend(figure, axes)
+    return figure
+
+
+def objects(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Distances of vehicles and shares of classes."""
+    having = [(side, colour) for side, colour in zip(sides, SIDES, strict=False) if side.summary["boxes"]["count"]]
+    if not having:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 3.9)
+        left, right = figure.subplots(1, 2)
+        for side, colour in having:
+            distance = side.summary["boxes"]["vehicle_distance"]
+            count = np.asarray(distance["count"], dtype=np.float64)
+            left.stairs(
+                100 * count / max(count.sum(), 1),
+                distance["edges_m"],
+                color=colour,
+                lw=1.8,
+                label=side.title,
+                baseline=None,
+            )
+        left.set(xlim=(0, 350), ylim=(0, None), xlabel="distance (m)", ylabel="vehicles in 10 m (%)")
+        left.grid(visible=True)
+        left.set_title("Distance of vehicles")
+        shares = {
+            side.title: {name: each["share"] for name, each in side.summary["boxes"]["classes"].items()}
+            for side, _ in having
+        }
+        _bars(right, shares, [colour for _, colour in having], percent=True)
+        right.set_title("Classes")
+        right.set_xlabel("boxes (%)")
+        _legend(figure, left)
+    return figure
+
+
+def _bars(
+    axes: "Axes", shares: Mapping[str, Mapping[str, float]], colours: Sequence[str], *, percent: bool = False
+) -> None:
+    """Horizontal bars, one group a name, one bar a side, the figure at its end."""
+    names = list(dict.fromkeys(name for each in shares.values() for name in each))
+    height = 0.8 / len(shares)
+    for place, (side, each) in enumerate(shares.items()):
+        at = np.arange(len(names)) + (place - (len(shares) - 1) / 2) * height
+        values = [100 * each.get(name, 0.0) for name in names]
+        bars = axes.barh(at, values, height * 0.9, color=colours[place], label=side)
+        form = [f"{value:.1f}" if percent and 0 < value < 10 else f"{value:.0f}" for value in values]
+        axes.bar_label(bars, form, fontsize=7.5, color=MUTED, padding=2)
+    axes.set_yticks(np.arange(len(names)), [name.replace("_", " ") for name in names])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 112)
+
+
+def sizes(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Mean and spread of length, width and height by class."""
+    tables = [
+        {name: each for name, each in side.summary["boxes"]["classes"].items() if each["count"] >= 3} for side in sides
+    ]
+    names = list(dict.fromkeys(name for table in tables for name in table))
+    if not names:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 1.3 + 0.34 * len(names))
+        panels = figure.subplots(1, 3, sharey=True)
+        for axes, kind in zip(panels, ("length", "width", "height"), strict=True):
+            for place, (side, table) in enumerate(zip(sides, tables, strict=True)):
+                rows = [(k, table[name][f"{kind}_m"]) for k, name in enumerate(names) if name in table]
+                if rows:
+                    at = [k + 0.15 * (2 * place - 1) for k, _ in rows]
+                    mean, std = [row["mean"] for _, row in rows], [row["std"] for _, row in rows]
+                    axes.errorbar(mean, at, xerr=std, fmt="o", ms=5, lw=1.6, color=SIDES[place], label=side.title)
+            axes.set_title(kind.capitalize())
+            axes.set_xlabel("m")
+            axes.set_xlim(left=0)
+            axes.grid(visible=True, axis="x")
+        panels[0].set_yticks(np.arange(len(names)), [name.replace("_", " ") for name in names])
+        panels[0].set_ylim(len(names) - 0.5, -0.5)
+        _legend(figure, panels[0])
+    return figure
+
+
+def survival(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Ratio of points in vehicle boxes to normal weather by distance, a panel a cloud with two weathers or more."""
+    drawn = [
+        (side, name, cloud["survival"])
+        for side, name, cloud, _, _ in _series(sides)
+        if sum(row["overall"] is not None for row in cloud["survival"]["weather"].values()) >= 2
+    ]
+    if not drawn:
+        return None
+    with house_style():
+        columns = min(len(drawn), 2)
+        rows = -(-len(drawn) // columns)
+        figure = new_figure(11.0 if columns == 2 else 7.5, 0.7 + 3.1 * rows)
+        panels = list(figure.subplots(rows, columns, squeeze=False, sharey=True).ravel())
+        for axes in panels[len(drawn) :]:
+            axes.set_visible(False)
+        for axes, (side, name, table) in zip(panels, drawn, strict=False):
+            places = np.arange(len(table["edges_m"]) - 1)
+            for weather, row in table["weather"].items():
+                ratio = np.array([np.nan if each is None else each for each in row["ratio"]], dtype=np.float64)
+                word = weather.replace("_", " ")
+                axes.plot(
+                    places,
+                    ratio,
+                    marker="o",
+                    ms=4,
+                    lw=1.7,
+                    color=WEATHER_COLOURS.get(condition_name(weather), INK),
+                    label=word,
+                )
+            axes.set_xticks(places, [f"{a:g}-{b:g}" for a, b in pairwise(table["edges_m"])])
+            axes.set(xlabel="distance (m)", ylabel="points over normal")
+            axes.set_title(f"{side.title}, {name}")
+            axes.grid(visible=True)
+        panels[0].set_ylim(0, min(panels[0].get_ylim()[1], 2.0))
+        shown = {line.get_label(): line for axes in panels for line in axes.lines}
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=7, handlelength=2.0)
+    return figure
+
+
+def conditions(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Shares of frames by weather, road and time of day."""
+    kinds = [kind for kind in CONDITIONS if any(side.summary["conditions"][kind] for side in sides)]
+    if not kinds:
+        return None
+    with house_style():
+        most = max(len({n for side in sides for n in side.summary["conditions"][kind]}) for kind in kinds)
+        figure = new_figure(11.0, 1.4 + 0.38 * most)
+        panels = figure.subplots(1, len(kinds), squeeze=False)[0]
+        for axes, kind in zip(panels, kinds, strict=True):
+            having = [(side, c) for side, c in zip(sides, SIDES, strict=False) if side.summary["conditions"][kind]]
+            shares = {side.title: side.summary["conditions"][kind] for side, _ in having}
+            _bars(axes, shares, [colour for _, colour in having])
+            axes.set_ylim(most - 0.5, -0.5)
+            axes.set_title(kind.capitalize())
+            axes.set_xlabel("frames (%)")
+        _legend(figure, panels[0])
+    return figure
+
+
+def radar_maps(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """The first range-azimuth map of each side."""
+    drawn = [(side, side.arrays["radar"]) for side in sides if side.arrays.get("radar")]
+    if not drawn:
+        return None
+    with house_style():
+        figure = new_figure(5.5 * len(drawn), 4.8)
+        panels = figure.subplots(1, len(drawn), squeeze=False)[0]
+        for axes, (side, found) in zip(panels, drawn, strict=True):
+            far = (found["range_m"] >= 15.0) & (found["range_m"] <= 107.0)
+            above_db = found["map_db"] - np.median(found["map_db"][far])
+            image = axes.pcolormesh(
+                found["azimuth_deg"], found["range_m"], above_db, vmin=-4, vmax=12, cmap="viridis", rasterized=True
+            )
+            axes.invert_xaxis()  # left is positive, as one would see it
+            axes.set(xlabel="azimuth (degrees; left is positive)", ylabel="range (m)")
+            axes.set_title(side.title)
+        figure.colorbar(image, ax=list(panels), label="dB above the floor", extend="both", shrink=0.9)
+    return figure
+
+
+def radar_levels(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Range profile above the floor, and quantiles of the strongest object's row."""
+    drawn = [(s, c, s.arrays["radar"]) for s, c in zip(sides, SIDES, strict=False) if s.arrays.get("radar")]
+    if not drawn:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 3.9)
+        left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+        for side, colour, found in drawn:
+            left.plot(found["range_m"], found["profile_db"], color=colour, lw=1.5, label=side.title)
+            row = side.summary["radar"]["row_quantiles_db"]
+            right.plot([float(q) for q in row], list(row.values()), color=colour, marker="o", ms=4, lw=1.5)
+        right.plot(
+            [float(q) for q in _QUANTILES], list(_QUANTILES.values()), ls="none", marker="x", ms=8, mew=2, color=INK
+        )
+        left.set(xlim=(0, 119), ylim=(-8, 12), xlabel="range (m)", ylabel="dB above the floor")
+        right.set(xlabel="quantile of the row (%)", ylabel="dB above the floor", xlim=(0, 100))
+        for axes in (left, right):
+            axes.grid(visible=True)
+        _legend(figure, left)
+    return figure

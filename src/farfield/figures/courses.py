@@ -1,0 +1,137 @@
+"""Curves of what a training logged over its steps, a panel for each kind of figure."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from farfield.figures.style import INK, MUTED, PATTERNS, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Row = Mapping[str, float | int]
+"""A row of a ``log.jsonl``: the step, and figures by name."""
+
+_DASHES = ("-", (0, (4, 2)), (0, (1, 1.5)))
+_SMOOTHED = 200  # rows of a curve, above which its running mean is drawn over it
+_MEANS = 50  # of so many windows
+_FEW = 4  # curves whose names find room beside them
+
+
+class CoursePanel(NamedTuple):
+    """What one panel shows.
+
+    Attributes:
+        title: Its title.
+        starts: Names of its columns begin so; none for all that no other panel shows.
+        level: A value worth a line, such as that of chance.
+        bottom: Lowest value shown; None for what the curves have.
+    """
+
+    title: str
+    starts: tuple[str, ...] = ()
+    level: float | None = None
+    bottom: float | None = 0.0
+
+
+_DOMAINS = (
+    CoursePanel("gradient at the shared features", ("gradient_",)),
+    CoursePanel("rank of the features", ("rank_",)),
+    CoursePanel("variance of the features", ("variance_",)),
+    CoursePanel(
+        "accuracy between the domains", ("discriminator_accuracy", "held_accuracy", "probe_accuracy"), 0.5, bottom=None
+    ),
+)
+ADAPTATION = (
+    CoursePanel("loss of source and pseudo boxes", ("source_", "target_")),
+    CoursePanel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
+    *_DOMAINS,
+)
+"""Panels of an adaptation's rounds."""
+RUN = (
+    CoursePanel("losses"),
+    CoursePanel("mean AP on held-out frames", ("validation",)),
+    CoursePanel("loss on held-out frames", ("held_loss_",)),
+    *_DOMAINS,
+    CoursePanel("proxy distance of the domains", ("proxy_distance",)),
+    CoursePanel("lambda", ("lambda",)),
+    CoursePanel("occupied cells, share", ("occupied",)),
+    CoursePanel("cells of each domain", ("cells_of_",)),
+    CoursePanel("near objects of a mixture", ("n_eff", "local_objects")),
+    CoursePanel("pairs", ("pairs",)),
+    CoursePanel("boxes of the teacher a frame", ("pseudo_boxes", "ignored_boxes")),
+    CoursePanel("learning rate", ("learning_rate",)),
+)
+"""Panels of any training."""
+_NOT_DRAWN = ("step", "time", "round")
+
+
+def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | None":
+    """What was logged over the steps; None where nothing of it was.
+
+    Args:
+        rows: Of a log, by step; of several rounds with the steps counted through and ``round``.
+        panels: What to draw; those without a column are left out.
+    """
+    drawn = [(panel, columns_of(rows, panel, panels)) for panel in panels]
+    drawn = [(panel, columns) for panel, columns in drawn if columns]
+    if not drawn:
+        return None
+    lines = -(-len(drawn) // 2)
+    with house_style():
+        figure = new_figure(11.0, 0.3 + 2.7 * lines)
+        places = figure.subplots(lines, 2, squeeze=False).reshape(-1)
+        for axes in places[len(drawn) :]:
+            axes.set_visible(False)
+        for axes, (panel, columns) in zip(places, drawn, strict=False):
+            _draw(axes, rows, panel, columns)
+    return figure
+
+
+def columns_of(rows: Sequence[Row], panel: CoursePanel, panels: Sequence[CoursePanel]) -> list[str]:
+    """Columns of the log that a panel shows, in their order."""
+    names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in _NOT_DRAWN]
+    if panel.starts:
+        return [name for name in names if name.startswith(panel.starts)]
+    others = tuple(start for other in panels for start in other.starts)
+    return [name for name in names if not name.startswith(others)]
+
+
+def _draw(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: Sequence[str]) -> None:
+    for place, name in enumerate(columns):
+        having = [row for row in rows if name in row and np.isfinite(row[name])]
+        steps, values = (np.array([row[key] for row in having], dtype=np.float64) for key in ("step", name))
+        colour, dash = PATTERNS[place % len(PATTERNS)], _DASHES[place // len(PATTERNS) % len(_DASHES)]
+        label = name.replace("_", " ")
+        if len(values) > _SMOOTHED:
+            axes.plot(steps, values, lw=0.5, alpha=0.25, color=colour)
+            steps, values = smoothed(steps, values)
+        axes.plot(steps, values, lw=1.3, marker="." if len(values) < 12 else "", color=colour, ls=dash, label=label)
+    for first in _first_steps(rows):
+        axes.axvline(first, color=INK, lw=0.8, ls=(0, (1, 3)))
+    if panel.level is not None:
+        axes.axhline(panel.level, color=MUTED, lw=0.8, ls=(0, (3, 3)))
+    axes.set(title=panel.title, xlabel="step", xlim=(0, 1.02 * max(row["step"] for row in rows)))
+    if panel.bottom is not None:
+        axes.set_ylim(panel.bottom, None)
+    many = len(columns) > _FEW
+    if many:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.4 * (high - low))  # room for the names
+    axes.grid(visible=True)
+    axes.legend(fontsize=7, ncols=2 if many else 1, loc="upper right" if many else "best")
+
+
+def smoothed(steps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of neighbouring rows at their mean steps, fifty windows in all."""
+    parts = [np.array_split(each, _MEANS) for each in (steps, values)]
+    means = [np.array([part.mean() for part in each]) for each in parts]
+    return means[0], means[1]
+
+
+def _first_steps(rows: Sequence[Row]) -> list[float | int]:
+    """Last steps of all rounds but the last."""
+    last = {row.get("round", 1): row["step"] for row in rows}
+    return list(last.values())[:-1]

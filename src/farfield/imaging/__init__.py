@@ -1,1 +1,0 @@
-"""What cameras and LiDARs give together, and pictures that may be shown."""

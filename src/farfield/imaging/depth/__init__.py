@@ -1,6 +1,0 @@
-"""Dense depth maps of cameras from LiDAR sweeps, without learning."""
-
-from farfield.imaging.depth.frames import frame_depth
-from farfield.imaging.depth.maps import METHODS, DepthMap, depth_map
-
-__all__ = ["METHODS", "DepthMap", "depth_map", "frame_depth"]

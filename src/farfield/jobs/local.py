@@ -1,0 +1,256 @@
+"""The engine of this machine: its own processes, one thread each, which end with the command whatever ends it."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from queue import SimpleQueue
+from threading import Event, Lock, Semaphore, Thread
+from typing import IO, Any
+
+from farfield.jobs.engines import BulkError, FailedTask
+from farfield.jobs.messages import receive, send
+from farfield.jobs.threads import VARIABLES, one_thread
+from farfield.jobs.units import JobWork, Unit, UnitResult, alone
+
+_GROUP = 10  # units of one group that a worker takes at a time
+_AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
+_PATIENCE_S = 10.0  # for a worker to end by itself
+
+Place = tuple[int, Unit]
+
+
+class LocalEngine:
+    """Processes of this machine, or this very process where one is enough.
+
+    A worker is a new Python process: what it does must stand in a module, not in the script or notebook that asks.
+    """
+
+    def run(
+        self, work: JobWork, units: Sequence[Unit], *, workers: int, ordered: bool
+    ) -> Iterator[tuple[int, UnitResult | FailedTask]]:
+        """See :class:`~farfield.jobs.engines.JobEngine`."""
+        if workers <= 1 and not alone(work):
+            yield from _here(work, units)
+            return
+        crew = _WorkerPool(_packed(work), units, workers, alone=alone(work))
+        whole = False
+        try:
+            crew.start()
+            yield from crew.in_order() if ordered else crew.as_done()
+            whole = True
+        finally:
+            crew.stop(whole=whole)
+
+
+def _here(work: JobWork, units: Sequence[Unit]) -> Iterator[tuple[int, UnitResult]]:
+    with one_thread():
+        for index, unit in enumerate(units):
+            yield index, work(unit)
+
+
+def _packed(work: JobWork) -> bytes:
+    try:
+        packed = pickle.dumps(work)
+    except (pickle.PicklingError, TypeError, AttributeError) as error:
+        raise BulkError(
+            f"several workers: expected work that can be sent to another process, got {type(work).__name__} ({error}). "
+            "Put its functions and classes into a module, or take one worker."
+        ) from error
+    if b"__main__" in packed and "__main__" in _words(packed):
+        raise BulkError(
+            "several workers: expected work whose functions and classes stand in a module, got some of the script or "
+            "notebook itself, which other processes do not see. Move them into a module, or take one worker."
+        )
+    return packed
+
+
+def _words(packed: bytes) -> set[str]:
+    """All words of a pickle, the names of its modules among them."""
+    from pickletools import genops
+
+    return {str(argument).split(" ")[0] for _, argument, _ in genops(packed) if isinstance(argument, str)}
+
+
+class _WorkerPool:
+    """Workers, the units that they have yet to take, and what they gave."""
+
+    def __init__(self, work: bytes, units: Sequence[Unit], workers: int, *, alone: bool = False) -> None:
+        self.work, self.units, self.alone = work, units, alone
+        self.next, self.lock, self.stopping = 0, Lock(), Event()
+        self.room = Semaphore(_AHEAD * workers)
+        self.results: SimpleQueue[tuple[int, Any]] = SimpleQueue()
+        self.hands = [_WorkerThread(self) for _ in range(min(workers, len(units)))]
+
+    def start(self) -> None:
+        for hand in self.hands:
+            hand.start()
+
+    def take(self) -> list[Place]:
+        """The next units for one worker: one, or a few of one group; none when there are no more."""
+        taken: list[Place] = []
+        while len(taken) < _GROUP:
+            if not self.room.acquire(blocking=not taken):  # who has a unit in hand waits for nobody
+                break
+            with self.lock:
+                unit = self.units[self.next] if self.next < len(self.units) and not self.stopping.is_set() else None
+                if unit is None or (taken and (not unit.group or unit.group != taken[0][1].group)):
+                    self.room.release()
+                    break
+                taken.append((self.next, unit))
+                self.next += 1
+            if not unit.group:
+                break
+        return taken
+
+    def as_done(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
+        for _ in range(len(self.units)):
+            index, result = self._get()
+            self.room.release()
+            yield index, result
+
+    def in_order(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
+        early: dict[int, Any] = {}
+        for index in range(len(self.units)):
+            while index not in early:
+                place, result = self._get()
+                early[place] = result
+            self.room.release()
+            yield index, early.pop(index)
+
+    def _get(self) -> tuple[int, Any]:
+        index, result = self.results.get()
+        if isinstance(result, BaseException):
+            raise result
+        return index, result
+
+    def stop(self, *, whole: bool) -> None:
+        """End all workers and wait for them; unless the work is whole, they leave what they are at."""
+        self.stopping.set()
+        for hand in self.hands:
+            self.room.release()
+            if not whole:
+                hand.end()
+        for hand in self.hands:
+            hand.join(_PATIENCE_S)
+            hand.kill()
+            hand.join()
+
+
+class _WorkerThread(Thread):
+    """A thread that feeds one worker process, and starts another when it dies."""
+
+    def __init__(self, crew: _WorkerPool) -> None:
+        super().__init__(daemon=True, name="farfield-bulk")
+        self.crew = crew
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def run(self) -> None:
+        """Take units until there are no more."""
+        try:
+            while taken := self.crew.take():
+                for index, unit in taken:
+                    if self.crew.stopping.is_set():
+                        return
+                    self.crew.results.put((index, self._do(unit)))
+        except BaseException as error:  # noqa: BLE001 - raised where the results are read
+            self.crew.results.put((-1, error))
+        finally:
+            if self.process is not None:
+                self._ended()
+
+    def _do(self, unit: Unit) -> Any:
+        why = ""
+        for _ in range(2):
+            process = self.process or self._begin()
+            try:
+                send(process.stdin, unit)
+                kind, result = receive(process.stdout)
+            except (EOFError, OSError):
+                why = self._ended()
+                if self.crew.stopping.is_set():
+                    return FailedTask(why)
+                continue
+            if self.crew.alone:
+                self._ended()
+            return result if kind == "done" else _rebuilt(result)
+        return FailedTask(why)
+
+    def _begin(self) -> "subprocess.Popen[bytes]":
+        """Start a worker and give it the work; one that dies on the way is started once more."""
+        why = ""
+        for _ in range(2):
+            with self.crew.lock:
+                if self.crew.stopping.is_set():
+                    raise OSError("the work is over")
+                self.process = process = _start()
+            try:
+                send(process.stdin, self.crew.work, packed=True)
+                kind, result = receive(process.stdout)
+            except (EOFError, OSError):
+                why = self._ended()
+                continue
+            if kind != "ready":
+                raise _rebuilt(result)
+            return process
+        raise BulkError(f"a worker process could not start: it {why}")
+
+    def _ended(self) -> str:
+        """Wait until the worker, who has nothing left to read, has ended; how, in words."""
+        process = self.process
+        if process is None:
+            return "was ended"
+        _close(process.stdin)
+        status = process.wait()
+        _close(process.stdout)
+        self.process = None
+        if status >= 0:
+            return f"ended with status {status}"
+        killed = " (perhaps for want of memory)" if -status == getattr(signal, "SIGKILL", 9) else ""
+        return f"was ended by {signal.Signals(-status).name}{killed}"
+
+    def end(self) -> None:
+        """Ask the worker to leave what it is at."""
+        process = self.process
+        if process is not None:
+            with suppress(OSError):
+                process.terminate()
+
+    def kill(self) -> None:
+        """End a worker that would not leave."""
+        process = self.process
+        if process is not None:
+            with suppress(OSError):
+                process.kill()
+
+
+def _start() -> "subprocess.Popen[bytes]":
+    """A worker in a session of its own: a Ctrl-C of the terminal is the command's to deal with."""
+    path = os.pathsep.join(entry for entry in sys.path if entry)
+    environment = os.environ | dict.fromkeys((*VARIABLES, "NUMBA_NUM_THREADS"), "1") | {"PYTHONPATH": path}
+    return subprocess.Popen(
+        [sys.executable, "-m", "farfield.jobs.worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+        start_new_session=True,
+    )
+
+
+def _close(pipe: IO[bytes] | None) -> None:
+    if pipe is not None:
+        with suppress(OSError):
+            pipe.close()
+
+
+def _rebuilt(error: tuple[bytes, str]) -> BaseException:
+    """The exception of a worker, or its words where it does not travel."""
+    packed, words = error
+    with suppress(Exception):
+        found = pickle.loads(packed)
+        if isinstance(found, BaseException):
+            return found
+    return BulkError(f"a worker failed: {words}")

@@ -1,0 +1,271 @@
+"""A work over many units, from the plan to the last one."""
+
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from farfield.errors import ConfigError
+from farfield.jobs.engines import ENGINES, BulkError, FailedTask
+from farfield.jobs.folders import locked, sweep_out
+from farfield.jobs.journal import JobJournal, Mark, mark_of, state_of
+from farfield.jobs.memory import fitting
+from farfield.jobs.signals import check
+from farfield.jobs.threads import one_thread
+from farfield.jobs.units import JobWork, Unit, UnitResult, alone
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+"""Passes through the numbers that it iterates over, one as each unit is done, and may show how far they are."""
+
+_WORTH = 4  # units that a further worker should have, for it takes seconds to start
+_SHOWN = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobOptions:
+    """How a work is done.
+
+    Args:
+        workers: Processes, one thread each; 1 works in this process, 0 takes as many as there are cores, work and
+            memory for.
+        engine: Where: a name of ``ENGINES``.
+        progress: Wraps the numbers of the units that are left, to show progress.
+    """
+
+    workers: int = 1
+    engine: str = "local"
+    progress: Progress = iter
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise ConfigError(f"workers: expected 1 or more, or 0 for as many as there are cores; got {self.workers}")
+
+    def hands(self, work: JobWork, units: int) -> int:
+        """How many workers do so many units.
+
+        Raises:
+            BulkError: If the memory does not suffice.
+        """
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        wanted = min(self.workers, units) if self.workers else min(cores, units // _WORTH)
+        return fitting(max(1, wanted), getattr(work, "memory_bytes", 0), asked=self.workers > 0)
+
+
+HERE = JobOptions()
+"""In this process, without a word."""
+
+
+@dataclass
+class Outcome:
+    """What became of the units.
+
+    Args:
+        written: How many were done now.
+        skipped: How many stood there intact.
+        clocks: What the clock measured of those that were done now, by their place among the units.
+    """
+
+    written: int = 0
+    skipped: int = 0
+    clocks: dict[int, Any] = field(default_factory=dict)
+
+
+class JobRun:
+    """A work under way over the units that the journal does not have.
+
+    Who iterates over it gets the number of each unit that is left: after workers did it, or, where ``here`` is true,
+    before, and then does it himself and hands in what it gave::
+
+        with Running(work, units, bulk, journal=journal) as running:
+            for number in bulk.progress(running):
+                if running.here:
+                    running.enter(number, work(running.unit(number)))
+
+    Args:
+        work: What is done with each.
+        units: The units.
+        bulk: How.
+        journal: As of :func:`run`.
+
+    Raises:
+        BulkError: If the memory does not suffice; on leaving, if workers died twice over a unit.
+    """
+
+    def __init__(
+        self, work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journal: JobJournal | None = None
+    ) -> None:
+        self.work, self.units, self.journal, self._engine = work, units, journal, bulk.engine
+        if journal is not None and journal.files:
+            sweep_out(journal.folder)
+        self.left = [place for place, unit in enumerate(units) if journal is None or not journal.has(unit)]
+        self.outcome = Outcome(skipped=len(units) - len(self.left))
+        self._workers = bulk.hands(work, len(self.left))
+        self._lost, self._source = list[tuple[str, str]](), ""
+        self._iterating: Generator[int, None, None] | None = None
+        self.here = bulk.engine == "local" and self._workers == 1 and not alone(work)
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def __iter__(self) -> Iterator[int]:
+        self._iterating = self._alone() if self.here else self._by_workers()
+        return self._iterating
+
+    def __enter__(self) -> "JobRun":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *unused: object) -> None:
+        if self._iterating is not None:
+            self._iterating.close()
+        if self.journal is not None:
+            self.journal.commit()
+            if self.journal.files and self.left:  # a worker that was killed left what it was at
+                sweep_out(self.journal.folder)
+        if kind is None:
+            _raise_for(self._lost, len(self.left))
+            if self.journal is not None:
+                self.journal.finish()
+
+    def unit(self, number: int) -> Unit:
+        """The unit of a number."""
+        return self.units[self.left[number]]
+
+    def enter(self, number: int, done: UnitResult) -> None:
+        """Hand in what the unit gave that the iteration came to last."""
+        value = done.value
+        if self.journal is not None:
+            value = _entry(self.journal.folder, self._source, done)
+        self._enter(number, replace(done, value=value))
+
+    def _enter(self, number: int, done: UnitResult) -> None:
+        if self.journal is not None:
+            self.journal.add(self.unit(number), *done.value)
+        self.outcome.written, self.outcome.clocks[self.left[number]] = self.outcome.written + 1, done.clock
+
+    def _alone(self) -> Generator[int, None, None]:
+        with one_thread():
+            for number in range(len(self.left)):
+                if self.journal is None:
+                    yield number
+                else:
+                    with locked(self.journal.folder, shared=True):
+                        self._source = state_of(self.unit(number).sources, self.journal.setting)
+                        yield number
+                check()
+
+    def _by_workers(self) -> Generator[int, None, None]:
+        journal = self.journal
+        marking = self.work if journal is None else _JournalledUnit(self.work, journal.folder, journal.setting)
+        units = [self.unit(number) for number in range(len(self.left))]
+        with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
+            for number, done in results:
+                if isinstance(done, FailedTask):
+                    self._lost.append((units[number].name, done.why))
+                else:
+                    self._enter(number, done)
+                check()
+                yield number
+
+
+def run(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journal: JobJournal | None = None) -> Outcome:
+    """Do all units that the journal does not have, and enter them.
+
+    Args:
+        work: What is done with each.
+        units: The units.
+        bulk: How.
+        journal: What was done before, in the folder that the files are written into; without one all units are done.
+
+    Returns:
+        Counts and clocks; the values stand in the journal.
+
+    Raises:
+        BulkError: If workers died twice over a unit; all others are done, and the same call tries these again.
+    """
+    with JobRun(work, units, bulk, journal=journal) as running:
+        for number in bulk.progress(running):
+            if running.here:
+                running.enter(number, work(running.unit(number)))
+    return running.outcome
+
+
+def faults(units: Sequence[Unit], journal: JobJournal) -> list[str]:
+    """What is wrong with finished units, a line each: not written, of another source or setting, damaged or missing.
+
+    Every byte of their files is read; nothing is written.
+    """
+    found = ((unit, journal.fault(unit, every_byte=True)) for unit in units)
+    return [f"{unit.name}: {fault}" for unit, fault in found if fault]
+
+
+def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Iterator[UnitResult]:
+    """Do all units and yield what they gave in their order; nothing is kept.
+
+    Args:
+        work: What is done with each.
+        units: The units.
+        bulk: How.
+
+    Raises:
+        BulkError: If workers died twice over a unit.
+    """
+    lost = list[tuple[str, str]]()
+    with closing(_results(bulk.engine, work, units, bulk.hands(work, len(units)), ordered=True)) as results:
+        for _ in bulk.progress(range(len(units))):
+            index, done = next(results)
+            if isinstance(done, FailedTask):
+                lost.append((units[index].name, done.why))
+            else:
+                yield done
+            check()
+    _raise_for(lost, len(units))
+
+
+def _results(
+    engine: str, work: JobWork, units: Sequence[Unit], workers: int, *, ordered: bool
+) -> Generator[tuple[int, UnitResult | FailedTask], None, None]:
+    """What an engine gives of units, none included."""
+    if units:
+        yield from ENGINES[engine]().run(work, units, workers=workers, ordered=ordered)
+
+
+def _raise_for(lost: Sequence[tuple[str, str]], units: int) -> None:
+    """Name the units that were lost, if any."""
+    if not lost:
+        return
+    named = "; ".join(f"{name} ({why})" for name, why in lost[:_SHOWN])
+    more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    raise BulkError(
+        f"{len(lost)} of {units} units could not be done, since their workers died twice: {named}{more}. All others "
+        "are done. Run the same command again to try these, with fewer --workers if memory is short."
+    )
+
+
+@dataclass(frozen=True)
+class _JournalledUnit:
+    """Does a unit, and says in what state its sources were and what stands in its files."""
+
+    work: JobWork
+    folder: Path
+    setting: str
+
+    @property
+    def memory_bytes(self) -> int:
+        return int(getattr(self.work, "memory_bytes", 0))
+
+    @property
+    def own_process(self) -> bool:
+        return alone(self.work)
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        with locked(self.folder, shared=True):
+            source = state_of(unit.sources, self.setting)
+            done = self.work(unit)
+            return replace(done, files=(), value=_entry(self.folder, source, done))
+
+
+def _entry(folder: Path, source: str, done: UnitResult) -> tuple[str, dict[str, Mark], Any]:
+    """What a journal keeps of a unit besides its name."""
+    return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in done.files}, done.value

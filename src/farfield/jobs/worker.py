@@ -1,0 +1,93 @@
+"""A worker process: ``python -m farfield.jobs.worker``, spoken to through its pipes."""
+
+import os
+import pickle
+import signal
+import traceback
+from contextlib import suppress
+from io import FileIO
+from queue import SimpleQueue
+from threading import Thread, Timer
+from types import FrameType
+from typing import IO, Any, NoReturn
+
+from farfield.jobs.messages import receive_packed, send
+
+_PATIENCE_S = 5.0
+
+
+class _Inbox(Thread):
+    """Reads what the command sends, and ends the worker with it: nobody else would."""
+
+    def __init__(self, pipe: FileIO) -> None:
+        super().__init__(daemon=True)
+        self.pipe, self.messages, self.busy = pipe, SimpleQueue[bytes | None](), False
+
+    def run(self) -> None:
+        """Read until the command closes the pipe, or is no more."""
+        while True:
+            try:
+                message = receive_packed(self.pipe)
+            except (EOFError, OSError):
+                break
+            self.busy = True
+            self.messages.put(message)
+        self.messages.put(None)
+        if self.busy:
+            leave = Timer(_PATIENCE_S, os._exit, [1])
+            leave.daemon = True
+            leave.start()
+            os.kill(os.getpid(), signal.SIGTERM)  # the unit's own clean-up runs
+
+
+def _leave(number: int, frame: FrameType | None) -> NoReturn:
+    del frame
+    raise SystemExit(128 + number)
+
+
+def main() -> None:
+    """Do one unit after the other until the command closes the pipe."""
+    signal.signal(signal.SIGTERM, _leave)
+    outbox = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not stand among the messages
+    inbox = _Inbox(FileIO(0, closefd=False))  # the lock of sys.stdin's buffer would be held when the process ends
+    inbox.start()
+    try:
+        with suppress(OSError):  # the command is no more
+            _serve(inbox, outbox)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends by itself now
+
+
+def _serve(inbox: _Inbox, outbox: IO[bytes]) -> None:
+    packed = inbox.messages.get()
+    if packed is None:
+        return
+    try:
+        work = pickle.loads(packed)
+    except Exception as error:  # noqa: BLE001 - the command raises it
+        send(outbox, ("failed", _travelling(error)))
+        return
+    inbox.busy = False
+    send(outbox, ("ready", None))
+    while (packed := inbox.messages.get()) is not None:
+        try:
+            answer: tuple[str, Any] = ("done", work(pickle.loads(packed)))
+        except Exception as error:  # noqa: BLE001 - the command raises it
+            answer = ("failed", _travelling(error))
+        inbox.busy = False
+        send(outbox, answer)
+
+
+def _travelling(error: Exception) -> tuple[bytes, str]:
+    words = "".join(traceback.format_exception_only(error)).strip()
+    try:
+        packed = pickle.dumps(error)
+        pickle.loads(packed)
+    except Exception:  # noqa: BLE001 - whatever an exception's own pickling does
+        return b"", words
+    return packed, words
+
+
+if __name__ == "__main__":
+    main()

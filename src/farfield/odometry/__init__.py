@@ -1,0 +1,1 @@
+"""Odometry by registration of LiDAR sweeps: a track with its expected drift."""

@@ -1,0 +1,175 @@
+"""Synchronisation as one self-contained page: residuals, what they do over time, gaps, clocks."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from farfield.figures.style import ANNOTATED, INK, MUTED, PREDICTED, RULE, figure_uri, house_style, new_figure
+from farfield.files.atomic import write_text
+from farfield.pages.pictures import PageImage
+from farfield.pages.template import render_template
+from farfield.sync.synchronising import StreamPair, SyncResult, over_time
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HEADS = (
+    "stream",
+    "stamps",
+    "rate, Hz",
+    "gaps",
+    "lost",
+    "matched",
+    "median, ms",
+    "worst, ms",
+    "offset, ms",
+    "drift, ppm",
+)
+ARRIVAL_HEADS = ("stream", "recorded after its stamp, ms", "this includes", "the computer's clock against it, ppm")
+
+_FEW = 200
+"""So few pairs are drawn one by one."""
+
+
+def write_sync_page(path: Path | str, found: Sequence[SyncResult], *, title: str) -> None:
+    """Write the page, all or nothing.
+
+    Args:
+        path: The file.
+        found: What was found, a recording each.
+        title: Title of the page.
+    """
+    pictures = []
+    for each in found:
+        head = each.name if len(found) > 1 else "Streams"
+        alt = f"When each stream of {each.name} has messages, and where it has gaps"
+        caption = "Orange: intervals longer than one and a half periods."
+        pictures.append(PageImage(figure_uri(timeline(each)), alt, caption, f"{head}: when they ran"))
+        if any(len(pair.times_ns) for pair in each.pairs.values()):
+            alt = f"Histogram and course of the residuals of each stream against {each.reference}"
+            caption = (
+                f"How much later than {each.reference} each stream's message is. Right: median, and the band that "
+                "holds 80 % of them; dashed: the fitted offset and drift."
+            )
+            pictures.append(PageImage(figure_uri(residuals(each)), alt, caption, f"{head}: residual offsets"))
+    page = render_template(
+        "sync.html",
+        title=title,
+        found=found,
+        heads=HEADS,
+        tables=[table(each) for each in found],
+        arrival_heads=ARRIVAL_HEADS,
+        arrivals=[arrivals(each) for each in found],
+        pictures=pictures,
+    )
+    write_text(path, page)
+
+
+def table(found: SyncResult) -> list[tuple[str, ...]]:
+    """A row a stream, under :data:`HEADS`, as words."""
+    rows = []
+    for name, health in found.streams.items():
+        rate = "" if not health.tick_ns else f"{1e9 / health.tick_ns:.3f}"
+        row = [name, f"{health.count:,}", rate, f"{health.gaps:,}", f"{health.lost:,}"]
+        pair = found.pairs.get(name)
+        row += ["reference", "", "", "", ""] if pair is None else _matched(pair)
+        rows.append(tuple(row))
+    return rows
+
+
+def _matched(pair: StreamPair) -> list[str]:
+    size = np.abs(pair.residual_ns) / 1e6
+    quantile = f"{np.median(size):.3f}" if len(size) else ""
+    worst = f"{pair.worst_ns / 1e6:.3f}" if len(size) else ""
+    clock = pair.clock
+    if clock is None:
+        return [f"{pair.matched:,}", quantile, worst, "", ""]
+    drift = f"{clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f}"
+    turns = "" if clock.modulo_ns is None else f" + k {clock.modulo_ns / 1e6:.1f}"
+    return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}{turns}", drift]
+
+
+def arrivals(found: SyncResult) -> list[tuple[str, ...]]:
+    """A row a stream whose messages were recorded by a computer, under :data:`ARRIVAL_HEADS`, as words."""
+    return [
+        (
+            name,
+            f"{clock.offset_ns / 1e6:.3f}",
+            clock.offset_includes,
+            f"{clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f}",
+        )
+        for name, clock in found.arrivals.items()
+    ]
+
+
+def residuals(found: SyncResult) -> "Figure":
+    """A row a stream: the histogram of its residuals, and their course over time."""
+    shown = {name: pair for name, pair in found.pairs.items() if len(pair.times_ns)}
+    with house_style():
+        figure = new_figure(10.2, 0.4 + 2.1 * len(shown))
+        grid = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1, 1.8))
+        for (left, right), (name, pair) in zip(grid, shown.items(), strict=True):
+            _histogram(left, name, pair)
+            _course(right, pair)
+        grid[-1, 0].set_xlabel("later than the reference, ms")
+        grid[-1, 1].set_xlabel("since the first pair, s")
+    return figure
+
+
+def _histogram(axes: "Axes", name: str, pair: StreamPair) -> None:
+    values = pair.residual_ns / 1e6
+    low, high = float(values.min()), float(values.max())
+    spare = max(0.1 * (high - low), 1e-3)
+    low, high = low - spare, high + spare
+    if max(low, -high, 0.0) < 2 * (high - low):  # zero is near: show it
+        low, high = min(low, 0.0), max(high, 0.0)
+        axes.axvline(0, color=RULE, lw=0.8)
+    axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
+    axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
+    axes.set_ylabel("pairs")
+    axes.locator_params(axis="y", integer=True)
+
+
+def _course(axes: "Axes", pair: StreamPair) -> None:
+    if len(pair.times_ns) < _FEW:
+        axes.plot((pair.times_ns - pair.times_ns[0]) / 1e9, pair.residual_ns / 1e6, "o", color=ANNOTATED, ms=3.5)
+    else:
+        middle_s, bands = over_time(pair.times_ns, pair.residual_ns / 1e6)
+        axes.fill_between(middle_s, bands[:, 0], bands[:, 2], color=ANNOTATED, alpha=0.2, lw=0)
+        axes.plot(middle_s, bands[:, 1], color=ANNOTATED, lw=1.2)
+    clock = pair.clock
+    if clock is not None and clock.modulo_ns is not None:
+        since = pair.times_ns - pair.times_ns[0]
+        line = clock.offset_ns + (pair.times_ns - clock.middle_ns) * (clock.drift_ppm * 1e-6)
+        wrapped = (line - clock.modulo_ns * np.rint(line / clock.modulo_ns)) / 1e6
+        wrapped[1:][np.abs(np.diff(wrapped)) > clock.modulo_ns / 2e6] = np.nan
+        axes.plot(since / 1e9, wrapped, color=INK, lw=0.9, ls="--")
+    axes.set_ylabel("ms")
+    axes.grid(visible=True)
+
+
+def timeline(found: SyncResult) -> "Figure":
+    """A line a stream from its first to its last stamp, with its gaps, in seconds from the reference's first."""
+    start = found.streams[found.reference].first_ns or 0
+    with house_style():
+        figure = new_figure(10.2, 0.7 + 0.32 * len(found.streams))
+        axes = figure.subplots()
+        names = list(found.streams)
+        for place, name in enumerate(names):
+            health = found.streams[name]
+            if health.first_ns is None or health.last_ns is None:
+                continue
+            first, last = ((time - start) / 1e9 for time in (health.first_ns, health.last_ns))
+            colour = INK if name == found.reference else ANNOTATED
+            axes.plot([first, max(last, first)], [place, place], color=colour, lw=5, solid_capstyle="butt")
+            begins = (health.gap_starts_ns - start) / 1e9
+            axes.hlines(
+                np.full(len(begins), place), begins, begins + health.gap_lengths_ns / 1e9, color=PREDICTED, lw=5
+            )
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        axes.set_xlabel(f"seconds from the first stamp of {found.reference}", color=MUTED)
+    return figure

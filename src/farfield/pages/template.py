@@ -1,0 +1,41 @@
+"""Pages from the templates that lie in this folder."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Any
+
+
+def render_template(
+    name: str,
+    filters: Mapping[str, Callable[..., Any]] | None = None,
+    *,
+    package: str = "farfield.pages",
+    **values: Any,
+) -> str:
+    """A page as HTML; what it shows is escaped, and a value that a template misses is an error.
+
+    Args:
+        name: File of the template, such as ``"page.html"``.
+        filters: Functions that the template may apply.
+        package: Package in whose folder the file lies; what it extends or includes may lie in this one.
+        values: What it shows.
+    """
+    from jinja2 import ChoiceLoader, Environment, FunctionLoader, StrictUndefined
+
+    home = files("farfield.pages")
+    environment = Environment(
+        loader=ChoiceLoader([FunctionLoader(partial(_text, folder)) for folder in (files(package), home)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(filters or {})
+    return environment.get_template(name).render(style=(home / "page.css").read_text(encoding="utf-8"), **values)
+
+
+def _text(folder: Traversable, name: str) -> str | None:
+    file = folder / name
+    return file.read_text(encoding="utf-8") if file.is_file() else None

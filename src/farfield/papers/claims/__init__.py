@@ -1,0 +1,11 @@
+"""The papers' claims, declared before anything is run: what is compared, in which metric, by which margin.
+
+claims = load("cirrus")
+claims["C1"].comparisons[0].published("dds")       # 0.0772: what the paper's table says
+claims.sha256                                      # stands on the page beside every decision
+"""
+
+from farfield.papers.claims.loading import CLAIMS, Claims, load
+from farfield.papers.claims.schema import Claim, ClaimRun, ClaimSide, Comparison, Metric
+
+__all__ = ["CLAIMS", "Claim", "ClaimRun", "ClaimSide", "Claims", "Comparison", "Metric", "load"]

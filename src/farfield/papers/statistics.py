@@ -1,0 +1,173 @@
+"""Statistics of the data that claims compare: points in annotated boxes by range, returns on objects by weather."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from farfield.datasets import Dataset
+from farfield.errors import ConfigError
+from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.jobs import JobOptions, Unit, UnitResult, values
+from farfield.metrics.deciding import Difference, measured
+from farfield.papers.claims import ClaimSide, Comparison
+from farfield.papers.places import DataLocation
+from farfield.vocabulary.patterns import PATTERNS
+
+LEAST_RETURNS = 5
+"""Returns from which an object counts as seen."""
+_LIDAR = "os2-64"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnnotatedObjects:
+    """The annotated objects of some sets, row by row.
+
+    Args:
+        points: Points of each cloud in each box, shape (n,), by cloud; -1 where a frame lacks the cloud.
+        range_m: Distance of each in the plane, shape (n,).
+        road: Number of the road that each is on: sequences of one name are one road in several weathers, shape (n,).
+        weather: Weather of its frame, shape (n,); empty where not known.
+        label: Its class, shape (n,).
+        roads: Number of roads.
+    """
+
+    points: Mapping[str, Int[np.ndarray, " n"]]
+    range_m: Float[np.ndarray, " n"]
+    road: Int[np.ndarray, " n"]
+    weather: Shaped[np.ndarray, " n"]
+    label: Shaped[np.ndarray, " n"]
+    roads: int
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Range, class, weather and points, for pictures."""
+        known = {"range_m": self.range_m, "label": self.label, "weather": self.weather}
+        return {**known, "points": dict(self.points)}
+
+    def inside(self, part: str) -> Bool[np.ndarray, " n"]:
+        """Which objects belong to a part: ``"overall"``, ``"200-250"`` or ``"weather/rain"``."""
+        if part == "overall":
+            return np.ones(len(self.range_m), dtype=bool)
+        if part.startswith("weather/"):
+            return np.asarray(self.weather == part.removeprefix("weather/"))
+        low_m, high_m = map(float, part.split("-"))
+        return np.asarray((self.range_m >= low_m) & (self.range_m < high_m))
+
+
+@dataclass(frozen=True)
+class _PointCounting:
+    """Counts the points in the boxes of a frame; the unit's parameters are its index."""
+
+    data: Dataset
+
+    memory_bytes = 600_000_000
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        frame = self.data[unit.parameters]
+        if frame.annotation is None:
+            return UnitResult()
+        boxes = frame.annotation.boxes
+        named = [name for name in (*PATTERNS, _LIDAR) if name in frame.clouds]
+        clouds = {name: frame.cloud(name).points_m for name in named}
+        counts = {name: count_points_in_boxes(points, boxes, margin_m=BOX_MARGIN_M) for name, points in clouds.items()}
+        rows = (counts, boxes.range_m, frame.sequence, str(frame.conditions.get("weather", "")), boxes.label)
+        return UnitResult(value=rows)
+
+
+def objects_in(places: Mapping[str, DataLocation], bulk: JobOptions) -> AnnotatedObjects:
+    """Count points on the annotated objects of all sets.
+
+    Args:
+        places: The sets.
+        bulk: Who does it.
+    """
+    found: list[Any] = []
+    for place in places.values():
+        data = place.opened()
+        units = [Unit("/".join(key), parameters=number) for number, key in enumerate(data.keys)]
+        found += [done.value for done in values(_PointCounting(data), units, bulk) if done.value is not None]
+    roads = {name: number for number, name in enumerate(sorted({sequence for _, _, sequence, _, _ in found}))}
+    clouds = sorted({name for counts, *_ in found for name in counts})
+    lengths = [len(range_m) for _, range_m, *_ in found]
+    missing = [np.full(length, -1, dtype=np.int64) for length in lengths]
+    return AnnotatedObjects(
+        points={
+            name: _joined([counts.get(name, gap) for (counts, *_), gap in zip(found, missing, strict=True)], np.int64)
+            for name in clouds
+        },
+        range_m=_joined([range_m for _, range_m, *_ in found], np.float64),
+        road=np.repeat([roads[sequence] for _, _, sequence, _, _ in found], lengths).astype(np.int64),
+        weather=np.repeat(np.array([weather for *_, weather, _ in found], dtype=np.str_), lengths),
+        label=np.concatenate([np.asarray(label, dtype=np.str_) for *_, label in found] or [np.zeros(0, np.str_)]),
+        roads=len(roads),
+    )
+
+
+def _joined(arrays: list[Any], kind: Any) -> Any:
+    return np.concatenate(arrays).astype(kind) if arrays else np.zeros(0, dtype=kind)
+
+
+def compared(pair: Comparison, statistic: str, objects: AnnotatedObjects, *, replicates: int) -> Difference:
+    """The difference of a statistic between two rows of a claim, with its spread over roads.
+
+    Args:
+        pair: The rows, with their cloud and part.
+        statistic: Its name.
+        objects: The annotated objects.
+        replicates: Draws of the roads.
+
+    Raises:
+        ConfigError: If there is no such statistic.
+    """
+    value = _statistic(statistic)
+    return measured(partial(_difference, pair, value, objects), objects.roads, replicates=replicates)
+
+
+Value = Callable[[Int[np.ndarray, " n"], Float[np.ndarray, " n"]], float | None]
+
+
+def _statistic(name: str) -> Value:
+    known: dict[str, Value] = {"log_points_in_boxes": _log_mean, "share_of_objects_with_returns": _share_seen}
+    if name not in known:
+        raise ConfigError(f"statistic: expected one of {', '.join(known)}; got {name!r}")
+    return known[name]
+
+
+def _log_mean(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float | None:
+    """Logarithm of the weighted mean number of points; None where there is none."""
+    total = float(weight.sum())
+    mean = float(weight @ points) / total if total else 0.0
+    return math.log(mean) if mean > 0 else None
+
+
+def _share_seen(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float | None:
+    """Weighted share of objects with enough returns; None without objects."""
+    total = float(weight.sum())
+    return float(weight @ (points >= LEAST_RETURNS)) / total if total else None
+
+
+def _row_value(
+    row: ClaimSide, value: Value, objects: AnnotatedObjects, weight: Float[np.ndarray, " roads"]
+) -> float | None:
+    points = objects.points.get(row.cloud)
+    if points is None:
+        return None
+    found = []
+    for part in row.parts:
+        rows = np.flatnonzero(objects.inside(part) & (points >= 0))
+        found.append(value(points[rows], weight[objects.road[rows]]))
+    if any(each is None for each in found):
+        return None
+    return float(found[0]) - (float(found[1]) if len(found) > 1 else 0.0)  # type: ignore[arg-type]
+
+
+def _difference(
+    pair: Comparison, value: Value, objects: AnnotatedObjects, weight: Float[np.ndarray, " roads"]
+) -> float | None:
+    a, b = (_row_value(row, value, objects, weight) for row in (pair.a, pair.b))
+    return None if a is None or b is None else a - b

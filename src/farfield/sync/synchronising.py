@@ -1,0 +1,314 @@
+"""A recording's streams matched to one of them: the table, and what it says of clocks, gaps and losses."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from farfield.errors import ConfigError
+from farfield.sync.blocks import MatchBlock, match_blocks
+from farfield.sync.clocks import MAX_PAIRS, ClockModel, fit_clock
+from farfield.sync.exchange import ExchangeClock
+from farfield.sync.sources import RecordedStreams
+from farfield.sync.stamps import StreamCounter, StreamStats, apart
+
+SPEED_M_S = 30.0
+"""Residuals are also given as the way at this speed: that of a car that comes towards us."""
+FEWEST_PAIRS = 20
+WHOLE_RATIO = 0.02
+"""Rates whose ratio is farther from a whole number, in periods of the faster stream, have no common trigger."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StreamPair:
+    """One stream against the reference.
+
+    Args:
+        tolerance_ns: Largest distance.
+        matched: References with a partner.
+        lost: References without one, of those within the time that both streams cover.
+        outside: References before or after all of the stream's stamps.
+        unused: Stamps of the stream that no reference took.
+        worst_ns: Largest distance of a pair.
+        times_ns: Stamps of the reference, of the pairs or of evenly chosen ones, shape (k,).
+        residual_ns: Partner's stamp minus the reference's of these, shape (k,).
+        clock: Offset and drift; None where stamps do not tell.
+        untold: Why there is no clock, or what it leaves open.
+    """
+
+    tolerance_ns: int
+    matched: int
+    lost: int
+    outside: int
+    unused: int
+    worst_ns: int
+    times_ns: Int64[np.ndarray, " k"]
+    residual_ns: Int64[np.ndarray, " k"]
+    clock: ClockModel | None
+    untold: str
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the single residuals, with their quantiles in milliseconds and the way at :data:`SPEED_M_S`."""
+        size = np.abs(self.residual_ns) / 1e6
+        named = {"median_ms": 0.5, "p95_ms": 0.95}
+        quantiles = {name: float(np.quantile(size, q)) if len(size) else None for name, q in named.items()}
+        return {
+            "tolerance_ms": self.tolerance_ns / 1e6,
+            "matched": self.matched,
+            "lost": self.lost,
+            "outside": self.outside,
+            "unused": self.unused,
+            "residual": {
+                **quantiles,
+                "mean_ms": float(np.mean(self.residual_ns)) / 1e6 if len(size) else None,
+                "worst_ms": self.worst_ns / 1e6 if len(size) else None,
+                "worst_m_at_30_m_s": self.worst_ns / 1e9 * SPEED_M_S if len(size) else None,
+            },
+            "clock": None if self.clock is None else self.clock.to_json(),
+            "untold": self.untold,
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SyncResult:
+    """What was found in one recording.
+
+    Args:
+        name: The recording's.
+        reference: The stream to which the others were matched.
+        streams: Each stream by itself.
+        pairs: Each other stream against the reference.
+        exchanges: What logs of two-way exchanges say, by file.
+        arrivals: The computer's clock against each stream's, from stamps and times of recording of the same messages.
+        findings: What is out of step, in words.
+    """
+
+    name: str
+    reference: str
+    streams: Mapping[str, StreamStats]
+    pairs: Mapping[str, StreamPair]
+    exchanges: Mapping[str, ExchangeClock]
+    arrivals: Mapping[str, ClockModel]
+    findings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it."""
+        return {
+            "name": self.name,
+            "reference": self.reference,
+            "streams": {name: health.to_json() for name, health in self.streams.items()},
+            "pairs": {name: pair.to_json() for name, pair in self.pairs.items()},
+            "exchanges": {name: each.to_json() for name, each in self.exchanges.items()},
+            "arrivals": {name: clock.to_json() for name, clock in self.arrivals.items()},
+            "findings": list(self.findings),
+        }
+
+
+@dataclass
+class _PairAccumulator:
+    """Pairs of one stream, as they come."""
+
+    every: int
+    matched: int = 0
+    outside: int = 0
+    worst: int = 0
+    times: list[np.ndarray] | None = None
+    residuals: list[np.ndarray] | None = None
+
+    def add(self, rows: MatchBlock, column: int, health: StreamStats) -> None:
+        paired = np.flatnonzero(rows.index[:, column] >= 0)
+        residual = rows.residual_ns[paired, column]
+        self.matched += len(paired)
+        self.worst = max(self.worst, int(np.abs(residual).max(initial=0)))
+        first, last = health.first_ns, health.last_ns
+        beyond = (rows.reference_ns < (first or 0)) | (rows.reference_ns > (last or 0))
+        self.outside += int((beyond & (rows.index[:, column] < 0)).sum()) if first is not None else len(beyond)
+        kept = paired[rows.reference_index[paired] % self.every == 0]
+        self.times = [*(self.times or []), rows.reference_ns[kept]]
+        self.residuals = [*(self.residuals or []), rows.residual_ns[kept, column]]
+
+
+def describe(recording: RecordedStreams) -> dict[str, StreamStats]:
+    """Each stream of a recording by its own stamps; reads all of them once."""
+    found = {}
+    for name, source in recording.streams.items():
+        counting = StreamCounter()
+        for block in source.blocks():
+            counting.add(block)
+        found[name] = counting.result()
+    return found
+
+
+def best_reference(streams: Mapping[str, StreamStats]) -> str:
+    """The slowest stream with three stamps or more that shares time with most others: each of its messages finds one.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    usable = [name for name, health in streams.items() if health.period_ns and health.count > 2]
+    if not usable:
+        raise ConfigError(f"expected a stream of three stamps or more, got {', '.join(streams) or 'no stream'}")
+    shared = {name: len(streams) - len(apart(streams, name, 0)) for name in usable}
+    return max(usable, key=lambda name: (shared[name], streams[name].period_ns or 0))
+
+
+def reference_of(name: str, streams: Mapping[str, StreamStats], to: str | None) -> str:
+    """The stream to which the others of a recording are matched.
+
+    Args:
+        name: Of the recording.
+        streams: Its streams.
+        to: The one that was asked for; None takes :func:`best_reference`.
+
+    Raises:
+        ConfigError: If there is no such stream, or only one.
+    """
+    reference = best_reference(streams) if to is None else to
+    if reference not in streams or len(streams) < 2:
+        known = ", ".join(streams)
+        raise ConfigError(f"{name}: expected a stream to match to and one more, of {known}; got {reference!r}")
+    return reference
+
+
+def synchronise(
+    recording: RecordedStreams,
+    *,
+    to: str | None = None,
+    tolerance_ns: int | None = None,
+    exchanges: Mapping[str, ExchangeClock] | None = None,
+    row: Callable[[Sequence[str], MatchBlock], None] | None = None,
+) -> SyncResult:
+    """Match a recording's streams to one of them.
+
+    Args:
+        recording: The streams; each is read twice, block by block.
+        to: The stream to which the others are matched; None takes :func:`best_reference`.
+        tolerance_ns: Largest distance; None takes half the period of the faster stream of each pair.
+        exchanges: What logs of two-way exchanges say.
+        row: Called with the names of the other streams and rows of the table, in order.
+
+    Raises:
+        ConfigError: If there is no such stream, or only one.
+    """
+    streams = describe(recording)
+    reference = reference_of(recording.name, streams, to)
+    others = [name for name in streams if name != reference]
+    tolerances = {name: _tolerance(streams[reference], streams[name], tolerance_ns) for name in others}
+    every = -(-streams[reference].count // MAX_PAIRS)
+    gathered = {name: _PairAccumulator(every) for name in others}
+    ordered = {name: recording.streams[name].blocks() for name in streams}
+    for rows in match_blocks(ordered, reference=reference, tolerance_ns=tolerances):
+        for column, name in enumerate(others):
+            gathered[name].add(rows, column, streams[name])
+        if row is not None:
+            row(others, rows)
+    pairs = {name: _pair(gathered[name], streams[reference], streams[name], tolerances[name]) for name in others}
+    findings = _findings(recording, streams, reference, pairs, tolerances)
+    return SyncResult(
+        name=recording.name,
+        reference=reference,
+        streams=streams,
+        pairs=pairs,
+        exchanges=dict(exchanges or {}),
+        arrivals=_arrivals(recording),
+        findings=tuple(findings),
+    )
+
+
+def _tolerance(own: StreamStats, other: StreamStats, given: int | None) -> int:
+    if given is not None:
+        return given
+    periods = [health.period_ns for health in (own, other) if health.period_ns]
+    return -(-min(periods) // 2) if periods else 0
+
+
+def _pair(gathered: _PairAccumulator, own: StreamStats, other: StreamStats, tolerance_ns: int) -> StreamPair:
+    nothing = np.zeros(0, dtype=np.int64)
+    times = np.concatenate([nothing, *(gathered.times or [])])
+    residual = np.concatenate([nothing, *(gathered.residuals or [])])
+    clock, untold = _clock(times, residual, own, other)
+    rows = own.count - own.duplicates - own.backwards
+    return StreamPair(
+        tolerance_ns=tolerance_ns,
+        matched=gathered.matched,
+        lost=max(rows - gathered.matched - gathered.outside, 0),
+        outside=gathered.outside,
+        unused=other.count - gathered.matched,
+        worst_ns=gathered.worst,
+        times_ns=times,
+        residual_ns=residual,
+        clock=clock,
+        untold=untold,
+    )
+
+
+def _clock(
+    times: Int64[np.ndarray, " k"], residual: Int64[np.ndarray, " k"], own: StreamStats, other: StreamStats
+) -> tuple[ClockModel | None, str]:
+    """Offset and drift of a stream where its rate and the reference's have a whole ratio, and what is left open."""
+    if len(times) < FEWEST_PAIRS or not own.tick_ns or not other.tick_ns:
+        return None, f"{len(times)} pairs: too few for an offset and a drift"
+    fast, slow = sorted((own.tick_ns, other.tick_ns))
+    away = abs(slow / fast - round(slow / fast))
+    if away > WHOLE_RATIO:
+        return None, (
+            f"rates of {1e9 / own.tick_ns:.3f} and {1e9 / other.tick_ns:.3f} Hz have no whole ratio: the "
+            "streams run freely, and stamps alone show no offset between their clocks"
+        )
+    clock = fit_clock(times, times + residual, modulo_ns=round(fast))
+    return clock, (
+        f"the offset includes {clock.offset_includes} and is known up to multiples of {fast / 1e6:.3f} ms; stamps "
+        "alone tell neither apart (a two-way exchange, or a moment that both sensors see, does)"
+    )
+
+
+def _arrivals(recording: RecordedStreams) -> dict[str, ClockModel]:
+    """One-way: what the offset includes of the delay stays unknown."""
+    found = {}
+    for name, source in recording.streams.items():
+        if source.arrived_ns is not None and len(source.arrived_ns) >= FEWEST_PAIRS:
+            times = np.concatenate(list(source.blocks()))
+            rising = np.append(True, np.diff(times) > 0)
+            if rising.sum() >= FEWEST_PAIRS:
+                found[name] = fit_clock(times[rising], source.arrived_ns[rising])
+    return found
+
+
+def _findings(
+    recording: RecordedStreams,
+    streams: Mapping[str, StreamStats],
+    reference: str,
+    pairs: Mapping[str, StreamPair],
+    tolerances: Mapping[str, int],
+) -> list[str]:
+    """What a user must know of a recording, worst first."""
+    alone = apart(streams, reference, max(tolerances.values(), default=0))
+    found = list(alone.values())
+    for name, pair in pairs.items():
+        possible = min(pair.matched + pair.lost, streams[name].count)
+        if name not in alone and pair.matched < 0.9 * possible:
+            found.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
+    for name, health in streams.items():
+        if health.duplicates:
+            found.append(f"{name}: {health.duplicates} stamps stand there twice")
+        if health.backwards:
+            found.append(f"{name}: {health.backwards} stamps run backwards and are left out until it is later again")
+        if health.gaps and health.longest_gap_ns is not None and health.period_ns:
+            longest = health.longest_gap_ns / 1e9
+            found.append(f"{name}: {health.gaps} gaps, about {health.lost} messages lost, longest {longest:.3f} s")
+        if recording.streams[name].said:
+            found.append(f"{name}: {recording.streams[name].said}")
+    return found
+
+
+def over_time(
+    times_ns: Int64[np.ndarray, " n"], values: Float[np.ndarray, " n"], stretches: int = 200
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+    """Middle of each stretch of a recording in seconds from the start, and the 10, 50 and 90 % quantiles in it."""
+    parts = np.array_split(np.arange(len(times_ns)), min(stretches, max(len(times_ns) // 5, 1)))
+    quantiles = partial(np.quantile, q=[0.1, 0.5, 0.9])
+    middle = np.array([float(times_ns[part].mean() - times_ns[0]) / 1e9 for part in parts])
+    return middle, np.array([quantiles(values[part]) for part in parts]).reshape(-1, 3)
