@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from bulk.works import Copy
+from jobs.works import Copy
 
 from farfield.errors import FileFormatError
 from farfield.jobs import JobJournal, JobOptions, Outcome, Unit, run
@@ -93,7 +93,7 @@ def test_a_killed_command_loses_at_most_the_last_moment_and_goes_on(tmp_path: Pa
     out.mkdir()
     code = f"""
 from pathlib import Path
-from bulk.works import Copy
+from jobs.works import Copy
 from farfield.jobs import Bulk, Journal, Unit, run
 folder, out = Path({str(tmp_path / "in")!r}), Path({str(out)!r})
 units = [Unit(f"{{n:02d}}", (folder / f"{{n:02d}}.in",), n) for n in range(12)]

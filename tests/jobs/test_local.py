@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from bulk import works
+from jobs import works
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.jobs import ENGINES, HERE, BulkError, JobJournal, JobOptions, Unit, run, values
@@ -115,7 +115,7 @@ def test_workers_end_with_the_command_whatever_ends_it(ending: int, tmp_path: Pa
     code = f"""
 import signal, sys
 from pathlib import Path
-from bulk.works import Copy
+from jobs.works import Copy
 from farfield.jobs import Bulk, Journal, Unit, run
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
 folder = Path({str(tmp_path)!r})
