@@ -43,7 +43,8 @@ TORCH_FILES = {
 NESTED: dict[str, str] = {}
 """Functions in functions that may stay, and why."""
 
-LINE_LIMIT = 400
+LINE_LIMIT = 600
+TEST_LINE_LIMIT = 400
 
 
 def _heavy_modules_after(statement: str) -> set[str]:
@@ -198,7 +199,9 @@ def test_scripts_use_public_names_and_no_test(folder: str) -> None:
 
 
 def test_test_files_are_small_too() -> None:
-    long = {p.name: n for p in (ROOT / "tests").rglob("*.py") if (n := len(p.read_text().splitlines())) > LINE_LIMIT}
+    long = {
+        p.name: n for p in (ROOT / "tests").rglob("*.py") if (n := len(p.read_text().splitlines())) > TEST_LINE_LIMIT
+    }
     assert not long
 
 

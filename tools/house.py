@@ -27,11 +27,6 @@ GROUND = {"errors", "vocabulary", "registry", "geometry", "frame", "files"}
 SHORT = 4
 """Lines of a function that is counted as short."""
 
-JOBS = {
-    "open KITTI": "import farfield; farfield.datasets.formats",
-    "detect with PointPillars": "",
-}
-
 
 @cache
 def trees() -> dict[Path, ast.Module]:
@@ -41,21 +36,9 @@ def trees() -> dict[Path, ast.Module]:
 
 
 def logical_lines(path: Path) -> int:
-    """Statements that the tokenizer ends with NEWLINE, docstrings left out."""
+    """Statements, as the tokenizer ends them with NEWLINE; docstrings are statements too."""
     with tokenize.open(path) as stream:
-        tokens = list(tokenize.generate_tokens(stream.readline))
-    count, start = 0, True
-    alone = False
-    for token in tokens:
-        if token.type in (tokenize.INDENT, tokenize.DEDENT, tokenize.NL, tokenize.COMMENT):
-            continue
-        if token.type == tokenize.NEWLINE:
-            count += not alone
-            start, alone = True, False
-            continue
-        alone = start and token.type == tokenize.STRING if start else False
-        start = False
-    return count
+        return sum(token.type == tokenize.NEWLINE for token in tokenize.generate_tokens(stream.readline))
 
 
 def room(module: str) -> str:
@@ -182,8 +165,9 @@ eye = "1 0 0 0 0 1 0 0 0 0 1 0"
 calib = "".join(f"P{i}: {eye}\\n" for i in range(4)) + "R0_rect: 1 0 0 0 1 0 0 0 1\\n"
 calib += f"Tr_velo_to_cam: {eye}\\nTr_imu_to_velo: {eye}\\n"
 (root / "training" / "calib" / "000000.txt").write_text(calib)
-data = ff.open_dataset(root)
-data[0].clouds, data[0].annotation
+from farfield.datasets.kitti.object import Kitti
+frame = Kitti(root)[0]
+frame.clouds, frame.annotation
 """
 
 _KRADAR = """
@@ -193,12 +177,18 @@ data[0].clouds, data[0].annotation
 """
 
 _DDS = """
-from farfield.metrics.detections import Detections
+from farfield.geometry.boxes import Boxes
+from farfield.metrics import score
+boxes = Boxes(centre_m=np.zeros((1, 3)), size_m=np.ones((1, 3)), yaw_rad=np.zeros(1), label="vehicle", score=np.ones(1))
+score({("a", "0"): boxes}, {("a", "0"): boxes})
 """
 
-_DETECT = """
-detector = ff.load_detector("pointpillars-cirrus")
+_DETECT = (
+    _KITTI
+    + """
+ff.load_detector("pointpillars-cirrus-sim")(frame)
 """
+)
 
 
 def rooms(arrows: set[tuple[str, str]]) -> set[tuple[str, str]]:

@@ -8,12 +8,12 @@ import time
 from pathlib import Path
 
 import pytest
-from jobs.works import Copy
 
 from farfield.errors import FileFormatError
 from farfield.jobs import JobJournal, JobOptions, Outcome, Unit, run
 from farfield.jobs.folders import STAGING, locked, sweep_out
 from farfield.jobs.journal import mark_of, state_of
+from jobs.works import Copy
 
 
 def sources(folder: Path, count: int = 12) -> list[Unit]:

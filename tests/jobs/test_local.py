@@ -9,7 +9,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-from jobs import works
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.jobs import ENGINES, HERE, BulkError, JobJournal, JobOptions, Unit, run, values
@@ -17,6 +16,7 @@ from farfield.jobs.local import LocalEngine
 from farfield.jobs.memory import available_bytes, fitting
 from farfield.jobs.signals import ended_by_sigterm
 from farfield.jobs.threads import VARIABLES, one_thread
+from jobs import works
 
 UNITS = [Unit(str(number), parameters=number) for number in range(24)]
 TWO = JobOptions(workers=2)
