@@ -9,11 +9,12 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.formats import DATASETS, Format, dataset, find_format, looked_for, recognise
+from farfield.datasets.memory import InMemory, in_memory
 from farfield.errors import ConfigError, DatasetError
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
 
-__all__ = ["DATASETS", "Dataset", "Format", "dataset", "open_dataset", "recognise"]
+__all__ = ["DATASETS", "Dataset", "Format", "InMemory", "dataset", "in_memory", "open_dataset", "recognise"]
 
 
 def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:

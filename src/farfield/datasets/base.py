@@ -35,6 +35,8 @@ class Dataset(ABC):
         references: Sensors in whose coordinates the frames can be seen, the reader's own first; empty where there is no
             choice.
         view_options: Further options of ``open_dataset`` that the format offers, which become maps.
+        stored: Whether the frames come from files, so that a fingerprint identifies them and a recipe can be replayed
+            on them; False for frames that are in memory.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Dataset(ABC):
     options: Mapping[str, Any] = MappingProxyType({})
     references: tuple[str, ...] = ()
     view_options: tuple[str, ...] = ()
+    stored: bool = True
 
     @abstractmethod
     def frame(self, index: int) -> Frame:
@@ -234,7 +237,12 @@ class Dataset(ABC):
         raise ConfigError(f"{self.root}: {self.name} has no parts {name!r} beside those of split(name).")
 
     def fingerprint(self) -> str:
-        """SHA-256 over the frames' names, their files' names and sizes (not their contents), and the maps if any."""
+        """SHA-256 over the frames' names, their files' names and sizes (not their contents), and the maps if any.
+
+        Empty for frames in memory.
+        """
+        if not self.stored:
+            return ""
         digest = hashlib.sha256()
         for index, key in enumerate(self.keys):
             digest.update("\0".join(key).encode())
@@ -254,7 +262,7 @@ class Subset(Dataset):
             raise IndexError(f"{parent.root}: expected frame indices below {len(parent)}, got {wrong[0]}")
         self.parent, self.indices = parent, tuple(int(index) % len(parent) for index in indices)
         self.name, self.root, self.protocol = parent.name, parent.root, parent.protocol
-        self.split_file = parent.split_file
+        self.split_file, self.stored = parent.split_file, parent.stored
         self.options, self.references, self.view_options = dict(parent.options), parent.references, parent.view_options
         self.sequences = tuple(parent.sequences[index] for index in self.indices)
         self.frame_ids = tuple(parent.frame_ids[index] for index in self.indices)

@@ -71,6 +71,7 @@ def replay(data: Dataset, recipe: Mapping[str, Any]) -> Dataset:
     Its maps are applied to the reader's frames, beneath those that the data have of their own. Of two of one name the
     recipe's coordinates and radar view take the place of the data's; sweeps that are stacked already, and frames that
     are moved already, stay as they are. What a format does not offer is passed over, such as a radar's view of Cirrus.
+    Frames in memory stay as they are.
 
     Args:
         data: Any data set; itself is returned if nothing changes.
@@ -79,6 +80,8 @@ def replay(data: Dataset, recipe: Mapping[str, Any]) -> Dataset:
     Raises:
         ConfigError: If the recipe names an unknown map or setting.
     """
+    if not data.stored:
+        return data
     reader = data.unwrapped
     native = [described(function) for function in reader.maps]
     own = list(data.maps[len(native) :])
