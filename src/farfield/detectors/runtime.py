@@ -16,6 +16,7 @@ from farfield.detectors.choosing import ChosenClasses, Classes, reconfigured
 from farfield.detectors.contract import FIXED, Network
 from farfield.detectors.devices import DTYPES, chosen_device, fitting
 from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.info import DetectorInfo
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.weights import default_precision, load_weights, resolve_weights
 from farfield.errors import ConfigError
@@ -150,6 +151,25 @@ class Detector:
     def _repr_html_(self) -> str:
         """What a notebook shows: where it looks, and for what."""
         return str(named("farfield.figures.notebook:detector_html")(self))
+
+    @property
+    def info(self) -> DetectorInfo:
+        """What is known of it: what it reads, what it gives, and what it was trained on."""
+        return DetectorInfo(
+            name=self.name,
+            network=type(self.network).__name__,
+            classes=self.class_names,
+            sensor=self.kind,
+            columns=self.columns,
+            learnt_clouds=self.learnt_clouds,
+            reference=self.reference,
+            reach_m=self.reach_m,
+            provenance=self.provenance,
+            precision=self.precision,
+            score_threshold=self.config.score_threshold,
+            nms_iou=self.config.nms_iou,
+            max_boxes=self.config.max_boxes if self.chosen is None else self.chosen.max_boxes,
+        )
 
     @property
     def class_names(self) -> tuple[str, ...]:
