@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from farfield.datasets.kradar import motion, texts
+from farfield.datasets.kradar import texts
 from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import read_label_table
 from farfield.datasets.kradar.labels import format_labels, read_labels
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.datasets.kradar.products import read_radar
-from farfield.datasets.kradar.record import read_record
-from farfield.datasets.kradar.splits import read_split_list
+from farfield.datasets.kradar.reader import read_split_list
+from farfield.datasets.kradar.writer import read_record
 from farfield.errors import FileFormatError
 from farfield.files import astyx, mat, npy, radar_cells, radiate, view_of_delft
 from farfield.files.description import read_description
@@ -69,10 +69,10 @@ def radar_targets(folder: Path) -> dict[str, Recipe]:
         "kradar calib": (texts.read_radar_calibration, "frame difference,x,y\n32,-2.54,0.3\n"),
         "kradar camera": (texts.read_camera, camera_yaml()),
         "kradar odometry": (texts.read_odometry, f"{pose}\n{pose}"),
-        "kradar gt_rel": (motion.read_relative_odometry, relative),
-        "kradar gps": (motion.read_gps, f"{gps}\n" * 5),
-        "kradar imu": (motion.read_imu, f"{imu}\n" * 5),
-        "kradar local": (motion.read_local, local),
+        "kradar gt_rel": (texts.read_relative_odometry, relative),
+        "kradar gps": (texts.read_gps, f"{gps}\n" * 5),
+        "kradar imu": (texts.read_imu, f"{imu}\n" * 5),
+        "kradar local": (texts.read_local, local),
         "kradar split": (read_split_list, "1,00033_00001.txt\n1,00034_00002.txt"),
         "kradar record": (read_record, record()),
     }

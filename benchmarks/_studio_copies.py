@@ -15,7 +15,7 @@ from _studio_screen import Screen, screen
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.labels import BoxLabel
-from farfield.datasets.labels.choosing import label_files_in, label_format
+from farfield.datasets.labels.formats import label_files_in, label_format
 from farfield.frame import Boxes
 
 CSV = "labels.csv"  # of data sets whose own label files are not edited

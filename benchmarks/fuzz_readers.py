@@ -32,7 +32,7 @@ from PIL import Image
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
-from farfield.datasets.cirrus.mapping import Labels
+from farfield.datasets.cirrus.layout import Labels
 from farfield.errors import FarfieldError
 from farfield.files import boxes_csv, clouds, depth_png, images, kitti, pcd, xyz
 from farfield.files.atomic import write_text

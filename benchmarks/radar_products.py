@@ -91,7 +91,7 @@ def plain_polar3d(tensor: np.ndarray) -> np.ndarray:
 
 def step(name: str, path: Path) -> dict[str, float]:
     """One measurement; runs in a process of its own."""
-    from farfield.datasets.kradar.tesseract import read_polar3d, read_products
+    from farfield.datasets.kradar.products import read_polar3d, read_products
 
     actions: dict[str, Callable[[Path], Any]] = {
         "inflate": inflate,
@@ -110,7 +110,7 @@ def step(name: str, path: Path) -> dict[str, float]:
 
 def differences(path: Path) -> dict[str, float]:
     """Largest relative difference of each product from its plain definition."""
-    from farfield.datasets.kradar.tesseract import read_products
+    from farfield.datasets.kradar.products import read_products
     from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
     from farfield.radar.products import CUBE_X_M, CUBE_Y_M, CUBE_Z_M, polar_cloud, sparse_clouds, thresholds
 

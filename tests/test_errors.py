@@ -28,7 +28,7 @@ def _claims(path: Path) -> Any:
 
 
 def _mapping(path: Path) -> Any:
-    from farfield.datasets.cirrus.mapping import read_mapping
+    from farfield.datasets.cirrus.layout import read_mapping
 
     return read_mapping(path)
 

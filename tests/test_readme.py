@@ -144,7 +144,7 @@ def test_pictures_are_there_and_small() -> None:
 
 
 def test_mapping_defaults_in_the_docs_are_the_defaults(tmp_path: Path) -> None:
-    from farfield.datasets.cirrus.mapping import Mapping, read_mapping
+    from farfield.datasets.cirrus.layout import Mapping, read_mapping
 
     (block,) = _blocks((ROOT / "docs" / "cirrus.md").read_text(encoding="utf-8"), "yaml")
     (tmp_path / "mapping.yaml").write_text(block)

@@ -6,6 +6,7 @@ The functions below import what they need when they are called, so that ``import
 >>> data = ff.open_dataset("Cirrus_dataset1")      # the format is recognised   # doctest: +SKIP
 """
 
+import warnings
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from farfield.datasets.formats import dataset
     from farfield.detectors.kinds import detector
     from farfield.errors import FarfieldError
-    from farfield.frame import Annotation, Cloud, Frame, Sensor, joined, moved
+    from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.protocol import protocol
     from farfield.tracking import track
@@ -37,16 +38,17 @@ _HOMES = {
     "detect": "farfield.api",
     "detector": "farfield.detectors.kinds",
     "evaluate": "farfield.api",
-    "joined": "farfield.frame",
     "load_detector": "farfield.api",
-    "moved": "farfield.frame",
+    "merge_clouds": "farfield.frame",
     "open_dataset": "farfield.api",
     "protocol": "farfield.metrics.protocol",
     "show": "farfield.api",
     "track": "farfield.tracking",
     "train": "farfield.api",
     "transfer": "farfield.api",
+    "transform_frame": "farfield.frame",
 }
+_RENAMED = {"joined": "merge_clouds", "moved": "transform_frame"}
 __all__ = [
     "Annotation",
     "Boxes",
@@ -59,19 +61,22 @@ __all__ = [
     "detect",
     "detector",
     "evaluate",
-    "joined",
     "load_detector",
-    "moved",
+    "merge_clouds",
     "open_dataset",
     "protocol",
     "show",
     "track",
     "train",
     "transfer",
+    "transform_frame",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        warnings.warn(f"farfield.{name} is now farfield.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        name = _RENAMED[name]
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'farfield' has no attribute {name!r}")

@@ -22,7 +22,7 @@ from farfield.calibration.radar_lidar import RadarCalibration
 from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import write_calibration
-from farfield.datasets.kitti.writer import calibration_text
+from farfield.datasets.kitti.object import calibration_text
 from farfield.datasets.kradar.radar_pose import matching_path, read_matching
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.errors import ConfigError

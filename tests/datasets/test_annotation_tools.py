@@ -9,7 +9,7 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.convert import convert
-from farfield.datasets.labels.tool_labels import DatumaroLabels, OpenLabels
+from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels
 from farfield.datasets.sustechpoints import SustechPoints
 from farfield.errors import FileFormatError
 from farfield.files.pcd import read_pcd

@@ -16,11 +16,11 @@ import bag_messages as rosbag
 
 from farfield import cli
 from farfield.datasets import open_dataset
-from farfield.datasets.bags.clouds import cloud_of, offsets_ns
+from farfield.datasets.bags.reader import cloud_of, offsets_ns
 from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.bags import Bag
 from farfield.files.point_cloud2 import read_points
-from farfield.frame import joined
+from farfield.frame import merge_clouds
 
 START, MS = rosbag.START, 1_000_000
 OUSTER = np.dtype(
@@ -90,7 +90,7 @@ def test_frames_hold_clouds_images_and_poses(bag: Path) -> None:
     assert lidar_T_radar is not None
     np.testing.assert_allclose(lidar_T_radar[:3, 3], [2, 0, -1])
     np.testing.assert_allclose(lidar_T_radar[:3, 0], [0, 1, 0], atol=1e-9)  # turned by a quarter to the left
-    assert joined(frame, ["radar"]).columns == ("x_m", "y_m", "z_m", "doppler")
+    assert merge_clouds(frame, ["radar"]).columns == ("x_m", "y_m", "z_m", "doppler")
     assert frame.world_T_frame is not None
     expected = [4 + np.cos(0.2), np.sin(0.2), 2]  # the base's place and the lidar's in it
     np.testing.assert_allclose(frame.world_T_frame[:3, 3], expected)

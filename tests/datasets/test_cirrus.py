@@ -6,11 +6,10 @@ import pytest
 
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter, Mapping, read_mapping
-from farfield.datasets.cirrus.layout import pair, segment_numbers
-from farfield.datasets.cirrus.mapping import Pairing
+from farfield.datasets.cirrus.layout import Pairing, pair, segment_numbers
 from farfield.datasets.cloud_files import cache_path, write_rows_cache
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, joined
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, merge_clouds
 from farfield.geometry.poses import pose_from_yaw, quaternion_from_yaw
 
 START_NS = 1_558_131_117_608_556_768
@@ -90,7 +89,7 @@ def test_round_trip_keeps_clouds_boxes_and_the_rest(written):
         assert got.metadata["pair_dt_ms"] == pytest.approx(30.0)
         np.testing.assert_allclose(got.world_T_frame, want.world_T_frame)
         assert got.conditions == {"weather": "clear"}
-        assert len(joined(got, ["gaussian", "uniform"])) == 400
+        assert len(merge_clouds(got, ["gaussian", "uniform"])) == 400
 
 
 def test_layout_on_disk_is_the_released_one(written):

@@ -5,9 +5,8 @@ import pytest
 from trees import write_kitti, write_kitti_tracking
 
 from farfield.datasets import open_dataset
-from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.object import Kitti, boxes_from_objects, objects_from_boxes
-from farfield.datasets.kitti.writer import VIRTUAL_CAMERA, KittiWriter
+from farfield.datasets.kitti.boxes import boxes_from_objects, camera_from_calib, objects_from_boxes
+from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti, KittiWriter
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame

@@ -6,7 +6,7 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.folder import read_boxes, write_boxes
-from farfield.datasets.splits import deal_out
+from farfield.datasets.splits import assign_splits
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.clouds import write_bin, write_cache
 from farfield.files.pcd import write_pcd
@@ -173,10 +173,10 @@ def test_split_of_one_sequence_asks_for_a_decision(folder):
 
 def test_sequences_are_dealt_out_whole_and_near_the_shares(tmp_path):
     units = [f"segment_{i:02d}" for i in range(40) for _ in range(10)]
-    parts = deal_out(units, root=tmp_path)
+    parts = assign_splits(units, root=tmp_path)
     assert sorted([name for part in parts.values() for name in part]) == sorted(set(units))
     assert [len(parts[name]) for name in ("train", "val", "test")] == [28, 6, 6]
-    assert all(len(part) == 1 for part in deal_out(["a", "b", "c"], root=tmp_path).values())
+    assert all(len(part) == 1 for part in assign_splits(["a", "b", "c"], root=tmp_path).values())
 
 
 def test_class_names_come_into_the_vocabulary():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, moved
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, transform_frame
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.inspection.statistics import Statistics, gather, map_statistics, power_map_db
 from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
@@ -215,7 +215,11 @@ def test_radar_excess_stands_where_the_vehicle_does_in_the_radars_frame():
         radar = {"polar3d": polar}
         sensors = {"polar3d": Sensor(kind="radar", frame_T_sensor=pose, in_frame=False)}
         frame = frame_of({}, boxes, radar=radar, conditions={"weather": weather}, sensors=sensors)
-        for seen in (frame, moved(frame, invert(pose)), moved(frame, pose_from_yaw(2.0))):  # wherever it is seen from
+        for seen in (
+            frame,
+            transform_frame(frame, invert(pose)),
+            transform_frame(frame, pose_from_yaw(2.0)),
+        ):  # wherever it is seen from
             statistics = gather([seen])
             np.testing.assert_allclose(statistics.objects.radar_excess, [amount, 0.0], atol=1e-4)
 

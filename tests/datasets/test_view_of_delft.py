@@ -10,9 +10,8 @@ from trees import LIDAR_T_RADAR_M, PITCH_RAD, RADAR_ROWS, write_delft, write_tre
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.recipes import recipe_of_experiment, replay
-from farfield.datasets.view_of_delft.boxes import boxes_from_labels, boxes_from_objects
 from farfield.datasets.view_of_delft.layout import CLIPS, clip_of
-from farfield.datasets.view_of_delft.reader import ViewOfDelft, read_radar
+from farfield.datasets.view_of_delft.reader import ViewOfDelft, boxes_from_labels, boxes_from_objects, read_radar
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.files.view_of_delft import read_camera_poses, read_objects

@@ -10,7 +10,7 @@ import pytest
 from fans import camera, directions, onto_plane
 
 from farfield.datasets import open_dataset
-from farfield.datasets.kitti.writer import KittiWriter
+from farfield.datasets.kitti.object import KittiWriter
 from farfield.depth import frame_depth
 from farfield.depth.writing import DepthSettings, write_depth_maps
 from farfield.errors import ConfigError, DatasetError

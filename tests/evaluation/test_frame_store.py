@@ -7,7 +7,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.evaluation.frame_store import load_frame, save_frame
-from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, joined
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, merge_clouds
 
 
 def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path: Path) -> None:
@@ -30,7 +30,7 @@ def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path:
     np.testing.assert_array_equal(back.sensors["radar"].frame_T_sensor, mounted)
     assert not back.has_annotation
     with pytest.raises(ConfigError, match="one kind of sensor"):
-        joined(back, ["lidar", "radar"])
+        merge_clouds(back, ["lidar", "radar"])
 
 
 @pytest.mark.parametrize("velocity", [None, [[4.0, -2.0], [np.nan, np.nan]], [[4.0, -2.0, 0.1], [0.0, 0.0, 0.0]]])

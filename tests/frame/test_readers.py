@@ -16,7 +16,7 @@ from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, joined
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, merge_clouds
 from farfield.simulation import simulate_frame
 from farfield.testing import check_dataset
 from farfield.testing.datasets import check_frame
@@ -105,7 +105,7 @@ def test_simulated_frames_keep_their_word(preset: str, sensors: tuple[str, ...] 
 def test_what_two_patterns_join_to_and_what_is_refused(tmp_path: Path) -> None:
     frame = cirrus(tmp_path / "cirrus")[0]
     both = Cloud.concatenate([frame.clouds["gaussian"], frame.clouds["uniform"]])
-    np.testing.assert_array_equal(joined(frame, ["gaussian", "uniform"]).points_m, both.points_m)
+    np.testing.assert_array_equal(merge_clouds(frame, ["gaussian", "uniform"]).points_m, both.points_m)
     spinning = kradar(tmp_path / "kradar")[0]
     scans = delft(tmp_path / "delft")[0]
     refused: list[tuple[Frame, list[str], str]] = [
@@ -119,7 +119,7 @@ def test_what_two_patterns_join_to_and_what_is_refused(tmp_path: Path) -> None:
     ]
     for of, names, message in refused:
         with pytest.raises(ConfigError, match=message):
-            joined(of, names)
+            merge_clouds(of, names)
 
 
 def test_where_nobody_annotated_is_told(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, moved
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, transform_frame
 from farfield.geometry.poses import invert, pose_from_yaw
 
 
@@ -151,26 +151,26 @@ def posed(**sensors: Sensor) -> Frame:
 def test_the_reference_never_lies_after_a_move() -> None:
     mounted = pose_from_yaw(0.2, (2.5, 0.0, -0.7))
     frame = posed(radar=Sensor(kind="radar", frame_T_sensor=mounted))
-    turned = moved(frame, pose_from_yaw(np.pi))
-    assert (frame.reference, turned.reference, moved(turned, pose_from_yaw(0.3)).reference) == (
+    turned = transform_frame(frame, pose_from_yaw(np.pi))
+    assert (frame.reference, turned.reference, transform_frame(turned, pose_from_yaw(0.3)).reference) == (
         "lidar",
         "lidar'",
         "lidar'",
     )
-    assert moved(turned, pose_from_yaw(-np.pi)).reference == "lidar"
-    assert moved(frame, np.eye(4)).reference == "lidar"
-    seen = moved(frame, invert(mounted), reference="radar")
+    assert transform_frame(turned, pose_from_yaw(-np.pi)).reference == "lidar"
+    assert transform_frame(frame, np.eye(4)).reference == "lidar"
+    seen = transform_frame(frame, invert(mounted), reference="radar")
     assert (seen.reference, seen.reference_kind, turned.reference_kind) == ("radar", "radar", "lidar")
     assert seen.sensors["radar"].frame_T_sensor is not None
     assert np.array_equal(seen.sensors["radar"].frame_T_sensor, np.eye(4))  # exactly: its own data need no rounding
     with pytest.raises(ConfigError, match="in which radar stands at the origin, but it would stand at"):
-        moved(frame, mounted, reference="radar")
+        transform_frame(frame, mounted, reference="radar")
 
 
 def test_a_name_without_a_pose_is_given_up_by_any_move() -> None:
     frame = Frame(sequence="s", frame_id="1", reference="ego", sensors={"lidar": Sensor(kind="lidar")})
-    assert moved(frame, pose_from_yaw(1.0)).reference == "ego'"
-    assert moved(frame, np.eye(4)).reference == "ego"
+    assert transform_frame(frame, pose_from_yaw(1.0)).reference == "ego'"
+    assert transform_frame(frame, np.eye(4)).reference == "ego"
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_the_kind_of_coordinates_that_name_no_sensor(sensors: Any, kind: str | N
 
 def test_velocities_poses_and_the_place_in_the_world_move_along() -> None:
     frame = posed()
-    turned = moved(frame, pose_from_yaw(np.pi / 2))
+    turned = transform_frame(frame, pose_from_yaw(np.pi / 2))
     assert turned.boxes is not None
     assert turned.boxes.velocity_m_s is not None
     assert turned.world_T_frame is not None

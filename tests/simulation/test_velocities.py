@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.frame import Boxes, Frame, moved
+from farfield.frame import Boxes, Frame, transform_frame
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.labels import MOVING_M_S, full_boxes
@@ -69,7 +69,7 @@ def test_visible_parts_move_as_their_bodies_and_who_moves_is_annotated(pair: tup
 
 def test_velocities_turn_with_the_frame(pair: tuple[Frame, Frame]) -> None:
     frame = pair[0]
-    turned = moved(frame, pose_from_yaw(np.pi / 2))
+    turned = transform_frame(frame, pose_from_yaw(np.pi / 2))
     x, y, z = frame.boxes.velocity_m_s.T
     np.testing.assert_allclose(turned.boxes.velocity_m_s, np.stack([-y, x, z], axis=1), atol=1e-12)
     check_moving(frame)

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 from farfield.calibration.edges import moved
 from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import radar_T_lidar
-from farfield.datasets.kitti.writer import calibration_text
+from farfield.datasets.kitti.object import calibration_text
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.frame import Cloud
 from farfield.geometry.cameras import Camera

@@ -22,7 +22,7 @@ from farfield.datasets.kitti.boxes import camera_of
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.layout import camera_number
 from farfield.datasets.kradar.radar_pose import LIDARS_FILE, RADAR_FILE, InfoMatching, matching_path
-from farfield.datasets.kradar.sequence_files import camera_path
+from farfield.datasets.kradar.writer import camera_path
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.kitti import read_calib
 from farfield.geometry.cameras import Camera

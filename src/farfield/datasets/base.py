@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from farfield.datasets.drives import Indices, Poses, before_each, by_sequence, cut, gather, seen
 from farfield.datasets.maps.contract import FrameMap, described
-from farfield.datasets.maps.move import Move
-from farfield.datasets.splits import SPLIT_FILE, cut_in_time, deal_out, read_parts
+from farfield.datasets.maps.coordinates import Move
+from farfield.datasets.splits import SPLIT_FILE, assign_splits, cut_in_time, read_parts
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Drive, Frame, Key
 
@@ -224,7 +224,7 @@ class Dataset(ABC):
         if by != "sequence":
             raise ConfigError(f"split: expected by to be one of 'sequence', 'time', 'benchmark', got {by!r}")
         units = self.split_units()
-        parts = self._split_from_file() or deal_out(units, root=self.root)
+        parts = self._split_from_file() or assign_splits(units, root=self.root)
         if name not in parts:
             raise ConfigError(f"{self.root}: expected a split, one of {', '.join(parts)}; got {name!r}")
         chosen = set(parts[name])

@@ -1,5 +1,6 @@
-"""Write a data set in another's layout, or its ASCII clouds as a binary cache beside them."""
+"""Write a data set in another's layout, for an annotation tool, or its ASCII clouds as a binary cache beside them."""
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,23 +9,30 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from farfield.datasets.annotated import AnnotationTool, BoxSource, ToolExport, boxes_of, views
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
 from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
-from farfield.datasets.kitti.writer import KittiWriter
+from farfield.datasets.kitti.object import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
-from farfield.datasets.labels.tool_labels import file_name
+from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.files.coordinates import camera_words, write_coordinates
-from farfield.frame import Boxes, Frame, Key
+from farfield.files.cuboids import Cuboid
+from farfield.files.datumaro import format_datumaro
+from farfield.files.images import write_image
+from farfield.files.openlabel import format_openlabel
+from farfield.files.pcd import write_pcd
+from farfield.files.sustechpoints import format_calibration, format_sustechpoints
+from farfield.frame import Boxes, Cloud, Frame, Key
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.jobs.folders import locked, sweep_out
 
 Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
+AnnotationTool = Literal["openlabel", "sustechpoints", "cvat"]
+BoxSource = Literal["boxes", "full_boxes"]
 TARGETS: tuple[str, ...] = get_args(Target)
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
 _PAUSE_NS = 10_000_000_000
@@ -379,3 +387,133 @@ def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "")
         velocity_m_s=together.velocity_m_s,
         reference=np.full(len(together), reference) if reference else None,
     )
+
+
+# Data sets as annotation tools take them: SUSTechPOINTS, CVAT (Datumaro), and OpenLABEL's boxes alone.
+
+
+def views(dataset: Dataset) -> str:
+    """What else decides how a data set is seen: its reader's options and its maps; empty where there are none."""
+    told = {name: dataset.recipe.get(name) for name in ("options", "maps")}
+    return f" {json.dumps(told, sort_keys=True, default=str)}" if any(told.values()) else ""
+
+
+def boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
+    """The boxes to label: the frame's own, or its annotation's ``full_boxes``.
+
+    Raises:
+        DatasetError: If the whole bodies are wanted and not known.
+    """
+    if source == "boxes" or frame.annotation is None:
+        return frame.boxes
+    if frame.annotation.full_boxes is None:
+        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
+    return frame.annotation.full_boxes
+
+
+def cuboids_of(boxes: Boxes | None, frame: str) -> list[Cuboid]:
+    """Boxes as tools exchange them; the classes keep our names."""
+    if boxes is None or not len(boxes):
+        return []
+    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
+    tracks = [-1] * len(boxes) if boxes.track_id is None else boxes.track_id.tolist()
+    return [
+        Cuboid(frame=frame, label=str(label), box=tuple(row), track="" if track < 0 else str(track))
+        for label, row, track in zip(np.asarray(boxes.label).tolist(), rows, tracks, strict=True)
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolExport:
+    """Writes sequences of a data set for an annotation tool; a unit's parameters are the frames' indices.
+
+    SUSTechPOINTS gets scenes with clouds (PCD), images, calibration and labels; CVAT clouds below ``point_clouds`` and
+    one Datumaro file a sequence; OpenLABEL one file a sequence.
+
+    Args:
+        dataset: The frames.
+        target: Folder to write into.
+        to: The tool.
+        boxes: Which boxes to label.
+        cloud: Which cloud to write; None takes the first.
+    """
+
+    dataset: Dataset
+    target: Path
+    to: AnnotationTool
+    boxes: BoxSource
+    cloud: str | None
+    memory_bytes = 500_000_000
+
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
+
+    def units(self) -> list[Unit]:
+        """One a sequence; for SUSTechPOINTS, whose files are of one frame each, one a frame."""
+        files = self.dataset.files
+        if self.to == "sustechpoints":
+            keys = enumerate(self.dataset.keys)
+            return [Unit("/".join(key), tuple(files(index)), (index,)) for index, key in keys]
+        groups: dict[str, list[int]] = {}
+        for index, sequence in enumerate(self.dataset.sequences):
+            groups.setdefault(sequence, []).append(index)
+        return [
+            Unit(name, tuple(dict.fromkeys(file for index in indices for file in files(index))), tuple(indices))
+            for name, indices in groups.items()
+        ]
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        """Write one unit."""
+        frames = [self.dataset.frame(index) for index in unit.parameters]
+        if self.to == "sustechpoints":
+            return UnitResult(files=tuple(path for frame in frames for path in self._scene_frame(frame)))
+        names = [frame.frame_id if self.to == "openlabel" else file_name(frame.frame_id) for frame in frames]
+        cuboids = [
+            cuboid
+            for frame, name in zip(frames, names, strict=True)
+            for cuboid in cuboids_of(boxes_of(frame, self.boxes), name)
+        ]
+        if self.to == "openlabel":
+            text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames], system=frames[0].reference)
+            return UnitResult(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
+        path = _written(DatumaroLabels(self.target).path(frames[0].key), format_datumaro(cuboids, names))
+        return UnitResult(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))
+
+    def _clouds(self, frames: Sequence[Frame], folder: Path, names: Sequence[str]) -> Iterable[Path]:
+        for frame, name in zip(frames, names, strict=True):
+            yield write_cloud(folder / f"{name}.pcd", frame.cloud(self.cloud))
+
+    def _scene_frame(self, frame: Frame) -> list[Path]:
+        label = SustechLabels(self.target).path(frame.key)
+        scene, stem = label.parents[1], label.stem
+        paths = [write_cloud(scene / "lidar" / f"{stem}.pcd", frame.cloud(self.cloud))]
+        for name, camera in frame.cameras.items():
+            if name in frame.images:
+                path = scene / "camera" / file_name(name) / f"{stem}.jpg"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_image(path, frame.images[name])
+                calibration = format_calibration(camera.camera_T_lidar, camera.matrix)
+                paths += [path, _written(scene / "calib" / "camera" / f"{file_name(name)}.json", calibration)]
+        boxes = boxes_of(frame, self.boxes)
+        if boxes is not None:
+            paths.append(_written(label, format_sustechpoints(cuboids_of(boxes, stem))))
+        label.parent.mkdir(parents=True, exist_ok=True)
+        return paths
+
+
+def write_cloud(path: Path, cloud: Cloud) -> Path:
+    """Write a cloud as binary PCD with x, y, z and, where there is one, intensity."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fields = {axis: column.astype(np.float32) for axis, column in zip("xyz", cloud.points_m.T, strict=True)}
+    if cloud.intensity is not None:
+        fields["intensity"] = cloud.intensity.astype(np.float32)
+    write_pcd(path, fields)
+    return path
+
+
+def _written(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    return path

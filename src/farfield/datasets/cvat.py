@@ -16,8 +16,7 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
-from farfield.datasets.labels.cuboid_boxes import annotation_of
-from farfield.datasets.labels.tool_labels import DatumaroLabels, SuperviselyLabels
+from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes

@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
-from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, renamed
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cloud
 from farfield.datasets.drives import Indices, all_known
-from farfield.errors import DatasetError, FileFormatError, plain
+from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
@@ -309,3 +309,40 @@ class Folder(Dataset):
             load_annotation=self._annotation_of(index),
             metadata={"files": [str(file) for file in self.files(index)]},
         )
+
+
+# The mapping file: ``classes: {Auto: vehicle, LKW: large_vehicle}``.
+
+MAPPING_NAME = "mapping.yaml"
+_MAX_MAPPING_BYTES = 1 << 20
+
+
+class _Classes(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    classes: dict[str, Annotated[str, Field(min_length=1)]] = {}
+
+
+def read_class_mapping(path: Path | str) -> Mapping[str, str]:
+    """The classes by the names that the labels have.
+
+    Raises:
+        ConfigError: If it cannot be read, is no YAML, or has another key.
+    """
+    try:
+        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
+        return _Classes.model_validate({} if content is None else content).classes
+    except ValidationError as error:
+        mend = "An own folder's mapping has one key, such as classes: {Auto: vehicle}."
+        raise ConfigError(f"{path}: {plain(error)}. {mend}") from error
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
+
+
+def renamed(annotation: Annotation, classes: Mapping[str, str]) -> Annotation:
+    """An annotation under other class names; what the labels say stays as ``original_label``."""
+    names = tuple(map(str, annotation.boxes.label))
+    if not set(names) & set(classes):
+        return annotation
+    boxes = annotation.boxes.replace(label=[classes.get(name, name) for name in names])
+    return Annotation(boxes=boxes, original_label=names)

@@ -36,8 +36,7 @@ class Format:
 
 def is_cirrus(root: Path) -> bool:
     """Whether a folder holds Cirrus, as published or as its authors keep it."""
-    from farfield.datasets.cirrus.layout import find_parts
-    from farfield.datasets.cirrus.mapping import Mapping
+    from farfield.datasets.cirrus.layout import Mapping, find_parts
 
     return bool(find_parts(root, Mapping()))
 
@@ -51,7 +50,7 @@ def is_view_of_delft(root: Path) -> bool:
 
 def is_tj4dradset(root: Path) -> bool:
     """Whether a folder holds TJ4DRadSet's radar."""
-    from farfield.datasets.kitti.tj4d import is_tj4dradset as looks_like_it
+    from farfield.datasets.kitti.object import is_tj4dradset as looks_like_it
 
     return looks_like_it(root)
 
@@ -153,7 +152,7 @@ TJ4DRADSET = Format(
     name="tj4dradset",
     looked_for="training/velodyne/*.bin, eight numbers a point of which the fifth is the range",
     recognises=is_tj4dradset,
-    reader="farfield.datasets.kitti.tj4d:Tj4dRadSet",
+    reader="farfield.datasets.kitti.object:Tj4dRadSet",
 )
 KITTI = Format(
     name="kitti",

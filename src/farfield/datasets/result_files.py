@@ -10,8 +10,8 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.convert import box_rows
-from farfield.datasets.kitti.object import objects_from_boxes
-from farfield.datasets.kitti.writer import VIRTUAL_CAMERA
+from farfield.datasets.kitti.boxes import objects_from_boxes
+from farfield.datasets.kitti.object import VIRTUAL_CAMERA
 from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts

@@ -14,7 +14,7 @@ SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
 SPLIT_FILE = Path("splits") / "cirrus_v1.json"
 
 
-def deal_out(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
+def assign_splits(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
     """Deal whole units out to train, val and test by the hash of their names, near the shares asked for.
 
     Args:

@@ -14,8 +14,7 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
-from farfield.datasets.labels.cuboid_boxes import annotation_of
-from farfield.datasets.labels.tool_labels import SustechLabels
+from farfield.datasets.labels.json_labels import SustechLabels, annotation_of
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import numbers

@@ -3,8 +3,7 @@
 from farfield.frame.annotation import Annotation, CameraField, Footprints
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Drive, Key
-from farfield.frame.lazy import Constant, Lazy
-from farfield.frame.record import Frame, Pose, Sensor, camera_sensor, joined, moved
+from farfield.frame.record import Constant, Frame, Lazy, Pose, Sensor, camera_sensor, merge_clouds, transform_frame
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 
@@ -23,6 +22,6 @@ __all__ = [
     "Pose",
     "Sensor",
     "camera_sensor",
-    "joined",
-    "moved",
+    "merge_clouds",
+    "transform_frame",
 ]

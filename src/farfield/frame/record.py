@@ -4,7 +4,7 @@ Coordinates: right-handed, x forward, y left, z up, metres. All data stand in th
 their sensor says ``in_frame=False``.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -16,7 +16,6 @@ from farfield.errors import ConfigError, MissingCloudError
 from farfield.frame.annotation import Annotation
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Key
-from farfield.frame.lazy import Constant, Lazy
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
@@ -25,6 +24,63 @@ from farfield.registry import named
 Pose = Float[np.ndarray, "4 4"]
 Kind = Literal["lidar", "radar", "camera"]
 _NO_LENGTH = 1e-9  # metres, and parts of a unit vector: what inverting and multiplying poses leaves
+
+
+class Constant:
+    """A loader of a value that is in memory already; unlike a lambda it can be pickled.
+
+    >>> Constant(42)()
+    42
+    """
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __call__(self) -> Any:
+        """The value."""
+        return self.value
+
+
+class Lazy(Mapping[str, Any]):
+    """A read-only mapping whose values are loaded at the first access and then kept.
+
+    It pickles if its loaders do (functools.partial of functions of a module, or :class:`Constant`); values that were
+    loaded stay behind, so that frames travel light.
+
+    >>> clouds = Lazy({"gaussian": lambda: 42})
+    >>> list(clouds), clouds["gaussian"]
+    (['gaussian'], 42)
+    """
+
+    def __init__(self, loaders: Mapping[str, Callable[[], Any]]) -> None:
+        self._loaders = dict(loaders)
+        self._loaded: dict[str, Any] = {}
+
+    def loader(self, key: str) -> Callable[[], Any]:
+        """The function that loads the value of a key, which a further mapping may wrap."""
+        return self._loaders[key]
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._loaders:
+            raise KeyError(f"{key!r}; present: {', '.join(self._loaders) or 'nothing'}")
+        if key not in self._loaded:
+            self._loaded[key] = self._loaders[key]()
+        return self._loaded[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._loaders  # Mapping's own would load the value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loaders)
+
+    def __len__(self) -> int:
+        return len(self._loaders)
+
+    def __repr__(self) -> str:
+        return f"Lazy({', '.join(key + ('' if key in self._loaded else ' (not loaded)') for key in self._loaders)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_loaders": self._loaders, "_loaded": {}}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -220,7 +276,7 @@ class Frame:
         return {name: value for name, value in self.__dict__.items() if name != "annotation"}
 
 
-def joined(frame: Frame, names: Sequence[str]) -> Cloud:
+def merge_clouds(frame: Frame, names: Sequence[str]) -> Cloud:
     """Join clouds of one frame; only the columns that all of them have are kept.
 
     Args:
@@ -233,30 +289,32 @@ def joined(frame: Frame, names: Sequence[str]) -> Cloud:
             one that holds the points of another.
     """
     if not names or len(set(names)) < len(names):
-        raise ConfigError(f"joined: expected the names of clouds, each once, got {', '.join(names) or 'none'}")
+        raise ConfigError(f"merge_clouds: expected the names of clouds, each once, got {', '.join(names) or 'none'}")
     absent = [name for name in names if name not in frame.clouds]
     if absent:
         frame.cloud(absent[0])  # raises
     unknown = [name for name in names if name not in frame.sensors]
     if unknown:
-        raise ConfigError(f"joined: expected the sensor of each cloud in frame.sensors, got none of {unknown[0]!r}")
+        raise ConfigError(
+            f"merge_clouds: expected the sensor of each cloud in frame.sensors, got none of {unknown[0]!r}"
+        )
     sensors = {name: frame.sensors[name] for name in names}
     if len({sensor.kind for sensor in sensors.values()}) > 1:
         what = ", ".join(f"{name} is of a {sensor.kind}" for name, sensor in sensors.items())
-        raise ConfigError(f"joined: expected clouds of one kind of sensor; {what}. Leave one out.")
+        raise ConfigError(f"merge_clouds: expected clouds of one kind of sensor; {what}. Leave one out.")
     for name, sensor in sensors.items():
         if not sensor.in_frame:
             raise ConfigError(
-                f"joined: expected clouds in the frame's coordinates ({frame.reference}); {name} keeps its sensor's "
-                "own. Leave it out, or move it by its frame_T_sensor if that is known."
+                f"merge_clouds: expected clouds in the frame's coordinates ({frame.reference}); {name} keeps its "
+                "sensor's own. Leave it out, or move it by its frame_T_sensor if that is known."
             )
         held = [other for other in sensor.holds if other in sensors]
         if held:
-            raise ConfigError(f"joined: {name} holds the points of {', '.join(held)} already; take one of them")
+            raise ConfigError(f"merge_clouds: {name} holds the points of {', '.join(held)} already; take one of them")
     return Cloud.concatenate([frame.cloud(name) for name in names])
 
 
-def moved(frame: Frame, target_T_frame: Pose, *, reference: str | None = None) -> Frame:
+def transform_frame(frame: Frame, target_T_frame: Pose, *, reference: str | None = None) -> Frame:
     """Express a frame in other coordinates.
 
     Clouds in the frame's coordinates, what was annotated, the sensors' and the cameras' poses and the pose in the world
@@ -304,7 +362,7 @@ def _checked(reference: str, sensors: Mapping[str, Sensor]) -> str:
     pose = sensors[reference].frame_T_sensor if reference in sensors else None
     if pose is not None and not _is_origin(pose):
         raise ConfigError(
-            f"moved: expected coordinates in which {reference} stands at the origin, but it would stand at "
+            f"transform_frame: expected coordinates in which {reference} stands at the origin, but it would stand at "
             f"{np.round(pose[:3, 3], 3).tolist()}. Give the inverse of its frame_T_sensor, or leave reference out."
         )
     return reference

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from farfield.frame import Annotation, Frame
-from farfield.frame.lazy import Lazy
+from farfield.frame.record import Lazy
 from farfield.geometry.cameras import Camera
 from farfield.privacy.context import in_context, vehicles_px
 from farfield.privacy.covering import covered

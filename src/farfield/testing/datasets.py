@@ -13,7 +13,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.maps import Coordinates
 from farfield.datasets.recipes import replay
 from farfield.errors import ConfigError
-from farfield.frame import Boxes, Cloud, Frame, joined, moved
+from farfield.frame import Boxes, Cloud, Frame, merge_clouds, transform_frame
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points
 
 AWAY = pose_from_yaw(0.7, (3.0, -2.0, 0.5))
@@ -151,11 +151,11 @@ def check_annotation(frame: Frame) -> None:
 
 def check_moving(frame: Frame) -> None:
     """What is moved there and back is the same; ``reference`` names no sensor that stands elsewhere."""
-    away = moved(frame, AWAY)
+    away = transform_frame(frame, AWAY)
     check_velocities(frame, away)
     assert away.reference == frame.reference + "'", f"{frame.key}: reference must name a sensor, without a '"
     assert away.reference_kind == frame.reference_kind, f"{frame.key}: reference must name one of the sensors"
-    back = moved(away, invert(AWAY), reference=frame.reference)
+    back = transform_frame(away, invert(AWAY), reference=frame.reference)
     assert_same(back, frame, atol=2e-4, where="the frame, moved and back")
     for name, sensor in frame.sensors.items():
         if name in frame.clouds and not sensor.in_frame:
@@ -207,7 +207,7 @@ def check_joining(frame: Frame) -> None:
         one, other = frame.sensors[a], frame.sensors[b]
         fit = one.kind == other.kind and one.in_frame and other.in_frame and a not in other.holds and b not in one.holds
         try:
-            together = joined(frame, [a, b])
+            together = merge_clouds(frame, [a, b])
         except ConfigError:
             assert not fit, (
                 f"joined() refused {a} and {b}, though both stand in the frame: see kind, in_frame and holds"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from farfield.datasets.edits import CellEdit, EditState, Record, box_cell, decode, encode, journal_folder, read_journal
-from farfield.datasets.edits.places import user_folder
+from farfield.datasets.edits.journal import user_folder
 from farfield.errors import DatasetError, FileFormatError
 
 CELL = box_cell(("a", "0001"), "4")
@@ -128,7 +128,7 @@ def test_edits_stand_beside_the_labels(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_edits_that_cannot_be_gone_on_with_are_not_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (journal_folder(tmp_path) / "edits.jsonl").write_bytes(encode(_edit(1, None, 3)))
-    monkeypatch.setattr("farfield.datasets.edits.places._writable", lambda folder: False)
+    monkeypatch.setattr("farfield.datasets.edits.journal._writable", lambda folder: False)
     with pytest.raises(DatasetError, match="holds edits"):
         journal_folder(tmp_path)
 

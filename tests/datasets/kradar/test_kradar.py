@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.layout import is_sequence
-from farfield.datasets.kradar.sequence_files import quarters, whole_sequences
 from farfield.datasets.kradar.texts import format_camera, read_camera, read_odometry
+from farfield.datasets.kradar.writer import quarters, whole_sequences
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.frame import Annotation, Frame
 

@@ -9,15 +9,16 @@ import pytest
 from drive import frame
 
 from farfield.datasets.kradar import KRadar, KRadarWriter
-from farfield.datasets.kradar.motion import (
+from farfield.datasets.kradar.texts import (
     IMU_COLUMNS,
+    read_camera,
     read_gps,
     read_imu,
     read_local,
+    read_odometry,
     read_poses,
     read_relative_odometry,
 )
-from farfield.datasets.kradar.texts import read_camera, read_odometry
 from farfield.datasets.kradar.undistortion import (
     straighten,
     straightened_camera,

@@ -12,9 +12,16 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.convert import convert
 from farfield.datasets.kradar import KRadar, KRadarWriter
-from farfield.datasets.kradar.manifest import PUBLISHED_BYTES, TASKS, modalities, needs
-from farfield.datasets.kradar.store import StoreSettings, convert_to_store, verify_store
-from farfield.datasets.kradar.tesseract import read_moments, read_polar3d, read_products
+from farfield.datasets.kradar.products import read_moments, read_polar3d, read_products
+from farfield.datasets.kradar.store import (
+    PUBLISHED_BYTES,
+    TASKS,
+    StoreSettings,
+    convert_to_store,
+    modalities,
+    needs,
+    verify_store,
+)
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.mat import write_mat
 from farfield.jobs import JobOptions, Outcome

@@ -12,8 +12,8 @@ from farfield.datasets import open_dataset, recognise
 from farfield.datasets.kradar import KRadar
 from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
-from farfield.datasets.kradar.sequence_files import quarters, whole_sequences
-from farfield.datasets.kradar.splits import WHOLE_SEQUENCES, read_split_list, split_of_sequences
+from farfield.datasets.kradar.reader import WHOLE_SEQUENCES, read_split_list, split_of_sequences
+from farfield.datasets.kradar.writer import quarters, whole_sequences
 from farfield.errors import DatasetError, FileFormatError
 from farfield.simulation.presets import PRESETS
 from farfield.vocabulary.kradar import SEQUENCES

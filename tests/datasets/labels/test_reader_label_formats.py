@@ -15,11 +15,9 @@ from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cirrus.label_format import CirrusLabelFormat
 from farfield.datasets.cirrus.reader import Cirrus
 from farfield.datasets.kitti.label_format import KittiLabelFormat
-from farfield.datasets.kitti.object import Kitti
-from farfield.datasets.kitti.writer import KittiWriter
+from farfield.datasets.kitti.object import Kitti, KittiWriter
 from farfield.datasets.labels import BoxLabel
-from farfield.datasets.labels.choosing import label_files_in, label_format
-from farfield.datasets.labels.contract import LabelFormat
+from farfield.datasets.labels.formats import LabelFormat, label_files_in, label_format
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Key
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from farfield.datasets.labels import BoxLabel
-from farfield.datasets.labels.json_labels import JsonLabels
-from farfield.datasets.labels.tool_labels import DatumaroLabels, OpenLabels, SustechLabels
+from farfield.datasets.labels.json_labels import DatumaroLabels, JsonLabels, OpenLabels, SustechLabels
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import format_datumaro
 from farfield.files.openlabel import format_openlabel

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.cirrus.mapping import Labels
+from farfield.datasets.cirrus.layout import Labels
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.frame import Annotation, Boxes

@@ -6,15 +6,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
-from farfield.datasets.edits.merging import EditedObject, merged
-from farfield.datasets.edits.places import FOLDER, JOURNAL
-from farfield.datasets.edits.reading import read_journal
-from farfield.datasets.edits.records import Cell, Record
+from farfield.datasets.edits.journal import FOLDER, JOURNAL, Cell, Record, label_of, read_journal
+from farfield.datasets.labels.formats import BoxLabel
 from farfield.datasets.maps.contract import Earlier
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Boxes, Frame, Key
+from farfield.geometry.boxes import wrap_angle_rad
+from farfield.vocabulary.classes import (
+    CIRRUS_FROM_ANY_KRADAR,
+    CIRRUS_FROM_ARGOVERSE2,
+    CIRRUS_FROM_KITTI,
+    CIRRUS_FROM_VIEW_OF_DELFT,
+    normalised_class,
+)
 
 
 class EditedSettings(BaseModel):
@@ -154,3 +162,209 @@ class _AnnotationMerge:
 
     def __call__(self) -> Annotation:
         return self.edited.merge(self.frame.key, self.frame.annotation)
+
+
+# An annotation with edited boxes in place of those that were read.
+
+ALIKE = 1e-6
+_ALIASES = CIRRUS_FROM_ARGOVERSE2 | CIRRUS_FROM_ANY_KRADAR | CIRRUS_FROM_VIEW_OF_DELFT | CIRRUS_FROM_KITTI
+_STANDING = ("edited", "accepted")
+_SEEN, _DEFAULT_VISIBILITY = "availability", "R"
+
+
+class EditedObject(NamedTuple):
+    """An object that was edited.
+
+    Args:
+        value: Its value now; None: it is gone.
+        written: The values that a label file may hold of it, the likeliest first; None: the file has it not.
+    """
+
+    value: Mapping[str, Any] | None
+    written: Sequence[Mapping[str, Any] | None]
+
+
+def merged(key: Key, annotation: Annotation, touched: Mapping[str, EditedObject]) -> Annotation:
+    """The annotation with edited objects in their places, removed ones gone, added ones behind.
+
+    What the journal does not know of a box that was changed is not known any more: its count of points.
+
+    Args:
+        key: The frame, for messages.
+        annotation: As the label file was read.
+        touched: Objects that were edited, by name, in the order in which they were first.
+
+    Raises:
+        DatasetError: If a file does not hold an object that was edited, in any state that was ever written.
+    """
+    rows = _AnnotationRows(annotation.boxes)
+    place = {name: rows.take(key, each.written) for name, each in touched.items()}
+    gone = [row for row in place.values() if row is not None]
+    keep = [row for row in range(len(annotation)) if row not in gone]
+    labels = {
+        name: label_of(name, each.value)
+        for name, each in touched.items()
+        if each.value is not None and each.value.get("state", "accepted") in _STANDING
+    }
+    source: list[_Source] = [(row, None) for row in keep]
+    source += [(place[name], label) for name, label in labels.items()]
+    return _assembled(annotation, sorted(source, key=_rank))
+
+
+class _AnnotationRows:
+    """Rows of an annotation, each to be found once by its numbers."""
+
+    def __init__(self, boxes: Boxes) -> None:
+        self._table = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+        self._track = boxes.track_id
+        self._free = np.ones(len(boxes), dtype=bool)
+
+    def take(self, key: Key, written: Sequence[Mapping[str, Any] | None]) -> int | None:
+        for value in written:
+            if value is not None and value.get("state", "accepted") in _STANDING:
+                found = self._find(np.array(value["box"], dtype=np.float64), str(value.get("track", "")))
+                if found is not None:
+                    self._free[found] = False
+                    return found
+        if all(value is not None and value.get("state", "accepted") in _STANDING for value in written):
+            box = ", ".join(f"{number:.2f}" for number in (written[0] or {})["box"][:3])
+            raise DatasetError(
+                f"frame {'/'.join(key)}: a box that was edited (at {box}) is not among those that the label file "
+                "holds. Put back the file that was edited, or put this map before those that move frames."
+            )
+        return None
+
+    def _find(self, box: Float[np.ndarray, " 7"], track: str) -> int | None:
+        """The row of a box; of two alike that of its track."""
+        off = self._table - box
+        off[:, 6] = wrap_angle_rad(off[:, 6])
+        found = np.flatnonzero(self._free & (np.abs(off) < ALIKE).all(axis=1)).tolist()
+        named = [row for row in found if self._track is not None and str(self._track[row]) == track]
+        return next(iter([*named, *found]), None)
+
+
+_Source = tuple[int | None, BoxLabel | None]
+"""The row that a box had, if it had one, and its label, if it was edited."""
+
+
+def _rank(source: _Source) -> float:
+    return float("inf") if source[0] is None else float(source[0])
+
+
+def _assembled(annotation: Annotation, source: Sequence[_Source]) -> Annotation:
+    rows = np.array([0 if row is None else row for row, _ in source], dtype=np.int64)
+    new = np.array([row is None for row, _ in source], dtype=bool)
+    labels = [label for _, label in source]
+    cut = annotation[rows] if len(annotation) else _blank(annotation, len(rows))
+    boxes = _boxes(cut.boxes, labels, new)
+    visible = (
+        None
+        if cut.visibility is None
+        else [_visibility(old, label, added) for old, label, added in zip(cut.visibility, labels, new, strict=True)]
+    )
+    names = (
+        None
+        if cut.original_label is None
+        else [old if label is None else label.label for old, label in zip(cut.original_label, labels, strict=True)]
+    )
+    moving = (
+        None
+        if cut.moving is None
+        else np.array(
+            [_moving(old, label, added) for old, label, added in zip(cut.moving, labels, new, strict=True)], dtype=bool
+        )
+    )
+    return replace(
+        cut,
+        boxes=boxes,
+        visibility=visible,
+        original_label=names,
+        moving=moving,
+        full_boxes=None if cut.full_boxes is None else _own(cut.full_boxes, boxes, labels),
+        details={name: _unknown(values, new) for name, values in cut.details.items()},
+    )
+
+
+def _blank(annotation: Annotation, count: int) -> Annotation:
+    """As many rows of nothing: of an annotation without boxes, only what stands beside them is kept."""
+    ones = np.ones((count, 3))
+    boxes = Boxes(centre_m=ones, size_m=ones, yaw_rad=np.zeros(count), label=["unknown"] * count)
+    return Annotation(
+        boxes=boxes,
+        visibility=[_DEFAULT_VISIBILITY] * count if annotation.visibility is not None else None,
+        original_label=[""] * count,
+        extent=annotation.extent,
+        unboxed=annotation.unboxed,
+        region=annotation.region,
+        version=annotation.version,
+    )
+
+
+def _boxes(before: Boxes, labels: Sequence[BoxLabel | None], new: np.ndarray) -> Boxes:
+    table = np.column_stack([before.centre_m, before.size_m, before.yaw_rad])
+    names = np.asarray(before.label).astype(object)
+    changed = [row for row, label in enumerate(labels) if label is not None]
+    for row in changed:
+        label = labels[row]
+        assert label is not None
+        table[row] = label.box
+        names[row] = normalised_class(label.label, _ALIASES)
+    counts = before.point_count
+    velocity = before.velocity_m_s
+    return Boxes(
+        centre_m=table[:, :3],
+        size_m=table[:, 3:6],
+        yaw_rad=table[:, 6],
+        label=[str(name) for name in names],
+        score=None,
+        track_id=_tracks(before.track_id, labels),
+        point_count=None if counts is None else _put(counts, changed, -1),
+        velocity_m_s=None if velocity is None else np.where(new[:, None], np.nan, velocity),
+    )
+
+
+def _tracks(before: Int[np.ndarray, " n"] | None, labels: Sequence[BoxLabel | None]) -> Int[np.ndarray, " n"] | None:
+    """Identities; names of tracks that are no numbers identify nothing here."""
+    if before is None and not any(label is not None and label.track for label in labels):
+        return None
+    found = np.full(len(labels), -1, dtype=np.int64) if before is None else before.copy()
+    for row, label in enumerate(labels):
+        if label is not None:
+            number = label.track if label.track.isascii() and label.track.isdigit() and len(label.track) < 18 else "-1"
+            found[row] = int(number)
+    return found
+
+
+def _put(values: np.ndarray, rows: Sequence[int], value: int) -> np.ndarray:
+    found = values.copy()
+    found[list(rows)] = value
+    return found
+
+
+def _visibility(old: str, label: BoxLabel | None, new: bool | np.bool_) -> str:
+    given = None if label is None else label.attributes.get(_SEEN)
+    return str(given) if given is not None else _DEFAULT_VISIBILITY if new else old
+
+
+def _moving(old: bool | np.bool_, label: BoxLabel | None, new: bool | np.bool_) -> bool:
+    given = None if label is None else label.attributes.get("moving")
+    return given if isinstance(given, bool) else bool(old) and not new
+
+
+def _own(full: Boxes, boxes: Boxes, labels: Sequence[BoxLabel | None]) -> Boxes:
+    """Whole bodies; of a box that was edited only itself is known."""
+    edited = np.array([label is not None for label in labels], dtype=bool)
+    return full.replace(
+        centre_m=np.where(edited[:, None], boxes.centre_m, full.centre_m),
+        size_m=np.where(edited[:, None], boxes.size_m, full.size_m),
+        yaw_rad=np.where(edited, boxes.yaw_rad, full.yaw_rad),
+        label=boxes.label,
+        track_id=None if full.track_id is None or boxes.track_id is None else boxes.track_id,
+    )
+
+
+def _unknown(values: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Rows of details, where those of added boxes are not known: NaN, -1, or nothing."""
+    found = values.copy()
+    found[new] = np.nan if values.dtype.kind == "f" else -1 if values.dtype.kind == "i" else values.dtype.type()
+    return found

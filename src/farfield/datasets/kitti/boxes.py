@@ -1,4 +1,4 @@
-"""KITTI's calibration and label files as cameras, poses and annotations (Geiger et al., CVPR 2012, devkit readme)."""
+"""KITTI's calibration and label files as cameras, poses, boxes and annotations (Geiger et al., CVPR 2012)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +10,9 @@ from PIL import Image
 from farfield.errors import DatasetError, plain
 from farfield.files.kitti import KittiObjects
 from farfield.frame import Annotation, Boxes, Camera, CameraField
+from farfield.geometry.image_boxes import image_boxes
+from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
+from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
 
 _RECTIFIED_PX = {
     721.5377: (1242, 375),  # 2011_09_26
@@ -100,6 +103,51 @@ def sized_camera(
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise DatasetError(f"{image}: expected a JPEG or PNG image, found: {plain(error)}") from error
     return camera_of(calib, width_px=width, height_px=height)
+
+
+def boxes_from_objects(
+    objects: KittiObjects, camera_T_lidar: Float[np.ndarray, "4 4"], *, classes: str = "cirrus"
+) -> Boxes:
+    """Convert KITTI objects to lidar boxes; rows without a 3D box (``DontCare``) are left out.
+
+    Args:
+        objects: Rows of a label or detection file.
+        camera_T_lidar: Lidar to rectified camera coordinates.
+        classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
+    """
+    kept = objects[objects.has_box]
+    centre, size, yaw = lidar_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_lidar)
+    names = kept.type.tolist()
+    if classes == "cirrus":
+        names = [normalised_class(name, CIRRUS_FROM_KITTI) for name in names]
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=kept.score)
+
+
+def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, str]) -> KittiObjects:
+    """Convert lidar boxes to KITTI objects: the inverse of :func:`boxes_from_objects`, with 2D boxes.
+
+    A box behind the camera or outside its image gets the 2D box -1 -1 -1 -1. Occlusion is not known (3).
+
+    Args:
+        boxes: Boxes in lidar coordinates.
+        camera: The left colour camera (its pose is taken as that of the rectified frame).
+        classes: Class names by ours; others become ``Misc``.
+    """
+    bottom, size, rotation_y = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad, camera.camera_T_lidar)
+    box_px, truncation = image_boxes(boxes, camera)
+    alpha = rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2])
+    return KittiObjects(
+        type=np.array([classes.get(str(name), "Misc") for name in boxes.label], dtype=np.str_),
+        truncation=truncation,
+        occlusion=np.full(len(boxes), 3, dtype=np.int64),
+        alpha_rad=np.mod(alpha + np.pi, 2 * np.pi) - np.pi,
+        box_px=box_px,
+        size_m=size,
+        bottom_m=bottom,
+        rotation_y_rad=rotation_y,
+        score=boxes.score,
+        line=np.arange(1, len(boxes) + 1, dtype=np.int64),
+    )
 
 
 def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | None) -> Annotation:

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.kitti.boxes import sized_camera
-from farfield.datasets.kitti.object import Kitti, boxes_from_objects, objects_from_boxes
-from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import FileSpan, kept_numbers, physical_lines, replaced
+from farfield.datasets.kitti.boxes import boxes_from_objects, objects_from_boxes, sized_camera
+from farfield.datasets.kitti.object import Kitti
+from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
+from farfield.datasets.labels.line_labels import FileSpan, kept_numbers, physical_lines, replaced
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.kitti import KittiObjects, parse_labels, read_calib
 from farfield.frame import Boxes, Camera, Key
@@ -58,7 +58,7 @@ class KittiLabelFormat:
         return {key: tuple(part.label for part in held if part.label is not None) for key, held in parts.items()}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
-        """The file with other objects; see :class:`~farfield.datasets.labels.contract.LabelFormat`."""
+        """The file with other objects; see :class:`~farfield.datasets.labels.formats.LabelFormat`."""
         if not labels:
             return data or b""
         (key,) = labels

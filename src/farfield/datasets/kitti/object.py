@@ -1,30 +1,36 @@
-"""KITTI's object detection layout (Geiger, Lenz, Urtasun: "Are we ready for Autonomous Driving?", CVPR 2012).
+"""KITTI's object layout, read and written (Geiger, Lenz, Urtasun: "Are we ready for Autonomous Driving?", CVPR 2012).
 
 ``training/{velodyne,label_2,calib,image_2}/NNNNNN.*``. Boxes come into the lidar's frame through R0_rect and
 Tr_velo_to_cam, with their centre instead of the centre of their bottom.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
-from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
-from farfield.errors import ConfigError, DatasetError
-from farfield.files.bin_columns import names_of
-from farfield.files.clouds import read_bin
-from farfield.files.images import read_image
-from farfield.files.kitti import KittiObjects, read_calib, read_labels
-from farfield.frame import Annotation, Boxes, Camera, CameraField, Frame, Lazy, Sensor, camera_sensor
-from farfield.geometry.image_boxes import image_boxes
-from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
-from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
+from farfield.datasets.kitti.boxes import (
+    annotation_of,
+    boxes_from_objects,
+    camera_from_calib,
+    objects_from_boxes,
+    sized_camera,
+)
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.atomic import write_text
+from farfield.files.bin_columns import bin_columns, names_of
+from farfield.files.clouds import read_bin, write_bin
+from farfield.files.images import read_image, write_image
+from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
 _COLUMNS, _LOOKED_AT = 4, 8
@@ -149,46 +155,144 @@ def _read_annotation(
     return annotation_of(objects, boxes_from_objects(objects, camera_T_lidar, classes=classes), region)
 
 
-def boxes_from_objects(
-    objects: KittiObjects, camera_T_lidar: Float[np.ndarray, "4 4"], *, classes: str = "cirrus"
-) -> Boxes:
-    """Convert KITTI objects to lidar boxes; rows without a 3D box (``DontCare``) are left out.
+# TJ4DRadSet (Zheng et al.: "TJ4DRadSet: A 4D Radar Dataset for Autonomous Driving", ITSC 2022), its 4D radar: KITTI's
+# folders, but ``velodyne/*.bin`` holds a radar's points: rows of eight float32, x, y, z, v_r, range, power, azimuth and
+# elevation. ``Tr_velo_to_cam`` goes from the radar to the camera.
+
+COLUMNS = ("x", "y", "z", "v_r_m_s", "range_m", "power_db", "azimuth_deg", "elevation_deg")
+_RANGE = COLUMNS.index("range_m")
+
+
+def is_tj4dradset(root: Path) -> bool:
+    """Whether a folder in KITTI's layout holds points of eight numbers whose fifth is their range."""
+    for base in (root / "training", root / "testing", root):
+        first = next(iter(sorted(base.glob("velodyne/*.bin"))[:1]), None)
+        if first is not None:
+            try:
+                found = bin_columns(first)
+            except (FileFormatError, OSError):
+                return False
+            return found.count == len(COLUMNS) and found.names[_RANGE] == COLUMNS[_RANGE]
+    return False
+
+
+class Tj4dRadSet(Kitti):
+    """TJ4DRadSet frames: cloud ``"radar"``, image ``"camera"`` (image_2), boxes of the full objects.
+
+    The cloud keeps all columns in ``extra``: ``v_r_m_s``, radial velocity relative to the radar, positive away from it
+    (once more as ``doppler_m_s``), ``range_m``, ``power_db``, ``azimuth_deg``, ``elevation_deg``. Everything is in the
+    radar's coordinates. Options are those of :class:`~farfield.datasets.kitti.object.Kitti`.
+    """
+
+    name = "tj4dradset"
+
+    def frame(self, index: int) -> Frame:
+        """Build frame ``index``."""
+        frame = super().frame(index)
+        sensors = {name: sensor for name, sensor in frame.sensors.items() if name != "lidar"}
+        radar = Sensor(kind="radar", frame_T_sensor=np.eye(4))
+        clouds = Lazy({"radar": partial(read_radar, self.clouds[index])})
+        return replace(frame, clouds=clouds, sensors={"radar": radar, **sensors})
+
+
+def read_radar(path: Path) -> Cloud:
+    """Read a cloud of the radar, in its own coordinates.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+    """
+    rows = read_bin(path, columns=len(COLUMNS))
+    extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
+    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]})
+
+
+# Writing KITTI's layout.
+
+_SUFFIXES = {"velodyne": "bin", "calib": "txt", "label_2": "txt", "image_2": "png"}
+# Stands in where a data set has no calibration: the image size of Cirrus, looking along x, 79 degrees wide.
+VIRTUAL_CAMERA = Camera(
+    matrix=np.array([[1173.0, 0.0, 959.5], [0.0, 1173.0, 324.5], [0.0, 0.0, 1.0]]), width_px=1920, height_px=650
+)
+
+
+class KittiWriter:
+    """Write ``training/{velodyne,label_2,calib,image_2}/NNNNNN.*``.
+
+    Boxes behind the camera or outside its image are written too, with the 2D box -1 -1 -1 -1. A frame without
+    calibration gets a virtual camera at the lidar's origin and no image. Lens distortion has no place in KITTI's
+    calibration: rectify the images beforehand, or leave 2D boxes unused.
 
     Args:
-        objects: Rows of a label or detection file.
-        camera_T_lidar: Lidar to rectified camera coordinates.
-        classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
+        root: Folder in which ``training`` is made.
+        classes: KITTI's names by ours; others become ``Misc``.
     """
-    kept = objects[objects.has_box]
-    centre, size, yaw = lidar_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_lidar)
-    names = kept.type.tolist()
-    if classes == "cirrus":
-        names = [normalised_class(name, CIRRUS_FROM_KITTI) for name in names]
-    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=kept.score)
+
+    def __init__(self, root: Path | str, *, classes: Mapping[str, str] = KITTI_FROM_CIRRUS) -> None:
+        self.root, self.classes = Path(root), classes
+
+    def write(
+        self,
+        number: int,
+        frame: Frame,
+        *,
+        cloud: str | None = None,
+        boxes: Boxes | None = None,
+        occlusion: Int[np.ndarray, " n"] | None = None,
+    ) -> dict[str, Path]:
+        """Write one frame under a number.
+
+        Args:
+            number: 0 to 999999.
+            frame: The frame.
+            cloud: Which cloud; None takes the first; it must be one with intensity.
+            boxes: Boxes to label instead of the frame's.
+            occlusion: How far each box is hidden: 0 visible, 1 partly, 2 largely occluded, 3 unknown; None: unknown.
+
+        Returns:
+            The files written, by kind.
+
+        Raises:
+            DatasetError: If the number has more than six digits, or the cloud is a radar's, without intensity.
+        """
+        if not 0 <= number <= 999_999:
+            raise DatasetError(f"frame {frame.key}: expected a KITTI number from 0 to 999999, got {number}")
+        name = next((key for key in frame.cameras if key in frame.images), None)
+        camera = frame.cameras[name] if name is not None else next(iter(frame.cameras.values()), VIRTUAL_CAMERA)
+        boxes = frame.boxes if boxes is None else boxes
+        points = frame.cloud(cloud)
+        if points.intensity is None:
+            raise DatasetError(
+                f"frame {frame.key}: KITTI's velodyne files hold LiDAR clouds with intensity, got a cloud of "
+                f"{', '.join(points.columns)}. Choose by `cloud` one of {', '.join(frame.clouds)} that has it."
+            )
+        paths = {"velodyne": self.path("velodyne", number), "calib": self.path("calib", number)}
+        for path in paths.values():
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_bin(paths["velodyne"], np.column_stack([points.points_m, points.intensity]))
+        write_text(paths["calib"], calibration_text(camera))
+        if boxes is not None:
+            paths["label_2"] = self.path("label_2", number)
+            paths["label_2"].parent.mkdir(parents=True, exist_ok=True)
+            objects = objects_from_boxes(boxes, camera, classes=self.classes)
+            write_labels(paths["label_2"], objects if occlusion is None else replace(objects, occlusion=occlusion))
+        if name is not None:
+            paths["image_2"] = self.path("image_2", number)
+            paths["image_2"].parent.mkdir(parents=True, exist_ok=True)
+            write_image(paths["image_2"], frame.images[name])
+        return paths
+
+    def path(self, kind: str, number: int) -> Path:
+        """The file of a number: ``velodyne``, ``calib``, ``label_2`` or ``image_2``."""
+        return self.root / "training" / kind / f"{number:06d}.{_SUFFIXES[kind]}"
 
 
-def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, str]) -> KittiObjects:
-    """Convert lidar boxes to KITTI objects: the inverse of :func:`boxes_from_objects`, with 2D boxes.
+def calibration_text(camera: Camera) -> str:
+    """KITTI's calibration file for one camera: P0 to P3 alike, no rectification."""
+    projection = np.column_stack([camera.matrix, np.zeros(3)])
+    matrices = {f"P{number}": projection for number in range(4)}
+    matrices |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": camera.camera_T_lidar[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
+    return "".join(f"{name}: {_row(matrix)}\n" for name, matrix in matrices.items())
 
-    A box behind the camera or outside its image gets the 2D box -1 -1 -1 -1. Occlusion is not known (3).
 
-    Args:
-        boxes: Boxes in lidar coordinates.
-        camera: The left colour camera (its pose is taken as that of the rectified frame).
-        classes: Class names by ours; others become ``Misc``.
-    """
-    bottom, size, rotation_y = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad, camera.camera_T_lidar)
-    box_px, truncation = image_boxes(boxes, camera)
-    alpha = rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2])
-    return KittiObjects(
-        type=np.array([classes.get(str(name), "Misc") for name in boxes.label], dtype=np.str_),
-        truncation=truncation,
-        occlusion=np.full(len(boxes), 3, dtype=np.int64),
-        alpha_rad=np.mod(alpha + np.pi, 2 * np.pi) - np.pi,
-        box_px=box_px,
-        size_m=size,
-        bottom_m=bottom,
-        rotation_y_rad=rotation_y,
-        score=boxes.score,
-        line=np.arange(1, len(boxes) + 1, dtype=np.int64),
-    )
+def _row(matrix: Float[np.ndarray, "rows columns"]) -> str:
+    return " ".join(repr(value) for value in matrix.ravel().tolist())

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.drives import Indices
-from farfield.datasets.labels.cuboid_boxes import annotation_of
+from farfield.datasets.labels.json_labels import annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes

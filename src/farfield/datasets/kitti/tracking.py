@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_files import columns_shown, read_cloud
-from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
-from farfield.datasets.kitti.object import boxes_from_objects, mounted
+from farfield.datasets.kitti.boxes import annotation_of, boxes_from_objects, camera_from_calib, sized_camera
+from farfield.datasets.kitti.object import mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking

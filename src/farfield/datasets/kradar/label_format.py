@@ -16,8 +16,8 @@ import numpy as np
 from farfield.datasets.kradar.labels import LabelLine, format_header, parse_text
 from farfield.datasets.kradar.layout import LABEL_TREES
 from farfield.datasets.kradar.reader import KRadar
-from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import FileSpan, replaced
+from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
+from farfield.datasets.labels.line_labels import FileSpan, replaced
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Key
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS
@@ -84,7 +84,7 @@ class KRadarLabelFormat:
         return dict.fromkeys(keys, labels)
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
-        """The file with other objects; see :class:`~farfield.datasets.labels.contract.LabelFormat`."""
+        """The file with other objects; see :class:`~farfield.datasets.labels.formats.LabelFormat`."""
         if not labels:
             return data or b""
         (key,) = labels

@@ -3,17 +3,27 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.kradar.index import FileIndex
 from farfield.datasets.kradar.layout import CAMERAS, EYES, LIDARS, RIGHT_EYE
-from farfield.datasets.kradar.motion import TimedTable, motion_files, read_gps, read_imu, read_local, read_poses
-from farfield.datasets.kradar.texts import read_camera, read_times
-from farfield.datasets.kradar.video import find_video
+from farfield.datasets.kradar.texts import (
+    TimedTable,
+    motion_files,
+    read_camera,
+    read_gps,
+    read_imu,
+    read_local,
+    read_poses,
+    read_times,
+)
 from farfield.files.description import read_description
+from farfield.files.videos import film_frame
 from farfield.frame import Camera, Lazy
 from farfield.frame.provenance import is_simulated
 from farfield.vocabulary.kradar import DESCRIPTIONS, published_conditions
@@ -137,3 +147,34 @@ def annotated_poses(facts: SequenceFacts, members: Sequence[int]) -> dict[int, F
     if facts.poses is None or len(facts.poses) != len(members):
         return {}
     return dict(zip(members, facts.poses, strict=True))
+
+
+# The dashboard camera's film of a sequence.
+
+DASH = "cam-dash"
+FOLDERS = (DASH, "cam_dash")
+
+
+def find_video(roots: Sequence[Path], sequence: str) -> Path | None:
+    """The film of a sequence, ``<sequence>/cam-dash/*.mp4`` or ``<sequence>/cam-dash.mp4``, or None."""
+    for root in roots:
+        for name in FOLDERS:
+            films = sorted((root / sequence).glob(f"{name}/*.mp4")) + sorted((root / sequence).glob(f"{name}*.mp4"))
+            if films:
+                return films[0]
+    return None
+
+
+def dash_image(video: Path | None, times_ns: Mapping[str, int], time_ns: int | None) -> dict[str, Callable[[], Any]]:
+    """Loader of the dashboard camera's image of a frame; none without a film, stamps or PyAV.
+
+    The film has no stamps of the car's clock: it is taken to begin with the first file of its sequence.
+
+    Args:
+        video: The film.
+        times_ns: Times of the sequence's files.
+        time_ns: Time of the frame.
+    """
+    if video is None or time_ns is None or not times_ns or find_spec("av") is None:
+        return {}
+    return {DASH: partial(film_frame, video, (time_ns - min(times_ns.values())) / 1e9)}

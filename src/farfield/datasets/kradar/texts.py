@@ -1,14 +1,25 @@
-"""Small text files of K-Radar: radar calibration, camera calibration, times, odometry."""
+"""Small text files of K-Radar: calibrations, times, odometry, GPS and IMU.
+
+The tables of motion::
+
+    <root>/resources/odometry/gt/gt_01.txt, or gt_odom/gt_01.txt    a pose of each annotated frame, KITTI's 12 numbers
+    <root>/resources/odometry/gt_rel/01.txt                         qw qx qy qz tx ty tz from the frame before
+    <root>/resources/odometry/seq_1_local.csv                       microseconds, x, y, z of the GPS receiver
+    <root>/<seq>/gps*.txt, imu*.txt, gps/*.txt, imu/*.txt           GPS and IMU, one measurement a line
+
+The last are a download of their own whose place in the tree is not published, so any of those names is taken.
+"""
 
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX
+from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, RESOURCES
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
@@ -145,3 +156,152 @@ def read_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
             raise FileFormatError(path, where=f"line {number}", expected="12 finite numbers", found=repr(line[:100]))
         poses[number - 1, :3] = np.reshape(values, (3, 4))
     return poses
+
+
+# How the vehicle moved: odometry, and the tables of its GPS receiver and its two IMUs.
+
+GPS_COLUMNS = ("latitude_deg", "longitude_deg", "altitude_m", *(f"covariance_{k}" for k in range(9)))
+IMU_COLUMNS = (
+    *(f"angular_velocity_{axis}_rad_s" for axis in "xyz"),
+    *(f"angular_velocity_covariance_{k}" for k in range(9)),
+    *(f"acceleration_{axis}_m_s2" for axis in "xyz"),
+    *(f"acceleration_covariance_{k}" for k in range(9)),
+)
+LOCAL_COLUMNS = ("x_m", "y_m", "z_m")
+_TABLE_BYTES = 1 << 28
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TimedTable:
+    """Measurements over time.
+
+    Args:
+        time_ns: Unix time of each row, in the order of the file.
+        values: One row a measurement, one column of ``columns`` each.
+        columns: Names of the columns, with their units.
+    """
+
+    time_ns: Int[np.ndarray, " n"]
+    values: Float[np.ndarray, "n c"]
+    columns: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def nearest(self, time_ns: int, *, within_ns: int = 1_000_000_000) -> dict[str, float] | None:
+        """The measurement nearest to a time by column, or None where none lies within ``within_ns``."""
+        if not len(self):
+            return None
+        row = int(np.abs(self.time_ns - time_ns).argmin())
+        if abs(int(self.time_ns[row]) - time_ns) > within_ns:
+            return None
+        return dict(zip(self.columns, self.values[row].tolist(), strict=True))
+
+
+def read_gps(path: Path) -> TimedTable:
+    """Read ``time, latitude, longitude, altitude, 9 covariances``; time in seconds, micro- or nanoseconds.
+
+    Raises:
+        FileFormatError: If a line is no row of so many finite numbers.
+    """
+    return _read_table(path, GPS_COLUMNS)
+
+
+def read_imu(path: Path) -> TimedTable:
+    """Read ``time, angular velocity, 9 covariances, linear acceleration, 9 covariances``.
+
+    Raises:
+        FileFormatError: As :func:`read_gps`.
+    """
+    return _read_table(path, IMU_COLUMNS)
+
+
+def read_local(path: Path) -> TimedTable:
+    """Read ``timestamp,local_x,local_y,local_z``: microseconds and metres from the first row.
+
+    Raises:
+        FileFormatError: As :func:`read_gps`.
+    """
+    return _read_table(path, LOCAL_COLUMNS)
+
+
+def _read_table(path: Path, columns: Sequence[str]) -> TimedTable:
+    lines = [line.replace(",", " ").split() or [""] for line in read_lines(path, max_bytes=_TABLE_BYTES)]
+    if lines and _time_ns(lines[0][0]) is None:
+        lines = lines[1:]  # a line of names
+    times = np.empty(len(lines), dtype=np.int64)
+    values = np.empty((len(lines), len(columns)))
+    for row, cells in enumerate(lines):
+        found, time_ns = numbers_of(cells[1:]), _time_ns(cells[0])
+        if found is None or time_ns is None or len(found) != len(columns):
+            expected = f"a time and {len(columns)} finite numbers"
+            raise FileFormatError(path, where=f"row {row + 1}", expected=expected, found=repr(", ".join(cells))[:100])
+        times[row], values[row] = time_ns, found
+    return TimedTable(time_ns=times, values=values, columns=tuple(columns))
+
+
+def _time_ns(cell: str) -> int | None:
+    """Unix nanoseconds of a time in seconds (10 digits before the point), micro- (16) or nanoseconds (19)."""
+    whole, _, part = cell.strip().partition(".")
+    if not (whole.isascii() and whole.isdigit() and len(whole) in (10, 13, 16, 19)) or not (part + "0").isdecimal():
+        return None
+    digits = (whole + part if len(whole) == 10 else whole).ljust(19, "0")[:19]
+    return int(digits) if digits.isascii() and int(digits) < 1 << 63 else None
+
+
+def odometry_paths(sequence: str) -> dict[str, tuple[Path, ...]]:
+    """Where a sequence's poses may stand, relative to the root: ``absolute`` and ``relative`` ones."""
+    folder, number = RESOURCES / "odometry", int(sequence)
+    absolute = (folder / "gt" / f"gt_{number:02d}.txt", folder / "gt_odom" / f"gt_{number:02d}.txt")
+    return {"absolute": absolute, "relative": (folder / "gt_rel" / f"{number:02d}.txt",)}
+
+
+def read_relative_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
+    """Poses in the frame of the first line, from lines ``qw qx qy qz tx ty tz`` that each go on from the line before.
+
+    Raises:
+        FileFormatError: If a line is not seven finite numbers, the first four a unit quaternion.
+    """
+    from scipy.spatial.transform import Rotation
+
+    lines = read_lines(path)
+    poses = np.tile(np.eye(4), (len(lines), 1, 1))
+    for row, line in enumerate(lines):
+        values = numbers_of(line.split())
+        if values is None or len(values) != 7 or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
+            expected = "a unit quaternion qw qx qy qz and tx ty tz"
+            raise FileFormatError(path, where=f"line {row + 1}", expected=expected, found=repr(line[:100]))
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_quat([*values[1:4], values[0]]).as_matrix()
+        step[:3, 3] = values[4:]
+        poses[row] = step if row == 0 else poses[row - 1] @ step
+    return poses
+
+
+def read_poses(roots: Sequence[Path], sequence: str) -> Float[np.ndarray, "n 4 4"] | None:
+    """Poses of a sequence's annotated frames, absolute ones before relative ones; None where there is no file.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+    """
+    readers = {"absolute": read_odometry, "relative": read_relative_odometry}
+    for kind, paths in odometry_paths(sequence).items():
+        for path in (root / path for path in paths for root in roots):
+            if path.is_file():
+                return readers[kind](path)
+    return None
+
+
+def motion_files(roots: Sequence[Path], sequence: str) -> dict[str, Path]:
+    """Files of the GPS receiver and the IMUs of a sequence: ``gps``, ``gps_local``, ``imu``, ``imu_2``."""
+    found: dict[str, Path] = {}
+    for root in roots:
+        local = root / RESOURCES / "odometry" / f"seq_{int(sequence)}_local.csv"
+        if local.is_file():
+            found.setdefault("gps_local", local)
+        for name in ("gps", "imu"):
+            base = root / sequence
+            paths = sorted(path for pattern in (f"{name}*.txt", f"{name}/*.txt") for path in base.glob(pattern))
+            for number, path in enumerate(paths[: 2 if name == "imu" else 1]):
+                found.setdefault(name if number == 0 else f"{name}_2", path)
+    return found

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import ClassVar
 from xml.sax.saxutils import escape
 
-from farfield.datasets.labels.contract import BoxLabel, Numbers, Value
-from farfield.datasets.labels.lines import kept_numbers
+from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
+from farfield.datasets.labels.line_labels import kept_numbers
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.cuboids import Cuboid
 from farfield.files.tracklets import parse_tracklets

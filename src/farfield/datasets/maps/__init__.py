@@ -1,19 +1,15 @@
-"""Maps on frames by name: ``data.mapped(maps.make("sweeps", {"count": 4}))``. One map, one file."""
+"""Maps on frames by name: ``data.mapped(maps.make("sweeps", {"count": 4}))``."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from pydantic import ValidationError
 
+from farfield.datasets.maps.annotations import LabelsAt, WholeBodies
 from farfield.datasets.maps.common_radar import CommonRadar
 from farfield.datasets.maps.contract import Earlier, FrameMap, described, none_before
-from farfield.datasets.maps.coordinates import Coordinates
-from farfield.datasets.maps.labels_at import LabelsAt
-from farfield.datasets.maps.move import Move
-from farfield.datasets.maps.placed import TransformedCloud
-from farfield.datasets.maps.posed import Posed
-from farfield.datasets.maps.sweeps import Sweeps
-from farfield.datasets.maps.whole_bodies import WholeBodies
+from farfield.datasets.maps.coordinates import Coordinates, Move, TransformedCloud
+from farfield.datasets.maps.sweeps import Posed, Sweeps
 from farfield.errors import ConfigError, plain
 from farfield.registry import Registry
 
@@ -41,12 +37,12 @@ MAPS: Registry[Any] = Registry(
         "common_radar": "farfield.datasets.maps.common_radar:CommonRadar",
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
         "edited": "farfield.datasets.edits.edited:Edited",
-        "labels_at": "farfield.datasets.maps.labels_at:LabelsAt",
-        "move": "farfield.datasets.maps.move:Move",
-        "posed": "farfield.datasets.maps.posed:Posed",
+        "labels_at": "farfield.datasets.maps.annotations:LabelsAt",
+        "move": "farfield.datasets.maps.coordinates:Move",
+        "posed": "farfield.datasets.maps.sweeps:Posed",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
-        "whole_bodies": "farfield.datasets.maps.whole_bodies:WholeBodies",
+        "whole_bodies": "farfield.datasets.maps.annotations:WholeBodies",
     },
 )
 

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.datasets.class_mapping import MAPPING_NAME
-from farfield.datasets.folder import Folder
+from farfield.datasets.folder import MAPPING_NAME, Folder
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.evidence import count_points
 from farfield.inspection.doctor.findings import Finding, counted

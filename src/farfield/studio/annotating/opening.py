@@ -11,9 +11,9 @@ from farfield.annotation.schema import AttributeSettings, ClassSettings, Extent,
 from farfield.annotation.store import Store
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import journal_folder
-from farfield.datasets.edits.places import user_folder
+from farfield.datasets.edits.journal import user_folder
 from farfield.datasets.labels import BoxLabel, LabelFormat
-from farfield.datasets.labels.choosing import label_files_in, label_format
+from farfield.datasets.labels.formats import label_files_in, label_format
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Key

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from farfield.annotation.saving import export_labels, save_copy, save_in_place, save_place
 from farfield.annotation.store import Author, Store
-from farfield.datasets.labels.choosing import label_files_in
+from farfield.datasets.labels.formats import label_files_in
 from farfield.errors import ConfigError
 from farfield.studio.settings import StudioSettings
 
