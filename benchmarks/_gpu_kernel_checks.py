@@ -12,22 +12,16 @@ import numpy as np
 import torch
 from _gpu_cases import SHAPE, STRIDED, cells, drawn
 
-from farfield.detectors import device_nms, triton_nms, triton_voxels, voxels
-from farfield.detectors.anchors import device as on_device
+from farfield.detectors import nms, triton_nms, triton_voxels, voxels
+from farfield.detectors.anchors import head as on_device
 from farfield.detectors.anchors import triton_decode
 from farfield.detectors.anchors.grid import AnchorGrid, cirrus_anchors
+from farfield.detectors.config import GridConfig
 from farfield.detectors.devices import constant
-from farfield.detectors.grid import GridConfig
 from farfield.detectors.inputs import stacked
 from farfield.detectors.pointpillars import triton_pillars
-from farfield.detectors.pointpillars.pillars import PillarEncoder
-from farfield.detectors.sparse import (
-    functional,
-    strided_rulebook,
-    submanifold_rulebook,
-    triton_books,
-    triton_kernels,
-)
+from farfield.detectors.pointpillars.network import PillarEncoder
+from farfield.detectors.sparse import layers, strided_rulebook, submanifold_rulebook, triton_books, triton_kernels
 from farfield.detectors.sparse.rulebook import kernel_offsets
 
 
@@ -67,8 +61,8 @@ def convolution(device):
     for book, (c_in, c_out), dtype in product(books_of, ((5, 20), (40, 16)), dtypes):
         sizes = ((len(book.keys_in), c_in), (len(book.counts), c_in, c_out), (len(book.keys), c_out))
         features, weight, gradient = (torch.randn(size, generator=generator) for size in sizes)
-        exact = functional.gather_product(features.double(), weight.double(), book)
-        exact_weight = functional.weight_gradient(features.double(), gradient.double(), book)
+        exact = layers.gather_product(features.double(), weight.double(), book)
+        exact_weight = layers.weight_gradient(features.double(), gradient.double(), book)
         rows = tuple(rows.to(device) for rows in book.similar)
         features, weight, gradient = (part.to(device, dtype) for part in (features, weight, gradient))
         got = triton_kernels.gather_product(features, weight, *rows)
@@ -87,7 +81,7 @@ def bias_and_relu(device):
     sizes = ((len(keys), 20), (27, 20, 40), (40,), (len(keys), 40))
     features, weight, bias, residual = (torch.randn(size, generator=generator) for size in sizes)
     for relu, added, rows in product((False, True), (None, residual), (book.similar, (None, book.table.int()))):
-        expected = functional.gather_product(features, weight, book, bias, relu, added)
+        expected = layers.gather_product(features, weight, book, bias, relu, added)
         there = [None if part is None else part.to(device) for part in (*rows, bias, added)]
         got = triton_kernels.gather_product(features.to(device), weight.to(device), *there[:3], relu, there[3])
         torch.testing.assert_close(got.cpu(), expected, rtol=1e-5, atol=1e-5)
@@ -99,18 +93,18 @@ def suppression(device):
     rng = np.random.default_rng(0)
     for count, spread_m in ((1, 1), (2, 1), (31, 10), (33, 20), (200, 3), (300, 40)):
         rows = drawn(rng, count, spread_m)
-        for threshold in (device_nms.LEAST_IOU, 0.1, 0.5):
-            better, worse = device_nms.overlapping(torch.from_numpy(rows), threshold)
+        for threshold in (nms.LEAST_IOU, 0.1, 0.5):
+            better, worse = nms.overlapping_pairs(torch.from_numpy(rows), threshold)
             alive = np.ones(count, dtype=bool)
             for one, other in sorted(zip(better.tolist(), worse.tolist(), strict=True)):
                 alive[other] &= not alive[one]
             limits = torch.tensor([threshold], dtype=torch.float64, device=device)
-            got = triton_nms.staying(torch.from_numpy(rows).to(device), limits, 1e-250)
+            got = triton_nms.surviving_boxes(torch.from_numpy(rows).to(device), limits, 1e-250)
             np.testing.assert_array_equal(got.cpu().numpy() > 0, alive)
     level = torch.zeros(70, 7, dtype=torch.float64, device=device)
     level[:, 3:5] = 1.0
     limits = torch.tensor([0.1], dtype=torch.float64, device=device)
-    assert triton_nms.staying(level, limits, 1e-250).tolist() == [1] + [0] * 69
+    assert triton_nms.surviving_boxes(level, limits, 1e-250).tolist() == [1] + [0] * 69
 
 
 def decoding(device):

@@ -14,8 +14,8 @@ import torch
 from _gpu_common import ABSENT, NEEDS_GPU, OK, PRECISIONS, Row, Site, each
 
 from farfield.detectors.devices import DTYPES
-from farfield.detectors.sparse import Rulebook, functional, strided_rulebook, submanifold_rulebook
-from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
+from farfield.detectors.sparse import Rulebook, layers, strided_rulebook, submanifold_rulebook
+from farfield.detectors.sparse.tables import DeviceBook, strided_book, submanifold_book
 
 FORWARD = {"fp32": 1e-5, "bf16": 8e-3, "fp16": 2e-3}  # of the largest output; results are rounded to 8, 11 bits
 WEIGHT_GRADIENT = {**FORWARD, "fp32": 1e-4}  # summed in float32 over up to a hundred thousand pairs, then rounded
@@ -95,7 +95,7 @@ def _errors(
     generator = torch.Generator().manual_seed(c_in)
     shapes = ((len(book.keys_in), c_in), (len(book.counts), c_in, c_out), (len(book.keys), c_out))
     given = [torch.randn(shape, generator=generator).to(DTYPES[precision]) for shape in shapes]
-    truth = _results(functional, *(part.double() for part in given), book)
+    truth = _results(layers, *(part.double() for part in given), book)
     got = _results(triton_kernels, *(part.to(site.device) for part in given), there(site.device))
     names = ("output", "to features", "to weight")
     return {name: _error(a, b) for name, a, b in zip(names, got, truth, strict=True)}
@@ -112,7 +112,7 @@ def _results(by: Any, features: Any, weight: Any, gradient: Any, book: Any) -> t
 
 
 def _read(by: Any, book: Any) -> tuple[Any, ...]:
-    return (book,) if by is functional else book.similar
+    return (book,) if by is layers else book.similar
 
 
 def _error(got: Any, truth: Any) -> float:
@@ -125,15 +125,15 @@ def _error(got: Any, truth: Any) -> float:
 
 def _farthest(site: Site, what: str) -> Iterator[Row]:
     """Chosen points by the kernel, and by the plain version on the CPU: the same ones."""
-    from farfield.detectors.pointrcnn.points import triton_kernels
-    from farfield.detectors.pointrcnn.points.sampling import farthest_points
+    from farfield.detectors.pointrcnn import triton_sampling
+    from farfield.detectors.pointrcnn.points import farthest_points
 
     clouds = CLOUDS if site.gpu else ((1,), (400, 0, 60))
     for lengths in clouds:
         points = torch.randn(sum(lengths), 3, generator=torch.Generator().manual_seed(7)) * 20
         count = CHOSEN if site.gpu else 16
         expected = farthest_points(points, lengths, count)[0]
-        got = triton_kernels.farthest_points(points.to(site.device), lengths, count).cpu()
+        got = triton_sampling.farthest_points(points.to(site.device), lengths, count).cpu()
         differ = int((got != expected).sum()) if len(got) == len(expected) else max(len(got), len(expected))
         words = f"{what}, {'+'.join(map(str, lengths))} points"
         yield site.bounded(words, differ, 0, f"of {len(expected)} chosen differ")

@@ -116,7 +116,7 @@ def boxes(site: Site) -> Iterator[Row]:
 
 @torch.no_grad()
 def _boxes(site: Site, name: str) -> Iterator[Row]:
-    from farfield.detectors.anchors.device import boxes_there
+    from farfield.detectors.anchors.head import boxes_on_device
 
     cloud = busy_cloud(site)
     for precision in PRECISIONS if site.gpu else ("fp32",):
@@ -126,7 +126,7 @@ def _boxes(site: Site, name: str) -> Iterator[Row]:
         if hasattr(head, "boxes_there"):
             (got,) = head.boxes_there(*head.found(maps), maps.frames)
         else:
-            (got,) = boxes_there(maps, head.anchors, head.config)
+            (got,) = boxes_on_device(maps, head.anchors, head.config)
         host = type(maps)(*[value.cpu() if torch.is_tensor(value) else value for value in maps])
         (expected,) = detector.network.decode(host)
         yield _compared(f"{name}, {precision}", got, expected)

@@ -30,9 +30,8 @@ from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.graphs import record_trunk
 from farfield.detectors.inputs import Inputs, cloud_tensor
-from farfield.detectors.runtime import Detector
+from farfield.detectors.runtime import Detector, record_trunk
 
 AIMS_MS = {"pointpillars": 4.0, "second": 10.0, "sparsecentre": 6.0}  # at 250 m x 100 m in half precision on an H100
 DENSE = ("pointpillars", "second", "voxelnet")  # a trunk of one shape whatever the points: what graphs need

@@ -45,7 +45,7 @@ def measured(names: list[str], points: int, frames: int) -> dict[str, list[float
 def choices(names: list[str]) -> dict[str, str]:
     """What auto takes by detector, and why, where torch sees what oneDNN may use."""
     from farfield.detectors import DETECTORS
-    from farfield.detectors.precision import chosen_precision, flags_of_cpu
+    from farfield.detectors.devices import chosen_precision, flags_of_cpu
 
     flags = {"": flags_of_cpu(), "AVX512_CORE": {"avx512": True}}[os.environ.get("ONEDNN_MAX_CPU_ISA", "")]
     networks = {name: DETECTORS[name.removesuffix("-cirrus-sim")].network_class for name in names}

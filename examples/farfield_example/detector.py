@@ -8,10 +8,10 @@ from torch import Tensor, nn
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.contract import Channels, MapDetector
+from farfield.detectors.config import Channels, GridConfig
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.grid import GridConfig
 from farfield.detectors.inputs import POSITION, CloudInput, stacked
+from farfield.detectors.network import MapDetector
 
 STRIDE = 2
 

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import Network
-from farfield.detectors.processes import normaliser
+from farfield.detectors.losses import normaliser
+from farfield.detectors.network import Network
 from farfield.training.method import Batch, Method, Stream
 
 

@@ -19,7 +19,7 @@ except PackageNotFoundError:  # a source tree that was never installed
 if TYPE_CHECKING:
     from farfield.api import adapt, detect, evaluate, load_detector, open_dataset, show, train, transfer
     from farfield.datasets.formats import dataset
-    from farfield.detectors.kinds import detector
+    from farfield.detectors.spec import detector
     from farfield.errors import FarfieldError
     from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
     from farfield.geometry.boxes import Boxes
@@ -36,7 +36,7 @@ _HOMES = {
     "adapt": "farfield.api",
     "dataset": "farfield.datasets.formats",
     "detect": "farfield.api",
-    "detector": "farfield.detectors.kinds",
+    "detector": "farfield.detectors.spec",
     "evaluate": "farfield.api",
     "load_detector": "farfield.api",
     "merge_clouds": "farfield.frame",

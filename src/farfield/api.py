@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Shaped
 
     from farfield.datasets.base import Dataset
-    from farfield.detectors.contract import Network
+    from farfield.detectors.network import Network
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame

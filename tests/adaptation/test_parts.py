@@ -28,7 +28,7 @@ from farfield.adaptation.objects import bilinear, descriptors, objects_of, sampl
 from farfield.adaptation.reversal import reverse, schedule
 from farfield.detectors.features import FeatureMap, PointFeatures
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.sparse.cells import SparseTensor
 from farfield.frame import Boxes
 
 ALL_HEIGHTS = (-math.inf, math.inf)

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 
 from small import SMALL, cloud_of, losses_of, small_detector
 
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.detectors.runtime import Detector
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.metrics import score

@@ -6,8 +6,8 @@ from typing import Any
 from torch import Tensor
 
 from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.contract import Network
 from farfield.detectors.inputs import Inputs, cloud_tensor
+from farfield.detectors.network import Network
 from farfield.frame import Boxes, Cloud
 
 

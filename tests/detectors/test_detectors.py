@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 from small import SMALL, batch_of, cloud_of, losses_of, small_detector
 
 from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.layers import fold_batch_norm
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.frame import Boxes, Cloud

@@ -8,9 +8,9 @@ torch = pytest.importorskip("torch")
 
 from _gpu_cases import SHAPE, STRIDED, cells
 
-from farfield.detectors.sparse import functional, layers, strided_rulebook, submanifold_rulebook
-from farfield.detectors.sparse.device_books import DeviceBook, strided_book, submanifold_book
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.sparse import layers, strided_rulebook, submanifold_rulebook
+from farfield.detectors.sparse.cells import SparseTensor
+from farfield.detectors.sparse.tables import DeviceBook, strided_book, submanifold_book
 
 SOME = [cells(0.4), cells(0.02), cells(1.0, 1), cells(0.4)[:1], cells(0.4)[:0]]
 
@@ -87,9 +87,8 @@ def test_layers_with_tables_compute_and_learn_as_with_pairs(monkeypatch):
     values = torch.randn(len(keys), 4)
     for kernels in (False, True):
         if kernels:
-            monkeypatch.setattr(functional, "has_kernels", lambda device, dtype: True)
             monkeypatch.setattr(layers, "has_kernels", lambda device, dtype: True)
-            monkeypatch.setattr(functional, "_import_kernels", looked_up)
+            monkeypatch.setattr(layers, "_import_kernels", looked_up)
         given = values.clone().requires_grad_()
         sparse = SparseTensor(given, keys, SHAPE, 3)
         out = network(sparse)

@@ -13,11 +13,10 @@ torch = pytest.importorskip("torch")
 from _gpu_cases import drawn
 from small import batch_of, small_detector
 
-from farfield.detectors import device_nms, nms
-from farfield.detectors.anchors import device as on_device
+from farfield.detectors import nms
 from farfield.detectors.anchors import grid as on_host
-from farfield.detectors.anchors.best import best_anchors
-from farfield.detectors.anchors.head import AnchorHead
+from farfield.detectors.anchors import head as on_device
+from farfield.detectors.anchors.head import AnchorHead, best_anchors
 from farfield.geometry import iou
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
@@ -45,7 +44,7 @@ def test_areas_are_those_of_the_exact_method(rng):
     b[100:150, :2] = a[100:150, :2]
     flat = [rows[:, [0, 1, 3, 4, 6]] for rows in (a, b)]
     expected = iou.bev_intersection_m2(*flat)
-    got = device_nms.bev_intersection_m2(*map(torch.from_numpy, flat)).numpy()
+    got = nms.bev_intersection_m2(*map(torch.from_numpy, flat)).numpy()
     assert (expected > 0).mean() > 0.2
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(got[:150], a[:150, 3] * a[:150, 4], rtol=1e-12)  # known without either method
@@ -56,7 +55,7 @@ def test_areas_are_those_of_the_exact_method(rng):
 def test_suppression_keeps_what_the_cpu_keeps(rng, n, threshold):
     rows, score = drawn(rng, n, 30), rng.uniform(0, 1, n).round(2)  # with ties
     expected = nms.rotated_nms(as_boxes(rows, score), iou_threshold=threshold, limit=100)
-    got = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=threshold, limit=100)
+    got = nms.nms_on_device(*map(torch.from_numpy, (rows, score)), iou_threshold=threshold, limit=100)
     np.testing.assert_array_equal(got.numpy(), expected)
 
 
@@ -70,7 +69,7 @@ def test_boxes_side_by_side_do_not_suppress_one_another_at_threshold_zero(rng):
     for rows in zip(one, other, strict=True):
         pair, score = np.stack(rows), np.array([0.9, 0.8])
         assert len(nms.rotated_nms(as_boxes(pair, score), iou_threshold=0.0)) == 2
-        assert len(device_nms.rotated_nms(*map(torch.from_numpy, (pair, score)), iou_threshold=0.0)) == 2
+        assert len(nms.nms_on_device(*map(torch.from_numpy, (pair, score)), iou_threshold=0.0)) == 2
 
 
 @pytest.mark.parametrize("limit", [5, 40, 400])
@@ -90,16 +89,16 @@ def test_a_long_chain_of_overlaps_is_settled_to_its_end():
     rows = np.tile([0.0, 0, 0, 4, 2, 1.5, 0], (n, 1))
     rows[:, 0] = 3.0 * np.arange(n)
     score = np.linspace(1, 0, n)
-    kept = device_nms.rotated_nms(torch.from_numpy(rows), torch.from_numpy(score), iou_threshold=0.1)
+    kept = nms.nms_on_device(torch.from_numpy(rows), torch.from_numpy(score), iou_threshold=0.1)
     assert kept.tolist() == list(range(0, n, 2))
 
 
 def test_many_boxes_are_compared_in_parts(rng, monkeypatch):
     rows, score = drawn(rng, 300, 30), rng.uniform(0, 1, 300)
-    whole = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=0.2)
-    monkeypatch.setattr(device_nms, "_GAPS", 1000)
-    monkeypatch.setattr(device_nms, "_PAIRS", 16)
-    parts = device_nms.rotated_nms(*map(torch.from_numpy, (rows, score)), iou_threshold=0.2)
+    whole = nms.nms_on_device(*map(torch.from_numpy, (rows, score)), iou_threshold=0.2)
+    monkeypatch.setattr(nms, "_GAPS", 1000)
+    monkeypatch.setattr(nms, "_PAIRS", 16)
+    parts = nms.nms_on_device(*map(torch.from_numpy, (rows, score)), iou_threshold=0.2)
     assert 0 < len(whole) < 300
     assert torch.equal(whole, parts)
 
@@ -107,7 +106,7 @@ def test_many_boxes_are_compared_in_parts(rng, monkeypatch):
 @given(st.lists(st.floats(-1e6, 1e6) | st.sampled_from([np.pi, -np.pi, 3 * np.pi, -3 * np.pi, 0.0]), max_size=20))
 def test_angles_are_wrapped_as_on_the_host(angles):
     given_rad = np.array(angles, dtype=np.float64)
-    np.testing.assert_array_equal(device_nms.wrapped(torch.from_numpy(given_rad)).numpy(), wrap_angle_rad(given_rad))
+    np.testing.assert_array_equal(nms.wrap_angle(torch.from_numpy(given_rad)).numpy(), wrap_angle_rad(given_rad))
 
 
 @pytest.mark.parametrize("style", ["farfield", "openpcdet"])
@@ -159,7 +158,7 @@ def test_detectors_with_anchors_give_the_same_boxes(rng, name, style):
     maps = road(rng, network)
     expected = network.decode(maps)
     assert sum(map(len, expected)) > 20
-    for got, boxes in zip(on_device.boxes_there(maps, network.head.anchors, network.config), expected, strict=True):
+    for got, boxes in zip(on_device.boxes_on_device(maps, network.head.anchors, network.config), expected, strict=True):
         assert_same(got, boxes)
 
 
@@ -174,13 +173,13 @@ def test_the_sparse_detector_gives_the_same_boxes(rng):
 
 def test_no_box_is_no_box():
     none = torch.zeros(0, 7, dtype=torch.float64)
-    boxes = device_nms.kept_boxes(none, none[:, 0], none[:, 0].long(), ["vehicle"], iou_threshold=0.1, limit=5)
+    boxes = nms.boxes_after_nms(none, none[:, 0], none[:, 0].long(), ["vehicle"], iou_threshold=0.1, limit=5)
     assert len(boxes) == 0
     assert boxes.score is not None
 
 
 def test_maps_of_a_gpu_take_the_other_path(monkeypatch):
     network = small_detector("pointpillars")
-    monkeypatch.setattr("farfield.detectors.anchors.head.boxes_there", lambda maps, grid, config: (grid, config))
+    monkeypatch.setattr("farfield.detectors.anchors.head.boxes_on_device", lambda maps, grid, config: (grid, config))
     seen = SimpleNamespace(logits=SimpleNamespace(is_cuda=True))
     assert inspect.unwrap(AnchorHead.decode)(network.head, seen) == (network.head.anchors, network.config)

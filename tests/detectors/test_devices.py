@@ -10,11 +10,9 @@ torch = pytest.importorskip("torch")
 from small import small_detector
 
 from farfield.detectors import devices
-from farfield.detectors.devices import OutOfMemory, chosen_device, fitting
-from farfield.detectors.graphs import record_trunk
+from farfield.detectors.devices import OutOfMemory, chosen_device, default_precision, fitting
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.runtime import Detector
-from farfield.detectors.weights import default_precision
+from farfield.detectors.runtime import Detector, record_trunk
 from farfield.errors import ConfigError
 from farfield.frame import Cloud
 from farfield.training.config import TrainingConfig

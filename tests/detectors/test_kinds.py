@@ -15,11 +15,12 @@ from farfield import registry
 from farfield.cli import main
 from farfield.detectors import DETECTORS, DetectorSpec, build_detector, detector
 from farfield.detectors.catalogue import catalogue
-from farfield.detectors.contract import DetectorConfig, Network
+from farfield.detectors.config import DetectorConfig
 from farfield.detectors.features import PointFeatures
 from farfield.detectors.inputs import CloudInput
+from farfield.detectors.losses import normaliser
+from farfield.detectors.network import Network
 from farfield.detectors.pointpillars.network import PointPillarsConfig
-from farfield.detectors.processes import normaliser
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError

@@ -4,9 +4,8 @@ from pydantic import ValidationError
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid
+from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, match_by_overlap
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig, AnchorMaps
-from farfield.detectors.anchors.matching import match_by_overlap
 from farfield.detectors.features import FeatureMap
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import pairwise_iou

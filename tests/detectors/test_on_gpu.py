@@ -11,8 +11,7 @@ from _gpu_training import RESUMED, trained
 from small import SMALL, small_detector
 
 from farfield.detectors.devices import OutOfMemory
-from farfield.detectors.graphs import record_trunk
-from farfield.detectors.runtime import Detector
+from farfield.detectors.runtime import Detector, record_trunk
 from farfield.frame import Cloud
 
 pytestmark = pytest.mark.gpu

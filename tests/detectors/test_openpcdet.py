@@ -6,7 +6,7 @@ torch = pytest.importorskip("torch")
 import their_forward as their
 from small import batch_of, losses_of, targets_of
 
-from farfield.detectors.importing import import_openpcdet
+from farfield.detectors.openpcdet import import_openpcdet
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, FileFormatError

@@ -4,8 +4,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from farfield.detectors.pointrcnn import points as ops
-from farfield.detectors.pointrcnn.points import neighbours
-from farfield.detectors.pointrcnn.points.sampling import _farthest_of_one, _farthest_side_by_side
+from farfield.detectors.pointrcnn.points import _farthest_of_one, _farthest_side_by_side
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import points_in_boxes
 
@@ -83,7 +82,7 @@ def test_spread_points_take_every_point_if_asked_to(rng):
 
 @pytest.mark.parametrize(("radii", "limits"), [((0.5, 3.0), (4, 16)), ((20.0,), (1000,)), ((0.01, 8.0), (2, 3))])
 def test_ball_query_equals_all_distances(rng, radii, limits, monkeypatch):
-    monkeypatch.setattr(neighbours, "_CANDIDATES", 500)  # many pieces
+    monkeypatch.setattr(ops, "_CANDIDATES", 500)  # many pieces
     clouds, queries = [road(rng, n) for n in (300, 0, 150)], [road(rng, m) for m in (40, 7, 25)]
     points, centres = torch.cat(clouds), torch.cat(queries)
     groups = ops.ball_query(points, [300, 0, 150], centres, [40, 7, 25], radii_m=radii, limits=limits)
@@ -107,7 +106,7 @@ def test_ball_query_finds_points_on_the_sphere():
 
 def test_group_max_equals_a_loop_and_shares_gradients():
     centre = torch.tensor([0, 0, 2, 2, 2])
-    groups = neighbours.Groups(centre, torch.arange(5), 4)
+    groups = ops.Groups(centre, torch.arange(5), 4)
     values = torch.tensor([[1.0, -3], [2, -4], [5, 1], [5, 0], [4, 1]], requires_grad=True)
     pooled = ops.group_max(values, groups)
     assert pooled.tolist() == [[2, -3], [0, 0], [5, 1], [0, 0]]
@@ -117,16 +116,16 @@ def test_group_max_equals_a_loop_and_shares_gradients():
 
 def test_group_max_passes_gradcheck(rng):
     centre = torch.sort(torch.from_numpy(rng.integers(0, 5, 20))).values
-    groups = neighbours.Groups(centre, torch.arange(20), 6)
+    groups = ops.Groups(centre, torch.arange(20), 6)
     values = torch.from_numpy(rng.normal(size=(20, 3))).requires_grad_()
     assert torch.autograd.gradcheck(lambda v: ops.group_max(v, groups), (values,))
 
 
 @pytest.mark.parametrize("method", ["_nearest_by_tree", "_nearest_by_distance"])
 def test_three_nearest_equal_all_distances(rng, method, monkeypatch):
-    monkeypatch.setattr(neighbours, "_DISTANCES", 1000)
+    monkeypatch.setattr(ops, "_DISTANCES", 1000)
     query, source = road(rng, 200), road(rng, 60)
-    row, gap = getattr(neighbours, method)(query, source)
+    row, gap = getattr(points, method)(query, source)
     gaps = torch.cdist(query.double(), source.double())
     torch.testing.assert_close(gap.double(), gaps.sort(1).values[:, :3], rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(gaps.gather(1, row), gap.double(), rtol=1e-5, atol=1e-5)

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, cloud_of
 
-from farfield.detectors.grid import GridConfig
+from farfield.detectors.config import GridConfig
 from farfield.detectors.pointpillars.network import PointPillars, PointPillarsConfig
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights

@@ -7,18 +7,11 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, losses_of, targets_of
 
-from farfield.detectors.folding import fold_batch_norm
 from farfield.detectors.inputs import POSITION, cloud_tensor
-from farfield.detectors.pointrcnn.bins import BinCoder, BinConfig
-from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig
-from farfield.detectors.pointrcnn.pointnet import (
-    BackboneConfig,
-    FeaturePropagation,
-    SetAbstraction,
-    SetAbstractionConfig,
-)
-from farfield.detectors.pointrcnn.points import BandConfig, WindowConfig, three_nearest
-from farfield.detectors.pointrcnn.points.proposals import (
+from farfield.detectors.layers import fold_batch_norm
+from farfield.detectors.pointrcnn.boxes import (
+    BinCoder,
+    BinConfig,
     MatchConfig,
     ProposalConfig,
     draw_proposals,
@@ -26,7 +19,14 @@ from farfield.detectors.pointrcnn.points.proposals import (
     keep_proposals,
     match_proposals,
 )
-from farfield.detectors.pointrcnn.refinement import RefinementConfig
+from farfield.detectors.pointrcnn.network import PointRCNN, PointRCNNConfig, RefinementConfig
+from farfield.detectors.pointrcnn.pointnet import (
+    BackboneConfig,
+    FeaturePropagation,
+    SetAbstraction,
+    SetAbstractionConfig,
+)
+from farfield.detectors.pointrcnn.points import BandConfig, WindowConfig, three_nearest
 from farfield.detectors.runtime import Detector
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score

@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch")
 
 from farfield.api import load_detector
 from farfield.cli import main
-from farfield.detectors import DETECTORS, precision
-from farfield.detectors.precision import chosen_precision, flags_of_cpu
+from farfield.detectors import DETECTORS, devices
+from farfield.detectors.devices import chosen_precision, flags_of_cpu
 from farfield.training.config import TrainingConfig
 from farfield.training.launching import precision_of
 
@@ -31,15 +31,15 @@ SLOW_MAPS = {"dense": {"fp32": 10.0, "bf16": 21.5}, "rows": {"fp32": 8.0, "bf16"
 def _no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A cache of its own for each test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    precision.kept_times.cache_clear()
+    devices.kept_times.cache_clear()
     yield
-    precision.kept_times.cache_clear()
+    devices.kept_times.cache_clear()
 
 
 @pytest.fixture
 def cpu(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> str:
     """The processor that torch is made to see, and how long bfloat16 takes where it is emulated."""
-    monkeypatch.setattr(precision, "measured_times", lambda: SLOW_MAPS)
+    monkeypatch.setattr(devices, "measured_times", lambda: SLOW_MAPS)
     for name, there in KINDS[request.param].items():
         monkeypatch.setattr(torch.cpu, name, lambda there=there: there)
     return str(request.param)
@@ -90,24 +90,24 @@ def test_predict_prints_what_was_chosen(cpu: str, tmp_path, capsys: pytest.Captu
 
 def test_the_measurement_is_taken_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     emulating, asked = {"avx512": True}, []
-    monkeypatch.setattr(precision, "measured_times", lambda: asked.append(1) or SLOW_MAPS)
+    monkeypatch.setattr(devices, "measured_times", lambda: asked.append(1) or SLOW_MAPS)
     assert chosen_precision(flags=emulating)[0] == "fp32"
     assert (tmp_path / "cache" / "farfield" / "precision.json").is_file()
-    precision.kept_times.cache_clear()
+    devices.kept_times.cache_clear()
     assert chosen_precision(flags=emulating)[0] == "fp32"
     assert asked == [1], "another process reads the file"
     (tmp_path / "cache" / "farfield" / "precision.json").write_text("[")
-    precision.kept_times.cache_clear()
+    devices.kept_times.cache_clear()
     assert chosen_precision(flags=emulating)[0] == "fp32"
     assert asked == [1, 1], "a damaged file is measured anew"
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
-    precision.kept_times.cache_clear()
+    devices.kept_times.cache_clear()
     assert chosen_precision(flags=emulating)[0] == "fp32", "no cache can be written"
 
 
 def test_a_measurement_takes_about_half_a_second() -> None:
     began = time.process_time()
-    taken = precision.measured_times()
+    taken = devices.measured_times()
     assert time.process_time() - began < 3
     assert all(ms > 0 for times in taken.values() for ms in times.values())
     assert set(taken) == {"dense", "rows"}

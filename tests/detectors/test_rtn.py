@@ -11,10 +11,9 @@ torch = pytest.importorskip("torch")
 from torch import nn
 
 from farfield.detectors import build_detector
-from farfield.detectors.folding import fold_batch_norm
-from farfield.detectors.kradar.backbone import RadarNeck
-from farfield.detectors.kradar.resnet import Bottleneck, ResNet, StridedPointwise
-from farfield.detectors.kradar.rtn import RTNConfig
+from farfield.detectors.kradar.radar_detector import RadarNeck
+from farfield.detectors.kradar.rtn import Bottleneck, ResNet, RTNConfig, StridedPointwise
+from farfield.detectors.layers import fold_batch_norm
 
 CLASSIFIER = 2048 * 1000 + 1000
 
@@ -100,7 +99,7 @@ def test_settings_that_do_not_fit_are_refused():
 
 NARROW = """
 import torch
-from farfield.detectors.kradar.resnet import Bottleneck
+from farfield.detectors.kradar.rtn import Bottleneck
 torch.manual_seed(0)
 block = Bottleneck(8, 8, stride=2).to(memory_format=torch.channels_last)
 for _ in range(10):

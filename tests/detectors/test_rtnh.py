@@ -9,10 +9,9 @@ from small import batch_of, cloud_of, losses_of, small_detector
 from torch.nn import functional
 
 from farfield.detectors import build_detector
-from farfield.detectors.folding import fold_batch_norm
-from farfield.detectors.kradar.backbone import RadarBackbone, dense_block
-from farfield.detectors.kradar.cells import CellEncoder, RadarGridConfig, in_unit_grid
-from farfield.detectors.kradar.rtnh import RTNHConfig
+from farfield.detectors.kradar.radar_detector import CellEncoder, RadarGridConfig, in_unit_grid
+from farfield.detectors.kradar.rtnh import RadarBackbone, RTNHConfig, dense_block
+from farfield.detectors.layers import fold_batch_norm
 from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse import SparseTensor
 from farfield.errors import ConfigError
@@ -43,8 +42,8 @@ def backbone(execution: str) -> RadarBackbone:
 @pytest.mark.parametrize("folded", [False, True])
 @pytest.mark.parametrize("slab_bytes", [1, 20_000, 2**22])  # a layer of height at a time, four, all
 def test_dense_and_sparse_are_one_function(share, folded, slab_bytes, monkeypatch):
-    monkeypatch.setattr("farfield.detectors.kradar.backbone.SLAB_BYTES", slab_bytes)
-    monkeypatch.setattr("farfield.detectors.kradar.backbone.WHOLE_BYTES", 0)
+    monkeypatch.setattr("farfield.detectors.kradar.rtnh.SLAB_BYTES", slab_bytes)
+    monkeypatch.setattr("farfield.detectors.kradar.rtnh.WHOLE_BYTES", 0)
     sparse, dense = (backbone(execution).eval() for execution in ("sparse", "dense"))
     if folded:
         sparse, dense = fold_batch_norm(sparse), fold_batch_norm(dense)
@@ -194,7 +193,7 @@ def test_doppler_is_read_where_asked_for(rng):
 
 def test_log_power_tames_strong_cells():
     points = torch.tensor([[1.0, 0.0, 0.0, power] for power in (-1.0, 0.0, 0.01, 10.0)])
-    from farfield.detectors.kradar.cells import scaled_power
+    from farfield.detectors.kradar.radar_detector import scaled_power
 
     np.testing.assert_allclose(
         scaled_power(points, COLUMNS, log=True)[:, 3], [0, 0, np.log(2), np.log(1001)], rtol=1e-6

@@ -6,9 +6,9 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, cloud_of, small_detector
 
+from farfield.detectors.config import VoxelGridConfig
 from farfield.detectors.second.network import Second, SecondConfig, SparseMiddle, folded_layers, stack_z
 from farfield.detectors.sparse import SparseTensor
-from farfield.detectors.voxels import VoxelGridConfig
 
 PUBLISHED = VoxelGridConfig(
     range_m=70.4, half_width_m=40.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.05, 0.05, 0.1), extra_layers=1

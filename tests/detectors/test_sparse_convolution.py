@@ -12,11 +12,11 @@ from farfield.detectors.sparse import (
     SparseSequential,
     SparseTensor,
     SubmanifoldConv,
+    cells,
     dilate,
-    functional,
     kernel_offsets,
+    layers,
     neighbour_table,
-    neighbours,
     rulebook,
     submanifold_rulebook,
 )
@@ -125,7 +125,7 @@ def test_precisions(dtype, tolerance):
 )
 def test_every_way_to_multiply_agrees(ways, monkeypatch):
     for name, value in ways.items():
-        monkeypatch.setattr(functional, name, value)
+        monkeypatch.setattr(layers, name, value)
     sparse = random_sparse(channels=16, dtype=torch.float32)
     for layer in (SubmanifoldConv(16, 24, bias=True), SparseConv(16, 24, bias=True)):
         results = []
@@ -253,7 +253,7 @@ BITMAP_LIMITS = [2**30, 0]  # look-up in a bitmap, binary search
 
 @pytest.mark.parametrize("limit", BITMAP_LIMITS)
 def test_neighbours_and_dilation_by_brute_force(limit, monkeypatch):
-    monkeypatch.setattr(neighbours, "_MAX_BITMAP_CELLS", limit)
+    monkeypatch.setattr(cells, "_MAX_BITMAP_CELLS", limit)
     sparse = random_sparse(share=0.1)
     offsets = kernel_offsets((3, 3, 5))
     place = {tuple(row): number for number, row in enumerate(sparse.indices().tolist())}
@@ -273,11 +273,11 @@ def test_neighbours_and_dilation_by_brute_force(limit, monkeypatch):
 @pytest.mark.parametrize("limit", BITMAP_LIMITS)
 @pytest.mark.parametrize("share", [0.02, 0.5, 1.0])
 def test_pairs_of_neighbours_by_brute_force(share, limit, monkeypatch):
-    monkeypatch.setattr(neighbours, "_MAX_BITMAP_CELLS", limit)
+    monkeypatch.setattr(cells, "_MAX_BITMAP_CELLS", limit)
     shape, offsets = (3, 5, 70), kernel_offsets((3, 1, 5))[:7]  # lines of more than two words
     sparse = random_sparse(share=share, shape=shape)
     place = {tuple(row): number for number, row in enumerate(sparse.indices().tolist())}
-    mine, theirs, counts = neighbours.neighbour_pairs(sparse.keys, shape, offsets)
+    mine, theirs, counts = cells.neighbour_pairs(sparse.keys, shape, offsets)
     truth = [
         [(row, place[near]) for (b, z, x, y), row in place.items() if (near := (b, z + dz, x + dx, y + dy)) in place]
         for dz, dx, dy in offsets
@@ -301,7 +301,7 @@ def test_count_of_bits():
     words = torch.randint(0, 2**31, (1000,), generator=torch.Generator().manual_seed(0), dtype=torch.int32)
     words[:3] = torch.tensor([0, 1, 2**31 - 1])
     expected = [bin(word).count("1") for word in words.tolist()]
-    assert neighbours._count_bits(words).tolist() == expected
+    assert cells._count_bits(words).tolist() == expected
 
 
 def test_what_cannot_work_is_refused():
@@ -324,7 +324,7 @@ def test_what_cannot_work_is_refused():
 @pytest.mark.parametrize("triton", [True, False])
 def test_gpu_gives_what_the_cpu_gives(triton, monkeypatch):
     if not triton:
-        monkeypatch.setattr(functional, "_import_kernels", lambda: None)
+        monkeypatch.setattr(layers, "_import_kernels", lambda: None)
     results = []
     for device in ("cpu", "cuda"):
         torch.manual_seed(0)

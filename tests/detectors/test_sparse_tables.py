@@ -102,9 +102,9 @@ def test_an_even_submanifold_kernel_is_refused():
 
 def test_no_rows_are_multiplied_whatever_the_number_of_threads(monkeypatch):
     """Large kernels go to oneDNN where there are several threads; it takes no empty image."""
-    from farfield.detectors.sparse import functional
+    from farfield.detectors.sparse import layers
 
-    monkeypatch.setattr(functional, "_has_onednn", lambda: True)
+    monkeypatch.setattr(layers, "_has_onednn", lambda: True)
     out = torch.full((0, 64), 1.0)
-    functional._multiply(torch.zeros(0, 64), torch.zeros(64, 64), out)
+    layers._multiply(torch.zeros(0, 64), torch.zeros(64, 64), out)
     assert out.shape == (0, 64)

@@ -7,22 +7,27 @@ from pydantic import ValidationError
 from small import batch_of, cloud_of, losses_of, targets_of
 
 from farfield.detectors import build_detector
+from farfield.detectors.config import VoxelGridConfig
 from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse import SparseTensor
-from farfield.detectors.sparsecentre.backbone import SparsePyramid, merge_heights
-from farfield.detectors.sparsecentre.diffusion import CentreDiffusion, means_at
-from farfield.detectors.sparsecentre.head import peaks
-from farfield.detectors.sparsecentre.network import SparseCentre, SparseCentreConfig
-from farfield.detectors.sparsecentre.targets import (
+from farfield.detectors.sparsecentre.head import (
     BoxTensors,
     CentreTargets,
     assign,
     decode,
     encode,
     heat_loss,
+    peaks,
     vote_loss,
 )
-from farfield.detectors.voxels import VoxelGridConfig
+from farfield.detectors.sparsecentre.network import (
+    CentreDiffusion,
+    SparseCentre,
+    SparseCentreConfig,
+    SparsePyramid,
+    means_at,
+    merge_heights,
+)
 from farfield.frame import Boxes, Cloud
 from farfield.geometry.points import points_in_boxes
 

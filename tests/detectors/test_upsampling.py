@@ -6,8 +6,7 @@ torch = pytest.importorskip("torch")
 
 from torch import nn
 
-from farfield.detectors.folding import fold_batch_norm
-from farfield.detectors.upsampling import Upsampling
+from farfield.detectors.layers import Upsampling, fold_batch_norm
 
 
 def transposed(stride: int, *, overlap: bool, **settings) -> nn.ConvTranspose2d:

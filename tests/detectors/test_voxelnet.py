@@ -7,12 +7,11 @@ torch = pytest.importorskip("torch")
 from small import batch_of, cloud_of
 
 from farfield.detectors import DETECTORS
-from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.config import VoxelGridConfig
+from farfield.detectors.layers import fold_batch_norm
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxelnet.middle import MiddleLayers
-from farfield.detectors.voxelnet.network import VoxelNet, VoxelNetConfig
-from farfield.detectors.voxelnet.vfe import VoxelFeatureEncoder, grouped
-from farfield.detectors.voxels import VoxelGridConfig
+from farfield.detectors.voxelnet.network import VoxelFeatureEncoder, VoxelNet, VoxelNetConfig, grouped
 
 GRID = VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.5, 0.5, 0.5))
 SMALL = VoxelNetConfig(

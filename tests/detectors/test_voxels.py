@@ -6,7 +6,8 @@ from pydantic import ValidationError
 
 torch = pytest.importorskip("torch")
 
-from farfield.detectors.voxels import VoxelGridConfig, mean_voxels, voxel_keys
+from farfield.detectors.config import VoxelGridConfig
+from farfield.detectors.voxels import mean_voxels, voxel_keys
 
 COLUMNS = ("x_m", "y_m", "z_m", "intensity", "lag_s")
 GRID = VoxelGridConfig(range_m=20.0, half_width_m=5.0, z_min_m=-3.0, z_max_m=1.0, cell_m=(0.5, 0.4, 0.8))

@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch")
 from torch import nn
 
 from farfield.detectors.anchors.grid import AnchorConfig
+from farfield.detectors.config import GridConfig
 from farfield.detectors.features import FeatureMap
-from farfield.detectors.grid import GridConfig
 from farfield.detectors.pointpillars.network import PointPillars, PointPillarsConfig
 from farfield.testing import detectors as checks
 

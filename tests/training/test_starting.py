@@ -16,8 +16,8 @@ from small import SMALL, small_detector
 from test_training import words_of_train
 
 from farfield.cli import main
-from farfield.detectors.contract import AnchorRow
 from farfield.detectors.features import FeatureMap
+from farfield.detectors.network import AnchorRow
 from farfield.detectors.weights import load_weights, resolve_weights, save_weights
 from farfield.errors import ConfigError
 from farfield.experiments.schema import load_experiment

@@ -11,10 +11,10 @@ from torch import Tensor, distributed, nn
 from farfield.adaptation.cells import Cells
 from farfield.adaptation.held import held_figures
 from farfield.adaptation.measuring import gradient_norms, gradient_ratio, total
-from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.losses import process_count, sum_over_processes
+from farfield.detectors.network import Network
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, Batch, Method

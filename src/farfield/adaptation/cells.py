@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from farfield.detectors.features import FeatureMap, Features, PointFeatures
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.sparse.cells import SparseTensor
 from farfield.geometry.boxes import Boxes
 
 _DENSITY_BINS = 6  # of log2: 1, 2 to 3, 4 to 7, 8 to 15, 16 to 31, 32 and more points

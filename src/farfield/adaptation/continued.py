@@ -4,7 +4,7 @@ from pydantic import Field
 
 from farfield.adaptation.base import start_from
 from farfield.adaptation.settings import MethodSettings, settings_of
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.training.method import Supervised
 
 

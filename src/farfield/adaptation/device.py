@@ -18,9 +18,9 @@ from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, dis
 from farfield.adaptation.reversal import schedule
 from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.adaptation.twin import with_own_head, with_own_statistics
-from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
+from farfield.detectors.network import Network
 from farfield.training.method import DETECTOR, Batch, ParamGroup, Stream
 
 _SOURCE, _TARGET, _REST = "source", "target", "rest"

@@ -12,11 +12,11 @@ from torch.nn import functional
 from farfield.adaptation.cells import Cells, values_at
 from farfield.adaptation.reversal import reverse
 from farfield.adaptation.settings import MethodSettings
-from farfield.detectors.contract import Network
 from farfield.detectors.features import FeatureMap, Features
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.processes import normaliser, sum_over_processes
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.losses import normaliser, sum_over_processes
+from farfield.detectors.network import Network
+from farfield.detectors.sparse.cells import SparseTensor
 from farfield.training.method import ParamGroup
 
 Form = Literal["auto", "patch", "rows"]

@@ -8,8 +8,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from farfield.detectors.features import Features, PointFeatures
-from farfield.detectors.processes import sum_over_processes
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.losses import sum_over_processes
+from farfield.detectors.sparse.cells import SparseTensor
 
 _PROBE_STEPS, _PROBE_RATE, _PROBE_DECAY = 200, 0.05, 1e-3
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, distributed, nn
 
-from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.losses import process_count, sum_over_processes
 
 _NEVER = -(10**9)
 _SENT = 64  # objects of a process that enter in a step, where there are several

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from farfield.adaptation.cells import device_of, in_boxes
 from farfield.detectors.features import FeatureMap, Features
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.sparse.cells import SparseTensor
 from farfield.geometry.boxes import Boxes
 
 _STEPS = (-1 / 3, 0.0, 1 / 3)

@@ -20,10 +20,10 @@ from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at,
 from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
 from farfield.adaptation.reversal import schedule
 from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
-from farfield.detectors.contract import Network
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.processes import normaliser
+from farfield.detectors.losses import normaliser
+from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream

@@ -13,8 +13,8 @@ from pydantic import Field
 from torch import Tensor
 
 from farfield.adaptation.settings import MethodSettings
-from farfield.detectors.contract import Assigner, Network
 from farfield.detectors.inputs import Inputs
+from farfield.detectors.network import Assigner, Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.training.augmentation import Augmentation, draw_change

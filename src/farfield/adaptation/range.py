@@ -29,10 +29,10 @@ from farfield.adaptation.memory import Memory, effective_number, similarity
 from farfield.adaptation.objects import ObjectFeatures, objects_of
 from farfield.adaptation.reversal import schedule
 from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
-from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.processes import normaliser, sum_over_processes
+from farfield.detectors.losses import normaliser, sum_over_processes
+from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream
 

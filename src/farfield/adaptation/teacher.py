@@ -30,10 +30,10 @@ from farfield.adaptation.pseudo import (
 )
 from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.adaptation.twin import with_own_statistics
-from farfield.detectors.contract import Network
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
-from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.losses import process_count, sum_over_processes
+from farfield.detectors.network import Network
 from farfield.errors import ConfigError, FarfieldError
 from farfield.training.method import DETECTOR, Batch, Stream
 from farfield.training.weather import check_weather

@@ -4,7 +4,7 @@ import copy
 
 from torch import nn
 
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 
 

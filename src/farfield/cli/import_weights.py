@@ -41,7 +41,7 @@ def run(
     from farfield.errors import ConfigError
 
     _ = DETECTORS[kind or "pointpillars"].network_class  # without torch, says how to install it
-    from farfield.detectors.importing import import_openpcdet
+    from farfield.detectors.openpcdet import import_openpcdet
     from farfield.detectors.weights import save_weights
 
     if out.suffix != ".safetensors":

@@ -1,28 +1,91 @@
 """Frames to scored boxes. One paper is one folder; what several share is named by what it is.
 
-``DETECTORS`` names every detector; what it needs is imported when it is asked for.
+``DETECTORS`` names every detector. Everything that a writer of a detector needs is offered here; what needs torch is
+imported when it is asked for.
 """
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from farfield.detectors.kinds import DETECTORS, DetectorSpec, detector
+from farfield.detectors.spec import DETECTORS, DetectorSpec, detector
+from farfield.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from farfield.detectors.contract import DetectorConfig, Network
+    from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid
+    from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
+    from farfield.detectors.config import Channels, DetectorConfig, GridConfig, VoxelGridConfig
+    from farfield.detectors.features import FeatureMap, PointFeatures, in_type_of
+    from farfield.detectors.info import DetectorInfo, FunctionDetector, describe
+    from farfield.detectors.inputs import POSITION, CloudInput, Inputs, stacked
+    from farfield.detectors.losses import normaliser, sum_over_processes
+    from farfield.detectors.network import Assigner, MapDetector, Network, build_detector
+    from farfield.detectors.runtime import Detector
+    from farfield.detectors.weights import load_weights, save_weights
 
-__all__ = ["DETECTORS", "DetectorSpec", "build_detector", "detector"]
+_LAZY = {
+    "farfield.detectors.anchors.grid": ("AnchorConfig", "AnchorGrid"),
+    "farfield.detectors.anchors.head": ("AnchorHead", "AnchorHeadConfig"),
+    "farfield.detectors.config": ("Channels", "DetectorConfig", "GridConfig", "VoxelGridConfig"),
+    "farfield.detectors.features": ("FeatureMap", "PointFeatures", "in_type_of"),
+    "farfield.detectors.info": ("DetectorInfo", "FunctionDetector", "describe"),
+    "farfield.detectors.inputs": ("POSITION", "CloudInput", "Inputs", "stacked"),
+    "farfield.detectors.losses": ("normaliser", "sum_over_processes"),
+    "farfield.detectors.network": ("Assigner", "MapDetector", "Network", "build_detector"),
+    "farfield.detectors.runtime": ("Detector",),
+    "farfield.detectors.weights": ("load_weights", "save_weights"),
+}
+_MODULES = {name: module for module, names in _LAZY.items() for name in names}
+
+__all__ = [
+    "DETECTORS",
+    "POSITION",
+    "AnchorConfig",
+    "AnchorGrid",
+    "AnchorHead",
+    "AnchorHeadConfig",
+    "Assigner",
+    "Channels",
+    "CloudInput",
+    "Detector",
+    "DetectorConfig",
+    "DetectorInfo",
+    "DetectorSpec",
+    "FeatureMap",
+    "FunctionDetector",
+    "GridConfig",
+    "Inputs",
+    "MapDetector",
+    "Network",
+    "PointFeatures",
+    "VoxelGridConfig",
+    "build_detector",
+    "describe",
+    "detector",
+    "in_type_of",
+    "load_weights",
+    "normaliser",
+    "save_weights",
+    "stacked",
+    "sum_over_processes",
+]
 
 
-def build_detector(config: "DetectorConfig", *, seed: int | None = None) -> "Network":
-    """Build the untrained network that a configuration describes; a seed makes its weights repeatable.
+def __getattr__(name: str) -> Any:
+    """Import what is asked for.
 
     Raises:
-        ConfigError: If there is no detector of the configuration's name.
-        MissingExtraError: If torch is not installed.
+        MissingExtraError: If torch is not installed and the name needs it.
     """
-    network = DETECTORS[config.name].network_class
-    if seed is not None:
-        import torch
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(import_module(_MODULES[name]), name)
+    except ModuleNotFoundError as error:
+        if error.name == "torch":
+            raise MissingExtraError("torch", "detect", "Detecting objects") from error
+        raise
 
-        torch.manual_seed(seed)
-    return network(config)
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return list(__all__)

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from farfield.detectors import DETECTORS
+from farfield.detectors.spec import DETECTORS
 
 
 @dataclass(frozen=True)

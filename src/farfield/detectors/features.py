@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from farfield.detectors.sparse.tensor import SparseTensor
+from farfield.detectors.sparse.cells import SparseTensor
 
 
 class FeatureRows(NamedTuple):

@@ -5,25 +5,103 @@ import ctypes
 import hashlib
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
+from pydantic import ValidationError
+from torch import Tensor, nn
 
-from farfield.detectors.choosing import ChosenClasses, Classes, reconfigured
-from farfield.detectors.contract import FIXED, Network
-from farfield.detectors.devices import DTYPES, chosen_device, fitting
-from farfield.detectors.folding import fold_batch_norm
+from farfield.detectors.devices import DTYPES, chosen_device, default_precision, fitting
 from farfield.detectors.info import DetectorInfo
 from farfield.detectors.inputs import Inputs, cloud_tensor
-from farfield.detectors.weights import default_precision, load_weights, resolve_weights
-from farfield.errors import ConfigError
+from farfield.detectors.layers import fold_batch_norm
+from farfield.detectors.network import FIXED, Network, build_detector
+from farfield.detectors.weights import load_weights, resolve_weights
+from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
 from farfield.frame.cloud import RADAR_COLUMNS
 from farfield.geometry.boxes import Boxes
 from farfield.registry import named
+
+# Which of its boxes a detector gives, by score, overlap, number and class: chosen as it is loaded, not trained.
+
+Classes = Iterable[str] | Mapping[str, str]
+"""Classes to give, or for each of them the name to give it."""
+
+
+@dataclass(frozen=True)
+class ChosenClasses:
+    """Some of a detector's classes, perhaps under other names.
+
+    Args:
+        names: The name to give each chosen class.
+        max_boxes: Boxes of the chosen classes that are kept in a frame.
+    """
+
+    names: Mapping[str, str]
+    max_boxes: int
+
+    @classmethod
+    def of(cls, wanted: Classes, known: tuple[str, ...], max_boxes: int) -> "ChosenClasses":
+        """Check a choice.
+
+        Args:
+            wanted: The choice.
+            known: The detector's own classes.
+            max_boxes: As of the class.
+
+        Raises:
+            ConfigError: If it names none, or one that the detector does not know.
+        """
+        names = dict(wanted) if isinstance(wanted, Mapping) else {name: name for name in wanted}
+        unknown = [name for name in names if name not in known]
+        if unknown or not names or not all(names.values()):
+            raise ConfigError(
+                f"classes: expected at least one class that the detector knows ({', '.join(known)}), each with the "
+                f"name to give it or none; got {', '.join(unknown or names) or 'none'}."
+            )
+        return cls(names, max_boxes)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names that boxes can have."""
+        return tuple(dict.fromkeys(self.names.values()))
+
+    def __call__(self, boxes: Boxes) -> Boxes:
+        """The boxes of these classes, under the names to give."""
+        chosen = boxes[np.isin(boxes.label, list(self.names))][: self.max_boxes]
+        labels = np.array([self.names[str(name)] for name in chosen.label], dtype=np.str_)
+        return chosen.replace(label=labels) if len(chosen) else chosen
+
+
+def reconfigured(network: Network, changes: Mapping[str, Any]) -> Network:
+    """The same network, its weights shared, with some settings changed that no weight depends on.
+
+    It is built anew, so that a setting counts wherever the network looks at it.
+
+    Args:
+        network: Before anything in it is folded.
+        changes: Fields of its configuration; those that are None stay.
+
+    Raises:
+        ConfigError: If a value is not possible.
+    """
+    changes = {name: value for name, value in changes.items() if value is not None}
+    if not changes:
+        return network
+    try:
+        config = type(network.config).model_validate({**network.config.model_dump(), **changes})
+    except ValidationError as error:
+        raise ConfigError(f"{plain(error)}.") from error
+    with torch.device("meta"):
+        other = build_detector(config)
+    other.load_state_dict(network.state_dict(), assign=True)
+    return other.train(network.training)
 
 
 @cache
@@ -311,3 +389,63 @@ class Detector:
                 f"frame {frame.key} stands in the coordinates of {frame.reference}; the detector learnt in those of "
                 f"{learnt}. farfield.detect(detector, data) moves the data as it learnt to see them."
             )
+
+
+# A detector's dense trunk recorded once as a CUDA graph: one call a frame instead of one a layer.
+
+
+class Graphed(nn.Module):
+    """A module recorded once as a CUDA graph, and replayed for inputs of the recorded shape.
+
+    Args:
+        module: What is recorded, in evaluation mode; it computes inputs of other shapes itself.
+        image: An input of it, on a GPU.
+    """
+
+    def __init__(self, module: nn.Module, image: Tensor) -> None:
+        super().__init__()
+        self.module = module  # the graph reads its weights
+        self.image = image.clone()
+        stream = torch.cuda.Stream(image.device)
+        stream.wait_stream(torch.cuda.current_stream(image.device))
+        with torch.no_grad(), torch.cuda.stream(stream):
+            for _ in range(3):
+                module(self.image)
+        torch.cuda.current_stream(image.device).wait_stream(stream)
+        self.graph = torch.cuda.CUDAGraph()
+        with torch.no_grad(), torch.cuda.graph(self.graph):
+            self.out = module(self.image)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """The output for an image; the next call overwrites it."""
+        if image.shape != self.image.shape or image.dtype != self.image.dtype or torch.is_grad_enabled():
+            made: Tensor = self.module(image)
+            return made
+        self.image.copy_(image)
+        self.graph.replay()
+        return self.out
+
+
+def record_trunk(detector: Detector, frame: Frame | Cloud) -> None:
+    """Record a detector's dense trunk from a frame, in place; batches of as many frames replay it from then on.
+
+    Args:
+        detector: A PointPillars, SECOND or VoxelNet on a GPU.
+        frame: Any frame that it can read.
+
+    Raises:
+        ConfigError: If the detector has no dense trunk, or is not on a GPU.
+    """
+    trunk = getattr(detector.network, "backbone", None)
+    if detector.device.type != "cuda" or not isinstance(trunk, nn.Module):
+        got = f"{detector.name} on {detector.device}"
+        raise ConfigError(f"record_trunk: expected PointPillars, SECOND or VoxelNet on a GPU; got {got}")
+    images: list[Tensor] = []
+    hook = trunk.register_forward_pre_hook(lambda _, given: images.append(given[0]))
+    try:
+        detector(frame)
+    finally:
+        hook.remove()
+    if not images or not torch.is_tensor(images[0]):
+        raise ConfigError(f"record_trunk: expected a trunk that reads a dense map; {detector.name} has none")
+    detector.network.backbone = Graphed(trunk, images[0])

@@ -1,4 +1,4 @@
-"""Rotated suppression on a GPU in two kernels, written in Triton; see :mod:`farfield.detectors.device_nms`.
+"""Rotated suppression on a GPU in two kernels, written in Triton; see :mod:`farfield.detectors.nms`.
 
 The plain version takes some hundred calls, and on a GPU the calls are the cost. The same formulae, in float64: the
 first kernel says of all pairs which box suppresses which, a bit each; the second settles what stays.
@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.triton_jit import jit
+from farfield.detectors.devices import jit
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")
@@ -108,7 +108,7 @@ def _settle_kernel(  # type: ignore[no-untyped-def]
         tl.debug_barrier()
 
 
-def staying(rows: Tensor, limits: Tensor, least_rise: float) -> Tensor:
+def surviving_boxes(rows: Tensor, limits: Tensor, least_rise: float) -> Tensor:
     """Which boxes stay: those that no better box that stays overlaps by more than the threshold.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.triton_jit import jit
+from farfield.detectors.devices import jit
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")

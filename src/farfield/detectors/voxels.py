@@ -1,22 +1,15 @@
 """Voxels: points to the occupied cells of a 3D grid, one mean feature row each (SECOND's mean VFE)."""
 
-import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor
 
-from farfield.detectors.devices import constant
+from farfield.detectors.config import VoxelGridConfig
+from farfield.detectors.devices import constant, kernels_for
 from farfield.detectors.inputs import POSITION, Positions, features_of, stacked
-from farfield.detectors.renaming import renamed
-from farfield.detectors.sparse.tensor import SparseTensor, Triple, decode_keys
-from farfield.detectors.triton_jit import kernels_for
+from farfield.detectors.sparse.cells import SparseTensor, decode_keys
 
-_MAX_CELLS = 4_000_000_000
-OLD_NAMES = {"grid.voxel_m": "grid.cell_m"}
-"""Old names of settings in a detector with a voxel grid."""
 MEAN_FEATURES = ("dx", "dy", "dz", "x", "y", "z", "log_count")
 """What :func:`mean_voxels` gives of each voxel, before the means of further columns."""
 
@@ -24,58 +17,6 @@ MEAN_FEATURES = ("dx", "dy", "dz", "x", "y", "z", "log_count")
 def mean_features(positions: Positions) -> tuple[str, ...]:
     """Names of what :func:`mean_voxels` gives of each voxel; relative positions lack x and y."""
     return tuple(name for name in MEAN_FEATURES if positions == "absolute" or name not in ("x", "y"))
-
-
-class VoxelGridConfig(BaseModel):
-    """Where a voxel detector looks, and how finely.
-
-    Cell counts along x and y are rounded up to a multiple of the network's coarsest stride, so the grid may reach a
-    little farther than range_m.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
-    half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
-    z_min_m: float = Field(-6.0, description="points below are dropped; generous, since roads climb over 250 m")
-    z_max_m: float = Field(6.0, description="points above are dropped")
-    cell_m: tuple[float, float, float] = Field(
-        (0.1, 0.1, 0.2), description="cell size along x, y and z; one number for a cube"
-    )
-    extra_layers: int = Field(0, ge=0, le=64, description="empty layers above, as SECOND's grid has one (41 for 40)")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _old_name(cls, settings: Any) -> Any:
-        return renamed(settings, {"voxel_m": "cell_m"})
-
-    @field_validator("cell_m", mode="before")
-    @classmethod
-    def _cube(cls, cell_m: Any) -> Any:
-        return (cell_m,) * 3 if isinstance(cell_m, int | float) else cell_m
-
-    @model_validator(mode="after")
-    def _fits(self) -> "VoxelGridConfig":
-        if not min(self.cell_m) > 0:
-            raise ValueError(f"expected a voxel size above 0 along x, y and z, got {self.cell_m}")
-        if not self.z_max_m > self.z_min_m:
-            raise ValueError(f"expected z_max_m above z_min_m, got {self.z_max_m} and {self.z_min_m}")
-        volume_m3 = self.range_m * 2 * self.half_width_m * (self.z_max_m - self.z_min_m)
-        cells = volume_m3 / math.prod(self.cell_m)
-        if not cells <= _MAX_CELLS:
-            raise ValueError(f"expected at most {_MAX_CELLS:,} voxels, got {cells:,.0f}: take a larger cell_m")
-        return self
-
-    def shape(self, multiple: int) -> Triple:
-        """Cells along z, x and y; ``multiple`` divides the last two."""
-        dx, dy, dz = self.cell_m
-        along = ((self.range_m, dx), (2 * self.half_width_m, dy))
-        nx, ny = (math.ceil(round(length / step, 6) / multiple) * multiple for length, step in along)
-        return math.ceil(round((self.z_max_m - self.z_min_m) / dz, 6)) + self.extra_layers, nx, ny
-
-    def y_min_m(self, multiple: int) -> float:
-        """The grid's right edge in metres: padding is shared between both sides."""
-        return -self.shape(multiple)[2] * self.cell_m[1] / 2
 
 
 def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
@@ -89,7 +30,7 @@ def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: i
 
     Returns:
         Rows of the points inside the grid, shape (m,), int64, and the key of each one's voxel, shape (m,), int64, as
-        :func:`~farfield.detectors.sparse.tensor.encode_keys` numbers them.
+        :func:`~farfield.detectors.sparse.cells.encode_keys` numbers them.
     """
     depth, nx, ny = shape = grid.shape(multiple)
     kernels = kernels_for(points.device, "triton_voxels")

@@ -10,10 +10,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.contract import Network
-from farfield.detectors.devices import gpu_precision
-from farfield.detectors.precision import chosen_precision
+from farfield.detectors.network import Network, build_detector
+from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes
 
@@ -136,14 +134,3 @@ def resolve_weights(name: str | Path) -> Path:
         f"Expected a bundled detector ({', '.join(bundled) or 'none in this build'}), a run's folder with "
         f"weights.safetensors, or a weights file; got {str(name)!r}."
     )
-
-
-def default_precision(device: torch.device, network: Any = None) -> tuple[str, str]:
-    """The number type that suits a device and a network, and why.
-
-    ``"bf16"`` where the device multiplies it itself, else ``"fp32"``, or ``"fp16"`` on GPUs with that alone; for
-    processors see :func:`farfield.detectors.precision.chosen_precision`.
-    """
-    if device.type == "cuda":
-        return gpu_precision(device), "what the GPU has matrix units for"
-    return chosen_precision(network)

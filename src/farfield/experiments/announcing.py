@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from farfield.datasets import Dataset
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.training.config import TrainingConfig
 from farfield.training.launching import kind_of_device, precision_of

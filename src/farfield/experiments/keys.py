@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from farfield.detectors import DETECTORS
-from farfield.detectors.contract import DetectorConfig
+from farfield.detectors.config import DetectorConfig
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
 from farfield.training.config import AugmentationConfig, TrainingConfig

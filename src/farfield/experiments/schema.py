@@ -18,8 +18,7 @@ from pydantic import (
 )
 
 from farfield.detectors import DETECTORS
-from farfield.detectors.contract import DetectorConfig
-from farfield.detectors.renaming import renamed, today
+from farfield.detectors.config import DetectorConfig, current_key, renamed
 from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
 from farfield.experiments.shape import hint, keys_of, merged
@@ -229,7 +228,7 @@ def _override(tree: dict[str, Any], detector: type[DetectorConfig], override: st
     if not separator or not path:
         raise ConfigError(f"Expected an override of the form key.key=value, got {override!r}.")
     group, dot, within = path.partition(".")
-    path = f"{group}.{today(within, detector.old_names)}" if group == "detector" and dot else path
+    path = f"{group}.{current_key(within, detector.old_names)}" if group == "detector" and dot else path
     if group == "detector" and isinstance(tree.get(group), dict):
         tree[group] = _under_today_s_names(tree[group], detector, override)
     *parents, last = path.split(".")

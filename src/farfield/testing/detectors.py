@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.contract import Network
 from farfield.detectors.features import FeatureMap, FeatureRows, PointFeatures
 from farfield.detectors.inputs import Inputs
+from farfield.detectors.network import Network
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FileFormatError

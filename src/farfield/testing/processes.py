@@ -84,7 +84,7 @@ def check_same_losses(name: str, alone: Mapping[str, float], shared: Mapping[str
     for part, value in alone.items():
         assert abs(shared[part] - value) <= max(tolerance * abs(value), 1e-7), (
             f"{name}: the loss {part} is {value} in one process and {shared[part]} in two; divide sums by "
-            "farfield.detectors.processes.normaliser(number of what counts), and take no mean over a process' own"
+            "farfield.detectors.losses.normaliser(number of what counts), and take no mean over a process' own"
         )
 
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.losses import process_count, sum_over_processes
 
 
 @torch.no_grad()

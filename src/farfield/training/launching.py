@@ -9,7 +9,7 @@ from lightning_fabric import Fabric
 from lightning_fabric.strategies import DDPStrategy
 from torch import distributed
 
-from farfield.detectors.weights import default_precision
+from farfield.detectors.devices import default_precision
 from farfield.training.config import TrainingConfig
 
 _PATIENCE = timedelta(days=1)  # the first process may simulate the data while the others wait

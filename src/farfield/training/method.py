@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from farfield.detectors.contract import Network
 from farfield.detectors.inputs import Inputs
+from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.registry import Registry
@@ -86,7 +86,7 @@ class Method(ABC):
         streams: The streams that it reads; the data of each are the experiment's ``data.<name>``, for a single stream
             ``data`` itself.
         modules: All that is saved, averaged, spread to other processes and synchronised; ``modules["detector"]`` is a
-            :class:`~farfield.detectors.contract.Network` and is exported.
+            :class:`~farfield.detectors.network.Network` and is exported.
         held_out: Frames of each stream that are not trained on and that :meth:`inspect` looks at.
     """
 
@@ -99,7 +99,7 @@ class Method(ABC):
         """The losses of a batch by name; their sum is minimised, and each is a column of the log.
 
         A loss that is a mean must be one over all processes: divide a sum by
-        :func:`farfield.detectors.processes.normaliser`.
+        :func:`farfield.detectors.losses.normaliser`.
 
         Args:
             batch: The frames of each stream. ``inputs`` of several streams can be added, so that one forward pass, and

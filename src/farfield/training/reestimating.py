@@ -8,7 +8,7 @@ import torch
 from torch import nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.files.atomic import write_text
 from farfield.training.method import Batch
 

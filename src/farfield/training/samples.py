@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.datasets.base import Dataset
-from farfield.detectors.contract import Assigner
 from farfield.detectors.inputs import CloudInput, cloud_tensor
+from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Frame, Key
 from farfield.geometry.boxes import Boxes

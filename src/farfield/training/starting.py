@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.contract import AnchorRow, ClassRows, InputColumns, Network
+from farfield.detectors.network import AnchorRow, ClassRows, InputColumns, Network
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.config import InitConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets import Dataset
-from farfield.detectors.contract import Network
+from farfield.detectors.network import Network
 from farfield.detectors.runtime import Detector
 from farfield.errors import ConfigError
 from farfield.evaluation import detect

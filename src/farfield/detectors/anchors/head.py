@@ -4,23 +4,30 @@ Every anchor gives one logit for its class, a box code of seven numbers and two 
 OpenPCDet it gives a logit for each class, whichever its own.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from farfield.detectors.anchors.assigning import AnchorAssigner
-from farfield.detectors.anchors.best import best_anchors
-from farfield.detectors.anchors.device import boxes_there
-from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid, AnchorTargets, cirrus_anchors
-from farfield.detectors.contract import AnchorRow, ClassRows, DetectorConfig
+from farfield.detectors.anchors.grid import (
+    DIRECTION_OFFSET_RAD,
+    SIZE_RATIOS,
+    AnchorAssigner,
+    AnchorConfig,
+    AnchorGrid,
+    AnchorTargets,
+    cirrus_anchors,
+)
+from farfield.detectors.config import DetectorConfig
+from farfield.detectors.devices import constant, kernels_for
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.losses import box_loss, direction_loss, focal_loss
-from farfield.detectors.nms import rotated_nms
-from farfield.detectors.processes import normaliser
+from farfield.detectors.losses import box_loss, direction_loss, focal_loss, normaliser
+from farfield.detectors.network import AnchorRow, ClassRows
+from farfield.detectors.nms import boxes_after_nms, rotated_nms, wrap_angle
 from farfield.geometry.boxes import Boxes
 
 _BOX_NUMBERS = 9  # seven of the box, two of the direction
@@ -147,7 +154,7 @@ class AnchorHead(nn.Conv2d):
     def decode(self, maps: AnchorMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
         if maps.logits.is_cuda:
-            return boxes_there(maps, self.anchors, self.config)
+            return boxes_on_device(maps, self.anchors, self.config)
         return [self._frame(*frame) for frame in zip(*maps, strict=True)]
 
     def _frame(self, logits: Tensor, codes: Tensor, directions: Tensor) -> Boxes:
@@ -169,3 +176,123 @@ class AnchorHead(nn.Conv2d):
 
 def _joined(parts: Sequence[np.ndarray], device: torch.device) -> Tensor:
     return torch.from_numpy(np.concatenate(parts)).to(device)
+
+
+# Boxes of anchors on the device that the maps are on: what :mod:`farfield.detectors.anchors.grid` does, in PyTorch.
+
+_NEARLY_ONE = 1 - 1e-9  # an encoded residual of exactly pi/2 is not wrapped
+
+
+def anchor_rows(grid: AnchorGrid, index: Tensor) -> Tensor:
+    """The anchors with these flat indices, shape (k,), as x, y, z, l, w, h, yaw, shape (k, 7), float64."""
+    cell, slot = index // grid.per_cell, index % grid.per_cell
+    kind, heading = slot // 2, slot % 2
+    ix, iy = cell // grid.ny, cell % grid.ny
+    place = [
+        i.double() * float(step) + float(first)
+        for i, step, first in zip((ix, iy), grid.step_m, grid.first_m, strict=True)
+    ]
+    kinds = [(float(z), *map(float, size)) for z, size in zip(grid.z_m, grid.sizes_m, strict=True)]
+    headings = constant(tuple(map(float, grid.headings_rad)), index.device)
+    return torch.cat([torch.stack(place, 1), constant(tuple(kinds), index.device)[kind], headings[heading, None]], 1)
+
+
+def decode(code: Tensor, backwards: Tensor, anchors: Tensor) -> Tensor:
+    """Boxes of codes, as :func:`farfield.detectors.anchors.grid.decode`: rows x, y, z, l, w, h, yaw, shape (k, 7)."""
+    diagonal = torch.hypot(anchors[:, 3], anchors[:, 4])
+    centre = code[:, :3] * torch.stack([diagonal, diagonal, anchors[:, 5]], 1) + anchors[:, :3]
+    least, most = map(math.log, SIZE_RATIOS)
+    size = torch.exp(code[:, 3:6].clamp(least, most)) * anchors[:, 3:6]
+    half_turns = torch.round(code[:, 6] / math.pi * _NEARLY_ONE)
+    yaw = wrap_angle(anchors[:, 6] + (code[:, 6] - math.pi * half_turns) + math.pi * backwards.double())
+    return torch.cat([centre, size, yaw[:, None]], 1)
+
+
+def decoded(grid: AnchorGrid, codes: Tensor, directions: Tensor, index: Tensor) -> Tensor:
+    """Boxes of the anchors with these numbers, as :meth:`AnchorGrid.decode`.
+
+    Args:
+        grid: The anchors.
+        codes: Codes of all of them, shape (n, 7).
+        directions: Both directions' logits of all of them, shape (n, 2).
+        index: Which to decode, shape (k,), int64.
+
+    Returns:
+        Rows x, y, z, l, w, h, yaw, shape (k, 7), float64.
+    """
+    kernels = kernels_for(codes.device, "anchors.triton_decode")
+    if kernels is not None:
+        return cast(Tensor, kernels.decoded(codes, directions, index, **constants(grid, codes.device)))
+    code, direction = codes[index].double(), (directions[index, 1] > directions[index, 0]).long()
+    anchors = anchor_rows(grid, index)
+    if grid.style == "farfield":
+        return decode(code, direction, anchors)
+    rows = decode(code, torch.zeros_like(direction), anchors)
+    fixed = torch.remainder(rows[:, 6] - DIRECTION_OFFSET_RAD, 2 * math.pi) >= math.pi
+    turned = wrap_angle(rows[:, 6] + math.pi * (fixed.long() != direction).double())
+    return torch.cat([rows[:, :6], turned[:, None]], 1)
+
+
+def constants(grid: AnchorGrid, device: torch.device) -> dict[str, Any]:
+    """The anchors' numbers as the kernel takes them."""
+    kinds = [(float(z), *map(float, size)) for z, size in zip(grid.z_m, grid.sizes_m, strict=True)]
+    place_m = (*map(float, grid.step_m), *map(float, grid.first_m))
+    return {
+        "place": constant((*place_m, math.pi, *map(math.log, SIZE_RATIOS), DIRECTION_OFFSET_RAD, _NEARLY_ONE), device),
+        "kinds": constant(tuple(kinds), device),
+        "headings": constant(tuple(map(float, grid.headings_rad)), device),
+        "per_cell": grid.per_cell,
+        "ny": grid.ny,
+        "fixed": grid.style != "farfield",
+    }
+
+
+def boxes_on_device(maps: Sequence[Tensor], grid: AnchorGrid, config: Any) -> list[Boxes]:
+    """The boxes of each frame after suppression, best first, without a copy of anything else to the host.
+
+    Args:
+        maps: Logits, codes and directions of :class:`~farfield.detectors.anchors.head.AnchorMaps`.
+        grid: The anchors.
+        config: The head's settings.
+    """
+    return [_frame(one, grid, config) for one in zip(*maps, strict=True)]
+
+
+def _frame(maps: tuple[Tensor, ...], grid: AnchorGrid, config: Any) -> Boxes:
+    logits, codes, directions = maps
+    index, score = best_anchors(logits, limit=config.candidates, score_threshold=config.score_threshold)
+    number = index % grid.per_cell // 2 if logits.ndim == 1 else logits[index].argmax(1)
+    rows = decoded(grid, codes, directions, index)
+    return boxes_after_nms(rows, score, number, grid.names, iou_threshold=config.nms_iou, limit=config.max_boxes)
+
+
+# Which anchors are decoded: the same ones on every device, in the same order, however many scores are equal.
+
+_MANY = 8  # times the limit: from there on the least score that can be among the best is found first
+
+
+def logit(score: float) -> float:
+    """The logit of a score; infinite for 0 and 1."""
+    if not 0 < score < 1:
+        return -math.inf if score <= 0 else math.inf
+    return math.log(score / (1 - score))
+
+
+def best_anchors(logits: Tensor, *, limit: int, score_threshold: float) -> tuple[Tensor, Tensor]:
+    """The anchors of the highest scores, best first, of equal ones the first.
+
+    Args:
+        logits: Logit of each anchor, shape (n,), or of each of its classes, of which the highest counts, (n, classes).
+        limit: So many at most.
+        score_threshold: Of a lower score none.
+
+    Returns:
+        Their numbers, shape (k,), int64, and their scores, shape (k,), float64.
+    """
+    strength, least = logits.float() if logits.ndim == 1 else logits.float().amax(1), logit(score_threshold)
+    index = (strength >= least).nonzero().squeeze(1)
+    if len(index) > _MANY * limit:
+        index = (strength >= torch.topk(strength, limit).values[-1]).nonzero().squeeze(1)
+    order = torch.sort(strength[index], descending=True, stable=True).indices[:limit]
+    index = index[order]
+    return index, torch.sigmoid(strength[index].double())

@@ -1,11 +1,11 @@
-"""Boxes of anchors on a GPU in one kernel, written in Triton; see :func:`farfield.detectors.anchors.device.decoded`."""
+"""Boxes of anchors on a GPU in one kernel, written in Triton; see :func:`farfield.detectors.anchors.head.decoded`."""
 
 from importlib import import_module
 from typing import Any
 
 from torch import Tensor
 
-from farfield.detectors.triton_jit import jit
+from farfield.detectors.devices import jit
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")

@@ -1,6 +1,6 @@
 """RTN and RTNH, the 4D radar networks of K-Radar (Paek, Kong and Wijaya, NeurIPS 2022)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 _PAPER = "Paek, Kong and Wijaya (K-Radar), NeurIPS 2022"
 

@@ -15,11 +15,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.contract import AnchorRow, ClassRows, range_weights
+from farfield.detectors.config import range_weights
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.losses import at_least_single
+from farfield.detectors.losses import at_least_single, normaliser
+from farfield.detectors.network import AnchorRow, ClassRows
 from farfield.detectors.nms import rotated_nms
-from farfield.detectors.processes import normaliser
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
 

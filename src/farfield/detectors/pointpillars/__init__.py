@@ -1,6 +1,6 @@
 """PointPillars (Lang et al., CVPR 2019)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 KIND = DetectorSpec(
     name="pointpillars",

@@ -7,22 +7,30 @@ intensity is left out by default. ``features`` and ``head`` set to ``openpcdet``
 expect.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import ModuleType
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+import torch
 from pydantic import Field, model_validator
-from torch import Tensor
+from torch import Tensor, nn
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels, InputColumns, MapDetector
+from farfield.detectors.config import Channels, GridConfig
+from farfield.detectors.devices import constant, kernels_for
 from farfield.detectors.features import FeatureMap, in_type_of
-from farfield.detectors.grid import GridConfig
-from farfield.detectors.inputs import POSITION, CloudInput, Positions, stacked
-from farfield.detectors.openpcdet_features import OpenPCDetPillarEncoder, use_openpcdet_momentum
-from farfield.detectors.pointpillars.pillars import PillarEncoder
+from farfield.detectors.inputs import POSITION, CloudInput, Positions, features_of, stacked
+from farfield.detectors.layers import (
+    OPENPCDET_MOMENTUM,
+    BevBackbone,
+    fold_linear,
+    normalise_rows,
+    use_openpcdet_momentum,
+)
+from farfield.detectors.network import InputColumns, MapDetector
+from farfield.detectors.voxels import first_points
 
 
 class PointPillarsConfig(AnchorHeadConfig):
@@ -78,7 +86,12 @@ class PointPillars(MapDetector):
         super().__init__(config)
         self.inputs = {"points": CloudInput(columns=config.columns)}
         multiple = int(np.prod(config.strides))
-        self.encoder = _encoder(config, multiple)
+        shared = {"multiple": multiple, "channels": config.pillar_channels}
+        self.encoder: PillarEncoder | OpenPCDetPillarEncoder
+        if config.features == "openpcdet":
+            self.encoder = OpenPCDetPillarEncoder(config.grid, config.columns, max_points=config.max_points, **shared)
+        else:
+            self.encoder = PillarEncoder(config.grid, config.columns, positions=config.positions, **shared)
         self.backbone = BevBackbone(
             config.pillar_channels,
             widths=config.widths,
@@ -111,8 +124,200 @@ class PointPillars(MapDetector):
         return FeatureMap(values=features, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))
 
 
-def _encoder(config: PointPillarsConfig, multiple: int) -> PillarEncoder | OpenPCDetPillarEncoder:
-    shared = {"multiple": multiple, "channels": config.pillar_channels}
-    if config.features == "openpcdet":
-        return OpenPCDetPillarEncoder(config.grid, config.columns, max_points=config.max_points, **shared)
-    return PillarEncoder(config.grid, config.columns, positions=config.positions, **shared)
+# Pillars (PointPillars, section 2.1): points to a bird's-eye image, without Python loops and without a point limit.
+#
+# Dynamic voxelisation: every point counts, none is dropped or padded. Points of a whole batch are grouped at once by
+# sorting their cell numbers.
+
+_DESCRIBED = ("x", "y", "z", "dx of mean", "dy of mean", "dz of mean", "dx of centre", "dy of centre", "log_count")
+
+
+class PillarEncoder(nn.Module):
+    """Points of a batch to a dense image of pillar features.
+
+    Args:
+        grid: The bird's-eye grid.
+        columns: Columns of the points; those after the position are features as they are.
+        multiple: The network's coarsest stride, which must divide the grid.
+        channels: Features a pillar.
+        positions: Relative ones leave x and y out of a point's description.
+    """
+
+    def __init__(
+        self,
+        grid: GridConfig,
+        columns: Sequence[str],
+        *,
+        multiple: int,
+        channels: int,
+        positions: Positions = "absolute",
+    ) -> None:
+        super().__init__()
+        self.first = 0 if positions == "absolute" else 2  # of x, y and z
+        self.grid, self.channels = grid, channels
+        self.extra = features_of(columns)
+        self.features = (*_DESCRIBED[self.first :], *[columns[index] for index in self.extra])
+        self.nx, self.ny = grid.shape(multiple)
+        self.y_min_m = grid.y_min_m(multiple)
+        self.linear = nn.Linear(9 - self.first + len(self.extra), channels, bias=False)
+        self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.1)
+
+    def forward(self, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
+        """Encode points.
+
+        Args:
+            points: Those of all frames of the batch, shape (n, columns).
+            batch: Frame number of each point, shape (n,), int64.
+            batch_size: Number of frames.
+
+        Returns:
+            Pillar features, shape (batch_size, channels, nx, ny), in channels_last memory, zero where no point fell.
+        """
+        kernels = kernels_for(points.device, "pointpillars.triton_pillars")
+        folded = isinstance(self.norm, nn.Identity) and self.linear.bias is not None
+        if kernels is not None and folded and not torch.is_grad_enabled() and kernels.takes(self.linear.weight):
+            return self._image(kernels, points, batch, batch_size)
+        points, key = self._inside(points, batch)
+        pillars, member = torch.unique(key, return_inverse=True)
+        features = self._decorate(points, key, member, len(pillars))
+        features = torch.relu(normalise_rows(self.norm, self.linear(features)))
+        # ReLU makes zero the least feature, so a maximum that starts from zero is the plain maximum.
+        pooled = features.new_zeros(len(pillars), self.channels)
+        pooled = pooled.scatter_reduce(0, member[:, None].expand(-1, self.channels), features, "amax")
+        canvas = pooled.new_zeros(batch_size * self.nx * self.ny, self.channels).index_copy(0, pillars, pooled)
+        return canvas.view(batch_size, self.nx, self.ny, self.channels).permute(0, 3, 1, 2)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Edge of a cell, right edge of the grid, lowest and highest z, and scales of x, y and z, metres."""
+        grid = self.grid
+        scales = (grid.range_m, grid.half_width_m, grid.z_max_m)
+        return grid.cell_m, self.y_min_m, grid.z_min_m, grid.z_max_m, *scales
+
+    def _image(self, kernels: ModuleType, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
+        """The same by kernels, without a gradient."""
+        image: Tensor = kernels.image(
+            points.contiguous(),
+            batch,
+            batch_size,
+            self.linear.weight,
+            self.linear.bias,
+            constant(self.numbers, points.device, torch.float32),
+            nx=self.nx,
+            ny=self.ny,
+            first=self.first,
+        )
+        return image.permute(0, 3, 1, 2)
+
+    def fold_norm(self) -> None:
+        """Fold the normalisation into the linear layer, for inference."""
+        if isinstance(self.norm, nn.BatchNorm1d):
+            self.linear, self.norm = fold_linear(self.linear, self.norm), nn.Identity()
+
+    def _inside(self, points: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+        """Drop points outside the grid; number the cell of each remaining point."""
+        ix = torch.floor(points[:, 0] / self.grid.cell_m)
+        iy = torch.floor((points[:, 1] - self.y_min_m) / self.grid.cell_m)
+        keep = (ix >= 0) & (ix < self.nx) & (iy >= 0) & (iy < self.ny)
+        keep &= (points[:, 2] >= self.grid.z_min_m) & (points[:, 2] < self.grid.z_max_m)
+        key = (batch * self.nx + ix.long()) * self.ny + iy.long()
+        return points[keep], key[keep]
+
+    def _decorate(self, points: Tensor, key: Tensor, member: Tensor, pillar_count: int) -> Tensor:
+        """Describe each point: position, offset to its pillar's mean and to its centre, number of points there.
+
+        The first three are those of the paper, scaled to the grid; the fourth (logarithm) stands in for intensity.
+        """
+        xyz = points[:, :3]
+        ones = xyz.new_ones(len(xyz), 1)
+        sums = xyz.new_zeros(pillar_count, 4).index_add(0, member, torch.cat([xyz, ones], 1))
+        count = sums[:, 3:]
+        to_mean = xyz - (sums[:, :3] / count)[member]
+        iy, ix = key % self.ny, torch.div(key, self.ny, rounding_mode="floor") % self.nx
+        centre = torch.stack([(ix + 0.5) * self.grid.cell_m, (iy + 0.5) * self.grid.cell_m + self.y_min_m], 1)
+        to_centre = (xyz[:, :2] - centre) / self.grid.cell_m
+        scaled = xyz / xyz.new_tensor([self.grid.range_m, self.grid.half_width_m, self.grid.z_max_m])
+        parts = [scaled[:, self.first :], to_mean / self.grid.cell_m, to_centre, torch.log1p(count)[member]]
+        return torch.cat([*parts, points[:, self.extra]], 1)
+
+
+# Features and constants of PointPillars and SECOND as OpenPCDet computes them: what its checkpoints expect.
+#
+# Coordinates go in as they are, in metres, and only the first points of a pillar or voxel count, in the cloud's
+# order.
+
+_OFFSETS = tuple(f"d{axis}_m of {where}" for where in ("mean", "centre") for axis in "xyz")
+_OPENPCDET_FEATURES = ("x_m", "y_m", "z_m", "intensity", *_OFFSETS)
+
+
+class OpenPCDetPillarEncoder(nn.Module):
+    """Points of a batch to a dense image of pillar features, from the ten published features of a point.
+
+    They are x, y, z and intensity, the offset from the mean of the pillar's points, and the offset from the pillar's
+    centre. A pillar with fewer points than ``max_points`` is padded by rows of zeros there, and what the layer makes of
+    such a row takes part in the maximum: so it does here. In training, the padding does not enter the statistics.
+
+    Args:
+        grid: The bird's-eye grid.
+        columns: Columns of the points, intensity among them.
+        multiple: The network's coarsest stride, which must divide the grid.
+        channels: Features a pillar.
+        max_points: First points of a pillar that count, in the cloud's order; 0 for all, without padding.
+    """
+
+    def __init__(
+        self, grid: GridConfig, columns: Sequence[str], *, multiple: int, channels: int, max_points: int
+    ) -> None:
+        super().__init__()
+        self.grid, self.channels, self.max_points = grid, channels, max_points
+        self.intensity = columns.index("intensity")
+        self.features = _OPENPCDET_FEATURES
+        self.nx, self.ny = grid.shape(multiple)
+        self.y_min_m = grid.y_min_m(multiple)
+        self.linear = nn.Linear(10, channels, bias=False)
+        self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=OPENPCDET_MOMENTUM)
+
+    def forward(self, points: Tensor, batch: Tensor, batch_size: int) -> Tensor:
+        """Encode points.
+
+        Args:
+            points: Those of all frames of the batch, shape (n, columns).
+            batch: Frame number of each point, shape (n,), int64.
+            batch_size: Number of frames.
+
+        Returns:
+            Pillar features, shape (batch_size, channels, nx, ny), in channels_last memory, zero where no point fell.
+        """
+        grid = self.grid
+        ix, iy = torch.floor(points[:, 0] / grid.cell_m), torch.floor((points[:, 1] - self.y_min_m) / grid.cell_m)
+        keep = (ix >= 0) & (ix < self.nx) & (iy >= 0) & (iy < self.ny)
+        keep &= (points[:, 2] >= grid.z_min_m) & (points[:, 2] < grid.z_max_m)
+        key = ((batch * self.nx + ix.long()) * self.ny + iy.long())[keep]
+        first = first_points(key, self.max_points)
+        points, key = points[keep][first], key[first]
+        pillars, member, count = torch.unique(key, return_inverse=True, return_counts=True)
+        features = self._layer(self._describe(points, key, member, count))
+        pooled = features.new_zeros(len(pillars), self.channels)
+        pooled = pooled.scatter_reduce(0, member[:, None].expand_as(features), features, "amax")
+        if self.max_points:
+            padding = self._layer(points.new_zeros(1, 10)).to(pooled.dtype)
+            pooled = torch.where((count < self.max_points)[:, None], torch.maximum(pooled, padding), pooled)
+        canvas = pooled.new_zeros(batch_size * self.nx * self.ny, self.channels).index_copy(0, pillars, pooled)
+        return canvas.view(batch_size, self.nx, self.ny, self.channels).permute(0, 3, 1, 2)
+
+    def fold_norm(self) -> None:
+        """Fold the normalisation into the linear layer, for inference."""
+        if isinstance(self.norm, nn.BatchNorm1d):
+            self.linear, self.norm = fold_linear(self.linear, self.norm), nn.Identity()
+
+    def _layer(self, features: Tensor) -> Tensor:
+        return torch.relu(normalise_rows(self.norm, self.linear(features)))
+
+    def _describe(self, points: Tensor, key: Tensor, member: Tensor, count: Tensor) -> Tensor:
+        xyz, grid = points[:, :3], self.grid
+        mean = xyz.new_zeros(len(count), 3).index_add(0, member, xyz) / count[:, None]
+        iy, ix = key % self.ny, torch.div(key, self.ny, rounding_mode="floor") % self.nx
+        height = xyz.new_full((len(key),), (grid.z_min_m + grid.z_max_m) / 2)
+        across = (iy + 0.5) * grid.cell_m + self.y_min_m
+        centre = torch.stack([(ix + 0.5) * grid.cell_m, across, height], 1)
+        return torch.cat([xyz, points[:, [self.intensity]], xyz - mean[member], xyz - centre], 1)

@@ -1,6 +1,6 @@
 """Points to the image of pillars on a GPU in two kernels, written in Triton; for inference, where nothing is kept.
 
-The plain version of :class:`farfield.detectors.pointpillars.pillars.PillarEncoder` groups points by sorting. Here sums
+The plain version of :class:`farfield.detectors.pointpillars.network.PillarEncoder` groups points by sorting. Here sums
 and maxima go straight to the cells of the image: no number of points or pillars is read by the host. Sums are of
 float64, where those of float32 numbers near one another are exact: whatever their order, the image is the same.
 """
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.triton_jit import jit
+from farfield.detectors.devices import jit
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")

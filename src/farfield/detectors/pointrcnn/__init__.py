@@ -1,6 +1,6 @@
 """PointRCNN (Shi, Wang and Li, CVPR 2019)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 KIND = DetectorSpec(
     name="pointrcnn",

@@ -14,9 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.contract import Channels
-from farfield.detectors.folding import fold_linear
-from farfield.detectors.norm import normalise_rows
+from farfield.detectors.config import Channels
+from farfield.detectors.layers import fold_linear, normalise_rows
 from farfield.detectors.pointrcnn.points import (
     Groups,
     ball_query,

@@ -1,6 +1,6 @@
 """SECOND (Yan, Mao and Li, Sensors 2018)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 KIND = DetectorSpec(
     name="second",

@@ -13,17 +13,17 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from torch import Tensor, nn
+from torch import Tensor
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.bev import BevBackbone
-from farfield.detectors.contract import Channels, InputColumns, MapDetector
+from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig
 from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
-from farfield.detectors.openpcdet_features import use_openpcdet_momentum
-from farfield.detectors.sparse import SparseBlock, SparseConv, SparseSequential, SparseTensor, SubmanifoldConv
-from farfield.detectors.voxels import OLD_NAMES, VoxelGridConfig, first_points_of_voxels, mean_features, mean_voxels
+from farfield.detectors.layers import BevBackbone, use_openpcdet_momentum
+from farfield.detectors.network import InputColumns, MapDetector
+from farfield.detectors.sparse import SparseConv, SparseSequential, SparseTensor, SubmanifoldConv, normalised
+from farfield.detectors.voxels import first_points_of_voxels, mean_features, mean_voxels
 
 _MIDDLE_STRIDE = 8
 _Z_STEPS = ((3, 2, 1), (3, 2, 1), (3, 2, 0), (3, 2, 0))  # kernel, stride and padding along z where z shrinks
@@ -100,20 +100,12 @@ class SparseMiddle(SparseSequential):
     """
 
     def __init__(self, c_in: int, widths: tuple[int, int, int, int], c_out: int) -> None:
-        layers = [_same(c_in, widths[0]), _same(widths[0], widths[0])]
+        layers = [normalised(SubmanifoldConv(c_in, widths[0])), normalised(SubmanifoldConv(widths[0], widths[0]))]
         for width, wider, z_padding in zip(widths, widths[1:], (1, 1, 0), strict=False):
-            layers.append(_block(SparseConv(width, wider, (3, 3, 3), (2, 2, 2), (z_padding, 1, 1)), wider))
-            layers += [_same(wider, wider), _same(wider, wider)]
-        layers.append(_block(SparseConv(widths[3], c_out, (3, 1, 1), (2, 1, 1), (0, 0, 0)), c_out))
+            layers.append(normalised(SparseConv(width, wider, (3, 3, 3), (2, 2, 2), (z_padding, 1, 1))))
+            layers += [normalised(SubmanifoldConv(wider, wider)) for _ in range(2)]
+        layers.append(normalised(SparseConv(widths[3], c_out, (3, 1, 1), (2, 1, 1), (0, 0, 0))))
         super().__init__(*layers)
-
-
-def _same(c_in: int, c_out: int) -> SparseBlock:
-    return _block(SubmanifoldConv(c_in, c_out), c_out)
-
-
-def _block(conv: SparseConv | SubmanifoldConv, width: int) -> SparseBlock:
-    return SparseBlock(conv, nn.BatchNorm1d(width, eps=1e-3, momentum=0.1))
 
 
 def stack_z(sparse: SparseTensor) -> Tensor:

@@ -1,23 +1,25 @@
 """Sparse convolution in plain PyTorch: features on a sorted list of occupied cells, nothing to compile."""
 
-from farfield.detectors.sparse.functional import sparse_conv
+from farfield.detectors.sparse.cells import SparseTensor, decode_keys, dilate, encode_keys, neighbour_table
 from farfield.detectors.sparse.layers import (
+    FLAT,
     InverseConv,
     SparseBlock,
     SparseConv,
     SparseSequential,
     SubmanifoldConv,
+    normalised,
+    sparse_conv,
 )
-from farfield.detectors.sparse.neighbours import dilate, neighbour_table
 from farfield.detectors.sparse.rulebook import (
     Rulebook,
     kernel_offsets,
     strided_rulebook,
     submanifold_rulebook,
 )
-from farfield.detectors.sparse.tensor import SparseTensor, decode_keys, encode_keys
 
 __all__ = [
+    "FLAT",
     "InverseConv",
     "Rulebook",
     "SparseBlock",
@@ -30,6 +32,7 @@ __all__ = [
     "encode_keys",
     "kernel_offsets",
     "neighbour_table",
+    "normalised",
     "sparse_conv",
     "strided_rulebook",
     "submanifold_rulebook",

@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from farfield.detectors.sparse.neighbours import neighbour_pairs
-from farfield.detectors.sparse.tensor import Triple, decode_keys
+from farfield.detectors.sparse.cells import Triple, decode_keys, neighbour_pairs
 
 _KEY_BITS = 62
 BLOCK_PAIRS = 256

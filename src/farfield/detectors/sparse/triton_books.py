@@ -1,4 +1,4 @@
-"""Neighbour tables on a GPU in one kernel each, written in Triton; see :mod:`farfield.detectors.sparse.device_books`.
+"""Neighbour tables on a GPU in one kernel each, written in Triton; see :mod:`farfield.detectors.sparse.tables`.
 
 PyTorch takes some fifty calls for a table, and a network dozens of tables a frame: on a GPU the calls are the cost, not
 the search. Here a program decodes the cells of some rows, steps to each kernel element and searches the keys.
@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from farfield.detectors.sparse.tensor import Triple
-from farfield.detectors.triton_jit import jit
+from farfield.detectors.devices import jit
+from farfield.detectors.sparse.cells import Triple
 
 triton: Any = import_module("triton")
 tl: Any = import_module("triton.language")

@@ -1,6 +1,6 @@
 """A fully sparse centre-based detector (after VoxelNeXt, CVPR 2023, and SAFDNet, CVPR 2024)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 KIND = DetectorSpec(
     name="sparsecentre",

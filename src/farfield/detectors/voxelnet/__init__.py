@@ -1,6 +1,6 @@
 """VoxelNet (Zhou and Tuzel, CVPR 2018)."""
 
-from farfield.detectors.kinds import DetectorSpec
+from farfield.detectors.spec import DetectorSpec
 
 KIND = DetectorSpec(
     name="voxelnet",

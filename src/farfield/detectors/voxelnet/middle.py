@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.processes import process_count, sum_over_processes
+from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.sparse import SparseConv, SparseTensor, sparse_conv
-from farfield.detectors.sparse.tensor import Triple, decode_keys
+from farfield.detectors.sparse.cells import Triple, decode_keys
 
 _KERNEL: Triple = (3, 3, 3)
 _STEPS: tuple[tuple[Triple, Triple], ...] = (((2, 1, 1), (1, 1, 1)), ((1, 1, 1), (0, 1, 1)), ((2, 1, 1), (1, 1, 1)))

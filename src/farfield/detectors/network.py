@@ -1,21 +1,18 @@
-"""What every detector offers: its configuration, and a network from named inputs to features, losses and boxes."""
+"""A detector's network: from named inputs to features, from features to losses or boxes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, final, runtime_checkable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor, nn
 
+from farfield.detectors.config import DetectorConfig
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
-from farfield.detectors.kinds import DETECTORS
-from farfield.detectors.limits import check_lengths
-from farfield.detectors.renaming import renamed
-from farfield.errors import ConfigError, FarfieldError
+from farfield.detectors.spec import DETECTORS
+from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 
 FIXED = (
@@ -23,9 +20,6 @@ FIXED = (
     "as the detector is loaded: load_detector(name, score_threshold=, nms_iou=, max_boxes=, classes=)."
 )
 """Why a configuration is not exchanged."""
-
-Channels = Annotated[int, Field(ge=1, le=4096)]
-"""A number of features."""
 
 ClassRows = Mapping[str, tuple[int, Sequence[Any]]]
 """By names of tensors: along which axis rows belong to classes, and what each row is, such as (class, heading, number);
@@ -48,69 +42,6 @@ class AnchorRow(NamedTuple):
 
 InputColumns = Mapping[str, tuple[int, Sequence[str]]]
 """By names of tensors that meet a network's input: along which axis its columns lie, and what each is."""
-
-
-def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
-    """Weight of each box in the loss, shape (n,): 1, and ``far_weight`` more per 100 m of range on the ground."""
-    return 1.0 + far_weight * np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1]) / 100.0
-
-
-class DetectorConfig(BaseModel, ABC):
-    """Everything that decides the shape of a network and its boxes; each detector adds its own fields.
-
-    A subclass gives ``name`` its detector's name as the default.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    old_names: ClassVar[Mapping[str, str]] = {}
-    """Today's places of settings that had other ones, dotted."""
-
-    name: str = Field(description="which detector")
-    score_threshold: float = Field(0.05, ge=0, le=1, description="boxes of a lower score are not given")
-    nms_iou: float = Field(0.1, ge=0, le=1, description="boxes that overlap a better one by more are dropped")
-    max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
-    far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _today(cls, settings: Any) -> Any:
-        return renamed(settings, cls.old_names)
-
-    @model_validator(mode="after")
-    def _possible_lengths(self) -> "DetectorConfig":
-        check_lengths(self)
-        return self
-
-    @field_validator("name")
-    @classmethod
-    def _is_its_own(cls, name: str) -> str:
-        try:
-            expected = DETECTORS[name].config_class
-        except FarfieldError as error:
-            raise ValueError(str(error)) from error
-        if expected is not cls:
-            raise ValueError(f"expected the settings of {name}, {expected.__name__}; got {cls.__name__}")
-        return name
-
-    @property
-    @abstractmethod
-    def class_names(self) -> tuple[str, ...]:
-        """The classes that the detector tells apart."""
-
-    @property
-    def anchor_sizes_m(self) -> Mapping[str, tuple[float, float, float]]:
-        """Length, width and height of each class' anchor, metres; none without anchors."""
-        return {}
-
-    @property
-    @abstractmethod
-    def reach_m(self) -> float:
-        """How far ahead the detector looks, metres."""
-
-    def box_weights(self, boxes: Boxes) -> Float[np.ndarray, " n"]:
-        """Weight of each box in the loss, from its range on the ground, shape (n,)."""
-        return range_weights(boxes, self.far_weight)
 
 
 @runtime_checkable
@@ -224,3 +155,15 @@ class MapDetector(Network):
         """Those of the head, if it says them."""
         rows: ClassRows = self.head.class_rows() if hasattr(self.head, "class_rows") else {}
         return {f"head.{name}": given for name, given in rows.items()}
+
+
+def build_detector(config: DetectorConfig, *, seed: int | None = None) -> Network:
+    """Build the untrained network that a configuration describes; a seed makes its weights repeatable.
+
+    Raises:
+        ConfigError: If there is no detector of the configuration's name.
+    """
+    network: type[Network] = DETECTORS[config.name].network_class
+    if seed is not None:
+        torch.manual_seed(seed)
+    return network(config)

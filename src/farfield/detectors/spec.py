@@ -4,13 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from farfield.errors import ConfigError, MissingExtraError
 from farfield.registry import PluginError, Registry
-
-if TYPE_CHECKING:
-    from farfield.detectors.contract import DetectorConfig, Network
 
 NetworkClass = TypeVar("NetworkClass", bound=type)
 
@@ -22,9 +19,9 @@ class DetectorSpec:
     Args:
         name: Its name in an experiment's ``detector.name`` and in weights files.
         paper: Where it comes from.
-        config: Its configuration, a :class:`~farfield.detectors.contract.DetectorConfig`: ``"module:Class"``, or the
+        config: Its configuration, a :class:`~farfield.detectors.config.DetectorConfig`: ``"module:Class"``, or the
             class itself.
-        network: Its :class:`~farfield.detectors.contract.Network`, likewise.
+        network: Its :class:`~farfield.detectors.network.Network`, likewise.
     """
 
     name: str
@@ -33,8 +30,8 @@ class DetectorSpec:
     network: "str | type"
 
     @property
-    def config_class(self) -> "type[DetectorConfig]":
-        """The configuration's class.
+    def config_class(self) -> Any:
+        """The configuration's class, a subclass of ``farfield.detectors.config.DetectorConfig``.
 
         Raises:
             MissingExtraError: If torch is not installed.
@@ -42,8 +39,8 @@ class DetectorSpec:
         return _loaded(self.config)
 
     @property
-    def network_class(self) -> "type[Network]":
-        """The network's class.
+    def network_class(self) -> Any:
+        """The network's class, a subclass of ``farfield.detectors.network.Network``.
 
         Raises:
             MissingExtraError: If torch is not installed.

@@ -1,0 +1,536 @@
+"""Choosing points: farthest point sampling, its fast stand-in on voxels, and budgets by range.
+
+Farthest point sampling (Qi et al., PointNet++, NIPS 2017, section 3.2) gives a sequence of which every prefix is again
+the farthest point sampling of the whole set. A network's coarser levels are therefore prefixes of its finest one, and
+one run a frame serves them all.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from farfield.detectors.devices import kernels_for
+
+_SIDE_BY_SIDE = 8  # a CPU samples this many frames faster one by one, more of them faster side by side
+
+
+class BandConfig(BaseModel):
+    """Bands of range and the share of a budget that each gets first; what a band leaves unused goes to the others."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    edges_m: tuple[float, ...] = Field(
+        (0.0, 40.0, 80.0, 150.0, 250.0), min_length=2, max_length=33, description="edges of range bands"
+    )
+    shares: tuple[float, ...] = Field((0.4, 0.25, 0.2, 0.15), description="share of each band")
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> "BandConfig":
+        if len(self.shares) != len(self.edges_m) - 1:
+            raise ValueError(f"expected {len(self.edges_m) - 1} shares, one a band of edges_m; got {len(self.shares)}")
+        if not all(low < high for low, high in zip(self.edges_m, self.edges_m[1:], strict=False)):
+            raise ValueError(f"expected edges_m that increase; got {self.edges_m}")
+        if not all(share > 0 for share in self.shares):
+            raise ValueError(f"expected positive shares; got {self.shares}")
+        return self
+
+    def of(self, centre_m: Tensor) -> Tensor:
+        """Band of each row x, y, ...: the outermost bands also take what lies beyond their edges, shape (n,)."""
+        inner = centre_m.new_tensor(self.edges_m[1:-1])
+        return torch.bucketize(torch.hypot(centre_m[:, 0], centre_m[:, 1]).contiguous(), inner, right=True)
+
+
+class WindowConfig(BaseModel):
+    """Where the detector looks; points outside are dropped."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
+    half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
+    z_min_m: float = Field(-6.0, description="points below are dropped")
+    z_max_m: float = Field(6.0, description="points above are dropped")
+
+    def rows(self, points: Tensor) -> Tensor:
+        """Rows of the points inside, shape (k,)."""
+        x, y, z = points[:, :3].unbind(1)
+        inside = (x >= 0) & (x < self.range_m) & (y.abs() < self.half_width_m)
+        return torch.nonzero(inside & (z >= self.z_min_m) & (z < self.z_max_m))[:, 0]
+
+
+def share_budget(available: Int[np.ndarray, " b"], shares: Sequence[float], budget: int) -> Int[np.ndarray, " b"]:
+    """Split a budget among bands by their shares; none gets more than it has, and the rest goes to the others.
+
+    Args:
+        available: Items in each band.
+        shares: Weight of each band, positive.
+        budget: Items to choose altogether.
+
+    Returns:
+        Items to take from each band; they sum to the budget or to all that is available.
+    """
+    granted = np.zeros(len(available), dtype=np.int64)
+    weight = np.asarray(shares, dtype=np.float64)
+    left = min(int(budget), int(available.sum()))
+    while left > 0:
+        open_bands = np.flatnonzero(granted < available)
+        part = np.floor(left * weight[open_bands] / weight[open_bands].sum()).astype(np.int64)
+        if not part.any():
+            part[np.argsort(-weight[open_bands], kind="stable")[:left]] = 1
+        part = np.minimum(part, (available - granted)[open_bands])
+        granted[open_bands] += part
+        left -= int(part.sum())
+    return granted
+
+
+def content_rank(points: Tensor) -> Tensor:
+    """A pseudo-random number in [0, 2^31) for each point that depends on its coordinates alone, shape (n,), int64.
+
+    It stands in for a random draw: the same cloud gives the same choice whatever the order of its points, and a cloud
+    that augmentation has moved gives another.
+    """
+    bits = points[:, :3].contiguous().view(torch.int32).long() & 0xFFFFFFFF
+    mixed = bits[:, 0] * 73856093 ^ bits[:, 1] * 19349663 ^ bits[:, 2] * 83492791
+    for _ in range(2):  # the finaliser of a 32-bit MurmurHash3, one multiplication a turn
+        mixed = ((mixed ^ (mixed >> 16)) & 0xFFFFFFFF) * 0x85EBCA6B & 0xFFFFFFFF
+    return (mixed ^ (mixed >> 13)) & 0x7FFFFFFF
+
+
+def sample_bands(points: Tensor, bands: BandConfig, budget: int) -> Tensor:
+    """Choose points of one frame by a budget for each band of range.
+
+    Args:
+        points: x, y, z, ..., shape (n, 3 or more).
+        bands: Bands and shares.
+        budget: Points to choose.
+
+    Returns:
+        Rows of the chosen points in pseudo-random order, shape (min(n, budget),).
+    """
+    rank = content_rank(points)
+    order = torch.argsort(rank, stable=True)
+    if len(points) <= budget:
+        return order
+    return order[first_of_bands(bands.of(points[order]), bands.shares, budget)]
+
+
+def first_of_bands(band: Tensor, shares: Sequence[float], budget: int) -> Tensor:
+    """Whether each item is among the first of its band that the band's budget lets in, shape (n,), bool."""
+    available = torch.bincount(band, minlength=len(shares)).cpu().numpy()
+    granted = torch.from_numpy(share_budget(available, shares, budget)).to(band.device)
+    by_band = torch.argsort(band, stable=True)
+    first = torch.from_numpy(np.cumsum(available) - available).to(band.device)
+    place = torch.empty_like(by_band)
+    place[by_band] = torch.arange(len(band), device=band.device)
+    return place - first[band] < granted[band]
+
+
+def prefix_rows(lengths: Sequence[int], count: int) -> tuple[list[int], list[int]]:
+    """Where each frame's first ``count`` rows are: start rows and how many there are."""
+    starts = np.cumsum([0, *lengths])[:-1].tolist()
+    return starts, [min(count, length) for length in lengths]
+
+
+def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> tuple[Tensor, list[int]]:
+    """Farthest point sampling of each frame, exact, beginning with its first point.
+
+    Args:
+        points: x, y, z of all frames, finite, shape (n, 3).
+        lengths: Rows of each frame.
+        count: Points to choose of each frame.
+
+    Returns:
+        Chosen rows in the order of choice, frame after frame; how many each frame has: min(count, its length).
+    """
+    starts, taken = prefix_rows(lengths, count)
+    points = points.detach().float()
+    if not any(taken):
+        return torch.zeros(0, dtype=torch.long, device=points.device), taken
+    kernels = kernels_for(points.device, "pointrcnn.triton_sampling")
+    if kernels is not None:
+        return kernels.farthest_points(points, lengths, count), taken
+    if not points.is_cuda and sum(taken) <= _SIDE_BY_SIDE * max(taken):
+        xyz = points.numpy()
+        parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, taken, strict=True)]
+        return torch.from_numpy(np.concatenate(parts)), taken
+    return _farthest_side_by_side(points, lengths, count), taken
+
+
+def _farthest_of_one(xyz: Float32[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " k"]:
+    """One frame on the CPU. With the points sorted along an axis, a chosen point changes one stretch of them only.
+
+    No distance is above the radius of the last choice, so points farther along the axis keep theirs: exact.
+    """
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    axis = int(np.ptp(xyz, axis=0).argmax())
+    order = np.argsort(xyz[:, axis], kind="stable")
+    columns = np.ascontiguousarray(xyz[order].T)
+    along = columns[axis].astype(np.float64)
+    gap2 = np.full(len(xyz), np.inf, dtype=np.float32)
+    spare = np.empty((2, len(xyz)), dtype=np.float32)
+    chosen = np.empty(count, dtype=np.int64)
+    current, low, high = int(np.flatnonzero(order == 0)[0]), 0, len(xyz)
+    for step in range(count):
+        chosen[step] = current
+        total, term = spare[0, low:high], spare[1, low:high]
+        for column, out in zip(columns, (total, term, term), strict=True):
+            np.subtract(column[low:high], column[current], out=out)
+            np.multiply(out, out, out=out)
+            if out is term:
+                np.add(total, term, out=total)
+        np.minimum(gap2[low:high], total, out=gap2[low:high])
+        current = int(gap2.argmax())
+        reach = float(gap2[current]) ** 0.5 * 1.0001 + 1e-6
+        low, high = along.searchsorted((along[current] - reach, along[current] + reach))
+    return order[chosen]
+
+
+def _farthest_side_by_side(points: Tensor, lengths: Sequence[int], count: int) -> Tensor:
+    """All frames at once, padded to the longest."""
+    device = points.device
+    length = torch.tensor(lengths, device=device)
+    start = length.cumsum(0) - length
+    slot = torch.arange(int(max(lengths)), device=device)
+    real = slot < length[:, None]
+    row = torch.where(real, start[:, None] + slot, 0)
+    x, y, z = points[row].unbind(2)
+    gap2 = torch.where(real, torch.inf, -torch.inf)
+    current = torch.zeros(len(lengths), 1, dtype=torch.long, device=device)
+    steps = min(count, int(max(lengths)))
+    chosen = torch.empty(len(lengths), steps, dtype=torch.long, device=device)
+    for step in range(steps):
+        chosen[:, step] = current[:, 0]
+        total = (x - x.gather(1, current)).square_()
+        total += (y - y.gather(1, current)).square_()
+        total += (z - z.gather(1, current)).square_()
+        torch.minimum(gap2, total, out=gap2)
+        current = gap2.argmax(1, keepdim=True)
+    taken = torch.arange(steps, device=device) < length[:, None]
+    return (chosen + start[:, None])[taken]
+
+
+def spread_points(
+    points: Tensor, lengths: Sequence[int], count: int, *, finest_m: float = 0.1
+) -> tuple[Tensor, list[int]]:
+    """A fast stand-in for :func:`farthest_points`: one point a voxel, from coarse voxels to fine ones.
+
+    Each level halves the voxels and adds one point in every voxel that has none yet. Prefixes are spread out as those
+    of farthest point sampling are; sorting replaces the sequence of searches.
+
+    Args:
+        points: x, y, z of all frames, finite, shape (n, 3).
+        lengths: Rows of each frame.
+        count: Points to choose of each frame.
+        finest_m: Edge of the finest voxels; points that share one of them come last, in their order.
+
+    Returns:
+        As :func:`farthest_points`.
+    """
+    starts, taken = prefix_rows(lengths, count)
+    parts = [_spread(points[s : s + n], finest_m)[:k] + s for s, n, k in zip(starts, lengths, taken, strict=True)]
+    return torch.cat([torch.zeros(0, dtype=torch.long, device=points.device), *parts]), taken
+
+
+def _spread(points: Tensor, finest_m: float) -> Tensor:
+    """All rows of one frame, coarse to fine."""
+    if not len(points):
+        return torch.zeros(0, dtype=torch.long, device=points.device)
+    cell = torch.floor((points - points.amin(0)) / finest_m).long()
+    levels = max(int(cell.max()).bit_length(), 1)
+    rank = torch.full((len(points),), levels + 1, dtype=torch.long, device=points.device)
+    for level in range(levels + 1):  # fine to coarse: the coarsest voxel that a point is the first of decides
+        width = cell >> level
+        extent = width.amax(0) + 1
+        key = (width[:, 0] * extent[1] + width[:, 1]) * extent[2] + width[:, 2]
+        order = torch.argsort(key, stable=True)
+        fresh = torch.ones_like(key, dtype=torch.bool)
+        fresh[1:] = key[order][1:] != key[order][:-1]
+        rank[order[fresh]] = levels - level
+    return torch.argsort(rank, stable=True)
+
+
+# Neighbourhoods: ball query, maximum over a group, and interpolation from the three nearest points.
+#
+# The ball query is that of PointNet++ (NIPS 2017, section 3.2): the first ``limit`` points, by row, within the
+# radius. Candidates come from a grid of cells as wide as the radius: sorted cell numbers, found again by
+# searchsorted.
+
+_CANDIDATES = 1 << 21  # pairs looked at in one go
+_DISTANCES = 1 << 25  # distances held at once where all are computed
+
+
+class Groups(NamedTuple):
+    """Pairs of a centre and one of its points, sorted by centre and then by point.
+
+    Args:
+        centre: Row of the centre of each pair, shape (p,), int64.
+        point: Row of the point of each pair, shape (p,), int64.
+        centres: Number of centres.
+    """
+
+    centre: Tensor
+    point: Tensor
+    centres: int
+
+
+def sorted_keys(keys: Tensor) -> Tensor:
+    """Sort whole numbers; numpy sorts them several times faster than torch on a CPU."""
+    return keys.sort().values if keys.is_cuda else torch.from_numpy(np.sort(keys.numpy()))
+
+
+def frame_rows(lengths: Sequence[int], device: torch.device) -> Tensor:
+    """Frame number of each row, shape (n,), int64."""
+    return torch.repeat_interleave(
+        torch.arange(len(lengths), device=device), torch.tensor(lengths, dtype=torch.long, device=device)
+    )
+
+
+def expand_ranges(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """All numbers of each half-open range [low, high), range after range, and the range that each belongs to."""
+    count = high - low
+    owner = torch.repeat_interleave(torch.arange(len(low), device=low.device), count)
+    first = low - (count.cumsum(0) - count)
+    return torch.arange(len(owner), device=low.device) + first[owner], owner
+
+
+def chunks(cost: Tensor, limit: int) -> Iterator[slice]:
+    """Stretches of rows whose costs sum to about ``limit`` each; a row that costs more stands alone."""
+    step = torch.div(cost.cumsum(0) - cost, limit, rounding_mode="floor")
+    edges = torch.nonzero(torch.diff(step))[:, 0].add(1).tolist()
+    yield from (slice(a, b) for a, b in zip([0, *edges], [*edges, len(cost)], strict=True))
+
+
+def first_pairs(keys: Tensor, points: int, limit: int, count: int) -> Groups:
+    """Groups from unsorted numbers centre * points + point, at most ``limit`` pairs a centre."""
+    keys = sorted_keys(keys)
+    centre = torch.div(keys, max(points, 1), rounding_mode="floor")
+    size = torch.bincount(centre, minlength=count)
+    place = torch.arange(len(keys), device=keys.device) - (size.cumsum(0) - size)[centre]
+    keep = place < limit
+    centre = centre[keep]
+    return Groups(centre, keys[keep] - centre * points, count)
+
+
+def ball_query(
+    points: Tensor,
+    lengths: Sequence[int],
+    centres: Tensor,
+    centre_lengths: Sequence[int],
+    *,
+    radii_m: Sequence[float],
+    limits: Sequence[int],
+) -> list[Groups]:
+    """Points within each radius of each centre of the same frame.
+
+    Args:
+        points: x, y, z, finite, shape (n, 3).
+        lengths: Points of each frame.
+        centres: x, y, z, finite, shape (m, 3).
+        centre_lengths: Centres of each frame.
+        radii_m: Radii; all are served by one search.
+        limits: Pairs a centre that each radius keeps: the first by row.
+
+    Returns:
+        Groups for each radius.
+    """
+    n, m = len(points), len(centres)
+    if not n or not m:
+        none = torch.zeros(0, dtype=torch.long, device=points.device)
+        return [Groups(none, none, m) for _ in radii_m]
+    points, centres = points.detach().float(), centres.detach().float()
+    order, low, high = _cells_around(points, lengths, centres, centre_lengths, 1.001 * max(radii_m))
+    sorted_points = points[order]
+    found: list[list[Tensor]] = [[] for _ in radii_m]
+    for part in chunks((high - low).sum(1), _CANDIDATES):
+        place, owner = expand_ranges(low[part].flatten(), high[part].flatten())
+        centre = torch.div(owner, 3, rounding_mode="floor") + part.start
+        gap2 = (sorted_points[place] - centres[centre]).square_().sum(1)
+        for radius, keys in zip(radii_m, found, strict=True):
+            near = torch.nonzero(gap2 <= radius * radius)[:, 0]
+            keys.append(centre[near] * n + order[place[near]])
+    return [first_pairs(torch.cat(keys), n, limit, m) for keys, limit in zip(found, limits, strict=True)]
+
+
+def _cells_around(
+    points: Tensor, lengths: Sequence[int], centres: Tensor, centre_lengths: Sequence[int], cell_m: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Sort points by their cell in x and y; for each centre the three stretches that hold its 3 x 3 cells.
+
+    Returns:
+        Rows of the points in sorted order, shape (n,); first and one past last place, shape (m, 3) each.
+    """
+    corner = torch.minimum(points[:, :2].amin(0), centres[:, :2].amin(0))
+    both = [torch.floor((xyz[:, :2] - corner) / cell_m).long() + 1 for xyz in (points, centres)]
+    nx, ny = (torch.maximum(both[0].amax(0), both[1].amax(0)) + 2).tolist()
+    frames = (frame_rows(lengths, points.device), frame_rows(centre_lengths, points.device))
+    key, around = ((frame * nx + cell[:, 0]) * ny + cell[:, 1] for frame, cell in zip(frames, both, strict=True))
+    order = torch.argsort(key, stable=True)
+    key = key[order]
+    rows = around[:, None] + torch.tensor([-ny, 0, ny], device=points.device)
+    return order, torch.searchsorted(key, rows - 1), torch.searchsorted(key, rows + 1, right=True)
+
+
+class _GroupMax(torch.autograd.Function):
+    """Maximum over the rows of each group; equal maxima share the gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, centre: Tensor, count: int) -> Tensor:
+        wide = centre[:, None].expand_as(values)
+        best = values.new_zeros(count, values.shape[1]).scatter_reduce(0, wide, values, "amax", include_self=False)
+        ctx.save_for_backward(values, centre, best)
+        return best
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        values, centre, best = ctx.saved_tensors
+        winner = (values == best.index_select(0, centre)).to(gradient.dtype)
+        ties = torch.zeros_like(best, dtype=torch.float32).index_add_(0, centre, winner.float())
+        share = gradient / ties.clamp_(min=1).to(gradient.dtype)
+        return winner.mul_(share.index_select(0, centre)), None, None
+
+
+def group_max(values: Tensor, groups: Groups) -> Tensor:
+    """Maximum of the values of each centre's pairs, shape (p, c) to (count, c); zero for a centre without any."""
+    pooled: Tensor = _GroupMax.apply(values, groups.centre, groups.centres)
+    return pooled
+
+
+def three_nearest(
+    queries: Tensor, query_lengths: Sequence[int], sources: Tensor, source_lengths: Sequence[int]
+) -> tuple[Tensor, Tensor]:
+    """The three nearest sources of the same frame, and their weights by inverse distance (PointNet++, equation 2).
+
+    Args:
+        queries: x, y, z, finite, shape (n, 3).
+        query_lengths: Queries of each frame.
+        sources: x, y, z, finite, shape (m, 3).
+        source_lengths: Sources of each frame.
+
+    Returns:
+        Rows of the sources, shape (n, 3), int64; weights that sum to one, shape (n, 3). Where a frame has fewer than
+        three sources the others weigh zero, and where it has none all do.
+    """
+    queries, sources = queries.detach().float(), sources.detach().float()
+    rows, gaps, first = [], [], 0
+    query_parts, source_parts = queries.split(list(query_lengths)), sources.split(list(source_lengths))
+    for query, source in zip(query_parts, source_parts, strict=True):
+        search = _nearest_by_tree if not queries.is_cuda else _nearest_by_distance
+        row, gap = search(query, source)
+        rows.append(row + first if len(source) else row)
+        gaps.append(gap)
+        first += len(source)
+    row, gap = torch.cat(rows), torch.cat(gaps)
+    weight = 1 / (gap + 1e-8)
+    return row, weight / weight.sum(1, keepdim=True).clamp(min=1e-30)
+
+
+def _nearest_by_tree(query: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
+    if not len(source) or not len(query):
+        return _nearest_by_distance(query, source)
+    gap, row = cKDTree(source.numpy()).query(query.numpy(), k=[1, 2, 3], workers=torch.get_num_threads())
+    row = np.where(np.isfinite(gap), row, 0)  # the tree gives the number of sources where there are too few
+    return torch.from_numpy(row), torch.from_numpy(gap).float()
+
+
+def _nearest_by_distance(query: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
+    row = torch.zeros(len(query), 3, dtype=torch.long, device=query.device)
+    gap = torch.full((len(query), 3), torch.inf, device=query.device)
+    nearest = min(3, len(source))
+    if not nearest:
+        return row, gap
+    step = max(1, _DISTANCES // len(source))
+    for start in range(0, len(query), step):
+        part = slice(start, start + step)
+        gap2 = (query[part, None, 0] - source[:, 0]).square_()
+        for axis in (1, 2):
+            gap2 += (query[part, None, axis] - source[:, axis]).square_()
+        best = gap2.topk(nearest, dim=1, largest=False)
+        row[part, :nearest], gap[part, :nearest] = best.indices, best.values.sqrt()
+    return row, gap
+
+
+def interpolate(values: Tensor, row: Tensor, weight: Tensor) -> Tensor:
+    """Weighted sum of three rows of ``values`` (m, c) for each query, shape (n, c); zero where there are none."""
+    if not len(values):
+        return values.new_zeros(len(row), values.shape[1]) + values.sum() * 0
+    weight = weight.to(values.dtype)
+    total = values.index_select(0, row[:, 0]) * weight[:, :1]
+    for place in (1, 2):
+        total = torch.addcmul(total, values.index_select(0, row[:, place]), weight[:, place, None])
+    return total
+
+
+# RoI point pooling (PointRCNN, section 3.3): the points inside each enlarged proposal.
+
+_ROI_CANDIDATES = 1 << 21
+
+
+def points_in_rois(
+    points: Tensor, lengths: Sequence[int], rois: Tensor, roi_lengths: Sequence[int], *, context_m: float, limit: int
+) -> Groups:
+    """Points of the same frame inside each RoI grown by ``context_m`` at every face, surface included.
+
+    Args:
+        points: x, y, z, finite, shape (n, 3).
+        lengths: Points of each frame.
+        rois: x, y, z of the centre, length, width, height (metres), yaw (radians), shape (m, 7).
+        roi_lengths: RoIs of each frame.
+        context_m: Growth of each face.
+        limit: Points a RoI keeps: the first by row.
+
+    Returns:
+        Pairs of a RoI (as centre) and a point.
+    """
+    points, rois = points.detach().float(), rois.detach().float()
+    n, m, found = len(points), len(rois), [torch.zeros(0, dtype=torch.long, device=points.device)]
+    first_point = first_roi = 0
+    for length, roi_length in zip(lengths, roi_lengths, strict=True):
+        inside = _of_one_frame(
+            points[first_point : first_point + length], rois[first_roi : first_roi + roi_length], context_m
+        )
+        found += [(roi + first_roi) * n + point + first_point for roi, point in inside]
+        first_point, first_roi = first_point + length, first_roi + roi_length
+    return first_pairs(torch.cat(found), n, limit, m)
+
+
+def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[Tensor, Tensor]]:
+    """Pairs of RoI and point, in pieces. Only points within reach along x are looked at."""
+    if not len(points) or not len(rois):
+        return []
+    half = rois[:, 3:6] / 2 + context_m
+    reach = torch.hypot(half[:, 0], half[:, 1]) * 1.0001 + 1e-3
+    order = torch.argsort(points[:, 0], stable=True)
+    ranked = points[order]
+    x = ranked[:, 0].contiguous()
+    low = torch.searchsorted(x, (rois[:, 0] - reach).contiguous())
+    high = torch.searchsorted(x, (rois[:, 0] + reach).contiguous(), right=True)
+    pairs = []
+    for part in chunks(high - low, _ROI_CANDIDATES):
+        place, roi = expand_ranges(low[part], high[part])
+        roi = roi + part.start
+        near = torch.nonzero((ranked[place, 1] - rois[roi, 1]).abs() <= reach[roi])[:, 0]
+        place, roi = place[near], roi[near]
+        inside = (in_roi_frames(ranked[place], rois[roi]).abs() <= half[roi]).all(1)
+        pairs.append((roi[inside], order[place[inside]]))
+    return pairs
+
+
+def in_roi_frames(points: Tensor, rois: Tensor) -> Tensor:
+    """Points as seen from RoIs, x along the heading (PointRCNN, section 3.3, canonical transformation).
+
+    Args:
+        points: x, y, z, shape (p, 3).
+        rois: The RoI of each point, shape (p, 7).
+
+    Returns:
+        Coordinates from the RoIs' centres, shape (p, 3).
+    """
+    dx, dy, dz = (points - rois[:, :3]).unbind(1)
+    cos, sin = torch.cos(rois[:, 6]), torch.sin(rois[:, 6])
+    return torch.stack([dx * cos + dy * sin, dy * cos - dx * sin, dz], 1)
