@@ -5,7 +5,7 @@ from pathlib import Path
 
 import farfield as ff
 from farfield.depth import frame_depth
-from farfield.evaluation.objects import VEHICLES, sure
+from farfield.evaluation.objects import VEHICLES, confident
 from farfield.figures.birds_eye import WINDOW_M, overview
 from farfield.figures.depth_picture import depth_picture
 from farfield.figures.plots import scan_patterns
@@ -21,7 +21,7 @@ def main() -> None:
     """Simulate a moment, detect, draw."""
     frame = list(simulate_sequence("cirrus-sim", seed=SEED, sequence=SEQUENCE, frames=FRAMES))[-1]
     cloud = frame.cloud("gaussian")
-    predicted = None if "--plain" in sys.argv else sure(ff.load_detector(DETECTOR)(frame), 0.3)
+    predicted = None if "--plain" in sys.argv else confident(ff.load_detector(DETECTOR)(frame), 0.3)
     figure = overview(cloud, annotated=frame.boxes, predicted=predicted, labels=VEHICLES, window_m=WINDOW_M)
     (IMAGES / "birdseye.png").write_bytes(figure_bytes(figure, "png", dpi=110))
     (IMAGES / "patterns.png").write_bytes(figure_bytes(scan_patterns(dict(frame.clouds)), "png", dpi=100))

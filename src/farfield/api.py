@@ -167,13 +167,13 @@ def evaluate(
         ConfigError: If the protocol or a setting is unknown, or no cloud suits the detector.
     """
     from farfield.evaluation import detect as detect_all
-    from farfield.evaluation import given
+    from farfield.evaluation import detections_from_boxes
 
     if metric is not None:
         warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
         protocol = metric
     if isinstance(detector, Mapping):
-        found = given(detector, data, cloud=cloud, progress=progress)
+        found = detections_from_boxes(detector, data, cloud=cloud, progress=progress)
     else:
         found = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
     if not found.annotations:
@@ -285,7 +285,7 @@ def show(
         radar: Draw the radar's power instead of a cloud; see :func:`farfield.figures.radar_map.radar_map`.
         shown_score: Predicted boxes of a lower score are left out, which the title says; 0 shows all.
     """
-    from farfield.evaluation.objects import shown_of
+    from farfield.evaluation.objects import shown_predictions
     from farfield.figures.birds_eye import show_frame
     from farfield.figures.radar_map import radar_map
     from farfield.frame import Frame
@@ -293,5 +293,5 @@ def show(
     if not isinstance(frame, Frame):
         return show_frame(Frame.of(frame), predictions, window_m="fit", shown_score=shown_score)
     if radar:
-        return radar_map(frame, shown_of(predictions, shown_score)[0])
+        return radar_map(frame, shown_predictions(predictions, shown_score)[0])
     return show_frame(frame, predictions, shown_score=shown_score)

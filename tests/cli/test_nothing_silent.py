@@ -15,7 +15,7 @@ from farfield.datasets.cloud_files import CloudFiles
 from farfield.datasets.convert import convert
 from farfield.datasets.folder import write_boxes
 from farfield.errors import ConfigError, DatasetError
-from farfield.evaluation import detect, given
+from farfield.evaluation import detect, detections_from_boxes
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.inspection.doctor import examine
 from farfield.metrics.oddities import meant_by
@@ -146,9 +146,10 @@ class TestFrames:
     def test_predictions_of_other_frames_are_not_dropped(self, tmp_path: Path) -> None:
         data, scored = open_dataset(own(tmp_path / "own")), cars().replace(score=np.ones(3))
         with pytest.raises(ConfigError, match="Sequence and frame must be the same text"):
-            given({("own", "0"): scored}, data)
+            detections_from_boxes({("own", "0"): scored}, data)
         assert any(
-            "1 of 2 frames" in note for note in given({("own", "0"): scored, ("own", "000"): scored}, data).notes
+            "1 of 2 frames" in note
+            for note in detections_from_boxes({("own", "0"): scored, ("own", "000"): scored}, data).notes
         )
 
     def test_annotated_frames_without_a_box_give_exit_status_1(

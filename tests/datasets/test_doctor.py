@@ -11,7 +11,7 @@ from street import GROUND_M, street
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
 from farfield.inspection.doctor import DoctorReport, examine
-from farfield.inspection.doctor.evidence import READINGS, ballots, count_points
+from farfield.inspection.doctor.evidence import READINGS, convention_votes, count_points
 from farfield.inspection.doctor.ground import above_ground, ground_height_m
 
 Label = dict[str, Any]
@@ -157,7 +157,7 @@ def test_changes_keep_the_volume_and_ground_points_do_not_vote(rng):
     on_ground = points[:, 2] < GROUND_M + 0.03
     assert above_ground(points)[on_ground].mean() < 0.1  # only where cells at the rim hold too few points
     assert above_ground(points)[points[:, 2] > GROUND_M + 0.35].all()
-    assert not any(ballot.wins for ballot in ballots(count_points(points, boxes, READINGS), READINGS))
+    assert not any(ballot.wins for ballot in convention_votes(count_points(points, boxes, READINGS), READINGS))
 
 
 class TestRealLuminar:

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from farfield.evaluation.objects import annotated_objects, sure
+from farfield.evaluation.objects import annotated_objects, confident
 from farfield.evaluation.record import Evaluation
 from farfield.figures import words
 from farfield.figures.tables import heading, range_name, rows
@@ -63,7 +63,7 @@ def test_headline_and_scope_by_hand() -> None:
 
 def test_only_sure_predictions_find_objects() -> None:
     predicted = _boxes([10.5, 10.1, 21.9, 40.0], score=np.array([0.9, 0.5, 0.4, 0.3]))
-    assert len(sure(predicted, 0.4)) == 3
+    assert len(confident(predicted, 0.4)) == 3
 
 
 def test_annotated_objects_keep_known_counts_only(evaluation: Evaluation) -> None:

@@ -94,12 +94,12 @@ def test_every_picture_has_the_same_threshold() -> None:
 
     from farfield.cli import report
     from farfield.evaluation.objects import annotated_objects
-    from farfield.pages.evaluation_page import render, write_report
+    from farfield.pages.evaluation_page import render_report, write_report
     from farfield.pages.film import FilmSettings
     from farfield.pages.pictures import DrawingOptions
 
     assert FilmSettings().score == DrawingOptions().score_min == SHOWN_SCORE
-    for function in (report.run, render, write_report, ff.show):
+    for function in (report.run, render_report, write_report, ff.show):
         assert inspect.signature(function).parameters["shown_score"].default == SHOWN_SCORE
     assert inspect.signature(annotated_objects).parameters["score_min"].default == SHOWN_SCORE
 

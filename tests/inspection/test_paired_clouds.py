@@ -7,7 +7,7 @@ from street import write_street
 from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.inspection.side import ComparedDataset, paired
+from farfield.inspection.side import ComparedDataset, pair_clouds
 from farfield.pages.comparison import table_lines
 
 
@@ -26,7 +26,7 @@ def side(*clouds):
 
 
 def test_the_first_stands_beside_the_first_where_no_name_is_shared():
-    (one, two), pairs = paired([side("gaussian", "uniform"), side("lidar")])
+    (one, two), pairs = pair_clouds([side("gaussian", "uniform"), side("lidar")])
     assert pairs == [("gaussian", "lidar")]
     assert list(one.summary["clouds"]) == ["gaussian : lidar", "uniform"]
     assert list(two.summary["clouds"]) == ["gaussian : lidar"]
@@ -35,23 +35,23 @@ def test_the_first_stands_beside_the_first_where_no_name_is_shared():
 
 def test_shared_names_stay_as_they_are():
     sides = [side("os2-64", "radar"), side("gaussian", "os2-64")]
-    found, pairs = paired(sides)
+    found, pairs = pair_clouds(sides)
     assert pairs == [("os2-64", "os2-64")]
     assert [list(each.summary["clouds"]) for each in found] == [["os2-64", "radar"], ["gaussian", "os2-64"]]
 
 
 def test_chosen_pairs_come_first_and_alone():
-    (one, two), pairs = paired([side("gaussian", "uniform"), side("lidar", "uniform")], {"uniform": "lidar"})
+    (one, two), pairs = pair_clouds([side("gaussian", "uniform"), side("lidar", "uniform")], {"uniform": "lidar"})
     assert pairs == [("uniform", "lidar")]
     assert list(one.summary["clouds"]) == ["uniform : lidar"]
     assert list(two.summary["clouds"]) == ["uniform : lidar"]
     assert two.summary["clouds"]["uniform : lidar"]["points_per_frame"] == 5
     with pytest.raises(ConfigError, match=r"x has no cloud 'nothing'.*lidar, uniform"):
-        paired([side("gaussian"), side("lidar", "uniform")], {"gaussian": "nothing"})
+        pair_clouds([side("gaussian"), side("lidar", "uniform")], {"gaussian": "nothing"})
 
 
 def test_sides_without_clouds_stay():
-    found, pairs = paired([side(), side("lidar")])
+    found, pairs = pair_clouds([side(), side("lidar")])
     assert pairs == []
     assert list(found[1].summary["clouds"]) == ["lidar"]
 
@@ -80,7 +80,7 @@ def test_the_published_figure_stays_beside_a_renamed_gaussian_cloud(roots, tmp_p
     from farfield.vocabulary.published import SHARES_NEAR_HORIZON
 
     cloud["far_share_of_horizon"] = dict.fromkeys(SHARES_NEAR_HORIZON, 0.5)
-    sides, _ = paired(
+    sides, _ = pair_clouds(
         [ComparedDataset("a", {"clouds": {"gaussian": cloud}}), ComparedDataset("b", {"clouds": {"lidar": cloud}})]
     )
     lines = [line for line in table_lines(sides) if "elevation" in line.what and line.published]

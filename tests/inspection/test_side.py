@@ -7,8 +7,8 @@ import numpy as np
 from street import write_street
 
 from farfield.datasets import open_dataset
-from farfield.inspection.side import has_sensors, shots_of, side_of
-from farfield.inspection.statistics.notes import notes_of
+from farfield.inspection.side import count_dataset, has_sensors, shots_of
+from farfield.inspection.statistics.notes import dataset_notes
 from farfield.jobs import JobOptions
 
 
@@ -16,13 +16,13 @@ def test_frames_are_spread_and_progress_sees_each(tmp_path: Path, rng: np.random
     data = open_dataset(write_street(tmp_path / "street", rng, frames=4))
     seen: list[int] = []
     watched = JobOptions(progress=lambda places: (seen.append(place) or place for place in places))
-    side = side_of(data, "street", 2, watched)
+    side = count_dataset(data, "street", 2, watched)
     assert seen == [0, 1]
     assert side.summary["frames"] == 2
     assert (side.simulated, side.title) == (False, "street")
-    assert side_of(data, "street").summary["frames"] == 4
+    assert count_dataset(data, "street").summary["frames"] == 4
     assert has_sensors(data)
-    assert notes_of(data) == ()
+    assert dataset_notes(data) == ()
 
 
 def test_the_simulators_settings_say_how_many_shots_there_are(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from farfield.figures.courses import ADAPTATION, courses
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
-from farfield.pages.adapted import AdaptedPage, PseudoLabelFrame, rates, render
+from farfield.pages.adapted import AdaptedPage, PseudoLabelFrame, rates, render_adapted
 from farfield.pages.adapted_scores import HeldScores, ScoreRow
 
 
@@ -66,7 +66,7 @@ def test_scores_stand_on_the_page_with_their_intervals(page: AdaptedPage) -> Non
         gain_interval=(-0.01, 0.26),
     )
     held = HeldScores(rows=(row,), frames=40, drives=4, shared_drives=1, grouped_by="sequences", groups=4)
-    text = render(replace(page, scores=held))
+    text = render_adapted(replace(page, scores=held))
     for words in (
         "40 labelled frames of 4 drives",
         "1 of these drives had other frames that were",
@@ -79,7 +79,7 @@ def test_scores_stand_on_the_page_with_their_intervals(page: AdaptedPage) -> Non
     ):
         assert words in text, words
     assert "score the weights on labels" not in text
-    nothing = render(replace(page, scores=replace(held, rows=(), shared_drives=0)))
+    nothing = render_adapted(replace(page, scores=replace(held, rows=(), shared_drives=0)))
     assert "None of the detector's classes is annotated there." in nothing
     assert "other frames that were" not in nothing
 
@@ -92,7 +92,7 @@ def test_rates_count_by_class_range_and_threshold(page: AdaptedPage) -> None:
 
 
 def test_the_page_shows_rates_thresholds_pictures_and_signs(page: AdaptedPage) -> None:
-    text = render(page)
+    text = render_adapted(page)
     for words in (
         "mine adapted to &lt;theirs&gt;",
         "1.0 sure boxes a sweep before, 2.0 after",
@@ -111,7 +111,7 @@ def test_the_page_shows_rates_thresholds_pictures_and_signs(page: AdaptedPage) -
 
 
 def test_what_there_is_not_is_left_out(page: AdaptedPage) -> None:
-    text = render(replace(page, rows=[], signs=[], labels="", changes=[], before={}, after={}))
+    text = render_adapted(replace(page, rows=[], signs=[], labels="", changes=[], before={}, after={}))
     assert "The course of the training" not in text
     assert "What the log warns of" not in text
     assert courses([{"step": 1, "loss": 2.0}], ADAPTATION) is None

@@ -8,7 +8,7 @@ import pytest
 
 from farfield.figures import comparison_plots as plots
 from farfield.inspection.side import ComparedDataset
-from farfield.pages.comparison import pictures, render, table_lines, write_comparison
+from farfield.pages.comparison import render_comparison, sensor_pictures_of, table_lines, write_comparison
 
 EDGES_M = [0.0, 20.0, 40.0, 70.0]
 
@@ -131,7 +131,7 @@ def sides():
 
 @pytest.fixture(scope="module")
 def page(sides):
-    return render(sides, title="A & B")
+    return render_comparison(sides, title="A & B")
 
 
 def test_table_holds_both_figures_and_a_dash_where_one_is_missing(sides):
@@ -154,7 +154,7 @@ def test_lines_that_nobody_has_are_left_out():
 
 def test_every_figure_is_drawn_where_there_is_data_and_none_where_not(page):
     assert page.count("data:image/svg+xml;base64,") == 9  # of both sides
-    assert [item.heading for item in pictures((bare_side(), bare_side()))] == [
+    assert [item.heading for item in sensor_pictures_of((bare_side(), bare_side()))] == [
         "Where the returns lie in elevation",
         "Range of the returns",
     ]
@@ -177,7 +177,7 @@ def test_page_names_what_is_simulated_and_what_is_missing(page):
 
 def test_real_sides_carry_no_word_of_simulation(rng):
     real = full_side(rng, "one", False), full_side(rng, "two", False)
-    assert "Simulated data" not in render(real, title="t")
+    assert "Simulated data" not in render_comparison(real, title="t")
 
 
 def test_overlay_has_a_line_for_every_cloud_of_every_side(sides):
@@ -223,12 +223,12 @@ def test_the_effective_range_and_the_time_it_leaves():
 def test_sweeps_stand_side_by_side(rng, tmp_path):
     import farfield as ff
     from farfield.figures.sweeps_plot import from_above
-    from farfield.inspection.side import side_of
+    from farfield.inspection.side import count_dataset
 
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         np.save(tmp_path / name / "0.npy", rng.uniform([1, -20, -2, 0], [60, 20, 1, 1], (500, 4)).astype(np.float32))
-    sides = [side_of(ff.open_dataset(tmp_path / name), name) for name in ("a", "b")]
+    sides = [count_dataset(ff.open_dataset(tmp_path / name), name) for name in ("a", "b")]
     figure = from_above(sides)
     first = figure.axes[0]
     assert first.get_xlabel() == "y (m)"

@@ -14,7 +14,7 @@ from farfield.errors import ConfigError
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.pages import film
 from farfield.pages.film import FilmSettings, FilmWork, drive_named, make_film, rate_of
-from farfield.pages.film_frame import SIZE, panels_of, places
+from farfield.pages.film_frame import SIZE, panel_rectangles, panels_of
 from farfield.pages.film_panels import DrawnBoxes, PanelView, cloud_panel, track_colour
 
 FRAMES = 5
@@ -62,7 +62,7 @@ def test_an_mp4_has_the_drives_rate(folder: Path, tmp_path: Path):
 
 
 def test_an_interrupted_film_goes_on_where_it_stopped(folder: Path, tmp_path: Path, monkeypatch):
-    data, drawn, real = open_dataset(folder), list[str](), film.picture
+    data, drawn, real = open_dataset(folder), list[str](), film.film_picture
 
     def stops(frame: Frame, *arguments, **more):
         if len(drawn) == 3:
@@ -142,7 +142,7 @@ def test_trails_stand_in_the_frame_that_is_shown_and_rates_come_from_times(tmp_p
 def test_panels_do_not_overlap():
     for count in range(1, 8):
         taken = np.zeros(SIZE[::-1], dtype=int)
-        for left, top, width, height in places(count):
+        for left, top, width, height in panel_rectangles(count):
             assert left + width <= SIZE[0]
             assert top + height <= SIZE[1]
             taken[top : top + height, left : left + width] += 1

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.cli import main
 from farfield.evaluation.record import Evaluation
-from farfield.pages.evaluation_page import render, write_report
+from farfield.pages.evaluation_page import render_report, write_report
 from farfield.vocabulary.studio import STUDIO_PORT
 
 VOID = {"meta", "img", "br", "link"}
@@ -42,7 +42,7 @@ class _Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page_text(evaluation: Evaluation) -> str:
-    return render(evaluation)
+    return render_report(evaluation)
 
 
 def test_page_is_one_well_formed_file_that_loads_nothing(page_text: str) -> None:
@@ -81,7 +81,7 @@ def test_page_counts_found_objects(page_text: str) -> None:
 
 
 def test_equal_evaluations_give_equal_pages(evaluation: Evaluation, page_text: str) -> None:
-    assert render(evaluation) == page_text
+    assert render_report(evaluation) == page_text
 
 
 def test_page_without_pictures_and_without_annotation(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_other_protocols_have_pages_too() -> None:
         "ap": {"3d_r40": {"hard": 0.5, "moderate": 0.75}, "bev_r11": {"hard": 0.25}},
         "settings": {"dontcare": "none"},
     }
-    text = render(Evaluation(results={"mine": kitti}))
+    text = render_report(Evaluation(results={"mine": kitti}))
     assert "Overall Car detection score (AP3D R40 moderate, 100 is perfect): 75.0 on mine." in text
     assert "What the score is made of" not in text
 

@@ -120,7 +120,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_has_the_words_of_its_protocol_alone(name: str, drawn: list[str]) -> None:
     evaluation = evaluation_of(name)
-    text = evaluation_page.render(evaluation)
+    text = evaluation_page.render_report(evaluation)
     text = re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL) + "\n".join(drawn)
     own = ITS_OWN[name.partition(":")[0].removesuffix("-compat")]
     said = {word for words in WORDS.values() for word in words if re.search(rf"(?<!\w){re.escape(word)}", text)}
@@ -144,7 +144,7 @@ def test_headlines_and_what_they_are_made_of() -> None:
 
 
 def test_kradar_has_its_tables_by_weather_first_and_its_curves() -> None:
-    text = evaluation_page.render(evaluation_of("kradar"))
+    text = evaluation_page.render_report(evaluation_of("kradar"))
     assert text.index("By weather") < text.index("Scores by range")
     assert "By road" in text
     assert "By visibility" in text
@@ -164,7 +164,7 @@ def test_line_json_page_row_and_repr_name_one_subject(name: str, drawn: list[str
     made.save(tmp_path / "run")
     again = Evaluation.load(tmp_path / "run")
     assert subject_of(next(iter(again.results.values()))) == subject
-    assert html.escape(str(subject)) in evaluation_page.render(again)
+    assert html.escape(str(subject)) in evaluation_page.render_report(again)
     (entry, *_) = read_results([tmp_path / "run"])
     assert entry.subject == subject
     assert entry.name == subject.name

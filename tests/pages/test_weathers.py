@@ -13,8 +13,8 @@ from farfield.figures.style import figure_bytes
 from farfield.figures.weathers_picture import weathers_picture
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.metrics.detections import Detections
-from farfield.pages.evaluation_page import render
-from farfield.pages.weathers import key_in, together, weather_table
+from farfield.pages.evaluation_page import render_report
+from farfield.pages.weathers import key_in, merge_weathers, weather_table
 
 KEYS = (("1", "00001_00001"), ("2", "00001_00001"))
 
@@ -48,11 +48,11 @@ def found(weather: str, off_m: float, fingerprint: str = "") -> Detections:
 
 
 def scored(parts: dict[str, Detections]) -> dict[str, Any]:
-    return together(parts, "both").score("kradar", region="narrow", classes=("vehicle",)).to_json()
+    return merge_weathers(parts, "both").score("kradar", region="narrow", classes=("vehicle",)).to_json()
 
 
 def test_drives_are_told_apart_by_weather() -> None:
-    joined = together({"normal": found("normal", 0.0, "a"), "heavy_snow": found("heavy_snow", 20.0, "b")}, "both")
+    joined = merge_weathers({"normal": found("normal", 0.0, "a"), "heavy_snow": found("heavy_snow", 20.0, "b")}, "both")
     assert set(joined.boxes) == set(joined.annotations) == set(joined.conditions)
     assert len(joined.boxes) == 4
     assert key_in("heavy_snow", KEYS[0]) == ("1 in heavy snow", "00001_00001")
@@ -60,9 +60,9 @@ def test_drives_are_told_apart_by_weather() -> None:
     mixed, same = joined.notes
     assert "mix 2 frames in normal and 2 frames in heavy snow" in mixed
     assert same == "the same note"
-    assert together({"normal": found("normal", 0.0)}, "one").notes == ("the same note",)
+    assert merge_weathers({"normal": found("normal", 0.0)}, "one").notes == ("the same note",)
     assert joined.seen_in_training == "not found, it learnt from other data"
-    other = together({"normal": found("normal", 0.0, "a"), "heavy_snow": found("heavy_snow", 20.0, "c")}, "both")
+    other = merge_weathers({"normal": found("normal", 0.0, "a"), "heavy_snow": found("heavy_snow", 20.0, "c")}, "both")
     assert joined.fingerprint != other.fingerprint != ""
 
 
@@ -125,7 +125,7 @@ def test_a_caption_counts_what_the_score_counts() -> None:
     both = Boxes.concatenate([boxes(30.0), aside])
     frame = dataclasses.replace(view("normal").frame, load_annotation=Constant(Annotation(boxes=both)))
     seen = FrameView(frame=frame, predictions={"radar": boxes(30.0, 0.8)}, title="normal")
-    page = render(Evaluation(results={"radar": result}, frames=[seen]))
+    page = render_report(Evaluation(results={"radar": result}, frames=[seen]))
     assert "1 of 1 annotated objects in the region that counts found" in page
 
 

@@ -160,14 +160,14 @@ def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | N
     from farfield.calibration.jobs import radar_job, radar_start
     from farfield.calibration.places import save_radar_where_read
     from farfield.calibration.saving import save_radar
-    from farfield.figures.calibration_pictures import radar_picture
+    from farfield.figures.calibration_pictures import radar_calibration_picture
     from farfield.files.images import write_image
 
     x, y, yaw, offset = start
     turn = None if yaw is None else math.radians(yaw)
     guess = replace(radar_start(data, indices[0], x_m=x, y_m=y, yaw_rad=turn), frames=offset)
     job = radar_job(data, indices, guess)
-    write_image(folder / "before-after.png", radar_picture(job))
+    write_image(folder / "before-after.png", radar_calibration_picture(job))
     if save is not None:
         if save.is_dir():
             _wrote(save_radar_where_read(data, indices[0], job.found))
@@ -191,7 +191,7 @@ def _camera(
     from farfield.calibration.pairs import calibrate_pairs
     from farfield.errors import ConfigError
     from farfield.figures.calibrated_boxes import boxes_picture
-    from farfield.figures.calibration_pictures import camera_picture
+    from farfield.figures.calibration_pictures import camera_calibration_picture
     from farfield.files.images import write_image
 
     index, chosen = _pictured(data, indices, name, uncalibrated=beginning.given)
@@ -209,7 +209,7 @@ def _camera(
     if picks[0] is not None:
         start = calibrate_pairs(*read_pairs(picks[0]), start, focal=picks[1]).camera
     job = camera_job(data, indices, camera=chosen, start=start if start is not known else None)
-    write_image(folder / "before-after.png", camera_picture(job))
+    write_image(folder / "before-after.png", camera_calibration_picture(job))
     _save_camera(data, index, chosen, known, job.after, save)
     return job.to_json()
 

@@ -62,7 +62,7 @@ def run(
         json: Write what is in comparison.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError
-    from farfield.inspection.side import paired, side_of
+    from farfield.inspection.side import count_dataset, pair_clouds
     from farfield.pages.comparison import table_lines, write_comparison
 
     if frames < 0:
@@ -73,10 +73,10 @@ def run(
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
     sides: Sequence[ComparedDataset] = [
-        side_of(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
+        count_dataset(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
-    sides, pairs = paired(sides, pairs_of(clouds, "--clouds") if clouds else None)
+    sides, pairs = pair_clouds(sides, pairs_of(clouds, "--clouds") if clouds else None)
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
     page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}")
     _print(table_lines(sides), sides)

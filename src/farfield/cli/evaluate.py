@@ -97,7 +97,7 @@ def run(
     from farfield.evaluation import as_trained, suitable_clouds
     from farfield.evaluation.evaluating import evaluate_clouds
     from farfield.evaluation.record import default_folder
-    from farfield.figures.lines import classes_of
+    from farfield.figures.lines import class_table
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
@@ -152,7 +152,7 @@ def run(
         write_json(folder / "timing.json", clocks)
     for name, result in evaluation.results.items():
         print(f"{name}:\n{tables[name]}\n")
-        print(classes_of(result, evaluation.parts[name]), end="")
+        print(class_table(result, evaluation.parts[name]), end="")
     if report:
         drawing = partial(bar, what="drawing", transient=True)
         page = write_report(folder / "report.html", evaluation, progress=drawing)

@@ -78,7 +78,7 @@ def run(
     from farfield.datasets.convert import check_apart
     from farfield.datasets.result_files import ResultWriter, result_format, rows_of
     from farfield.errors import ConfigError
-    from farfield.evaluation import search, suitable_clouds
+    from farfield.evaluation import plan_detection, suitable_clouds
     from farfield.files.boxes_csv import format_boxes_csv_parts
     from farfield.jobs.folders import sweep_out_file
 
@@ -90,7 +90,7 @@ def run(
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
-    chosen = partial(search, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
+    chosen = partial(plan_detection, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
     prepared = chosen()
     own, seen = frames[0], prepared.work.seen[0]
     if reference and reference not in (own.reference, seen.reference):
@@ -127,7 +127,7 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
     """The frame from above, and each camera's image with the boxes projected into it, beside one another as files."""
     from farfield.api import show
     from farfield.datasets.labels.json_labels import file_name
-    from farfield.evaluation.objects import shown_of
+    from farfield.evaluation.objects import shown_predictions
     from farfield.figures.camera import camera_picture
     from farfield.vocabulary.scores import SHOWN_SCORE
 
@@ -135,7 +135,7 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
     shown_score = SHOWN_SCORE if least is None else least
     show(frame, found, shown_score=shown_score).savefig(path, dpi=120)
     print(f"picture: {path}")
-    boxes, left_out = shown_of(found, shown_score)
+    boxes, left_out = shown_predictions(found, shown_score)
     for name in frame.images:
         camera = frame.cameras.get(name)
         if camera is None:

@@ -136,9 +136,9 @@ def _read(predictions: Path, labels: Path, format: str, reference: str) -> "Dete
     if format != "boxes-csv" or not labels.is_dir() or recognise(labels) is None:
         return read(predictions, labels, format=format, reference=reference)
     from farfield.datasets import open_dataset
-    from farfield.evaluation import against
+    from farfield.evaluation import attach_ground_truth
 
-    return against(read_predictions(predictions, reference=reference), open_dataset(labels))
+    return attach_ground_truth(read_predictions(predictions, reference=reference), open_dataset(labels))
 
 
 def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> "Detections":

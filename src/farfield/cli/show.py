@@ -69,14 +69,14 @@ def run(
 
 
 def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | None, least: float | None) -> "Figure":
-    from farfield.evaluation.objects import shown_of
+    from farfield.evaluation.objects import shown_predictions
     from farfield.figures.birds_eye import birdseye
     from farfield.figures.radar_map import radar_map
     from farfield.vocabulary.scores import SHOWN_SCORE
 
     shown_score = SHOWN_SCORE if least is None else least
     if radar:
-        return radar_map(shown, shown_of(predicted, shown_score)[0])
+        return radar_map(shown, shown_predictions(predicted, shown_score)[0])
     return birdseye(shown, predicted, cloud=cloud, window_m="fit", shown_score=shown_score)
 
 

@@ -75,15 +75,15 @@ def run(
 
 def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: int, engine: str) -> "DatasetFigures":
     from farfield.inspection.placement import placement
-    from farfield.inspection.side import has_sensors, side_of
+    from farfield.inspection.side import count_dataset, has_sensors
     from farfield.inspection.statistics.census import take_census
-    from farfield.inspection.statistics.notes import notes_of
+    from farfield.inspection.statistics.notes import dataset_notes
     from farfield.pages.statistics import DatasetFigures
 
     census = take_census(dataset, hands(workers, engine, "annotations"))
     sensors = None
     if sweeps and has_sensors(dataset):
-        sensors = side_of(dataset, called, sweeps, hands(workers, engine, called))
+        sensors = count_dataset(dataset, called, sweeps, hands(workers, engine, called))
     return DatasetFigures(
         name=called,
         format=dataset.name,
@@ -91,7 +91,7 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: in
         census=census.summary(),
         arrays={"name": census.name, "range_m": census.range_m, "objects": census.objects},
         sensors=sensors,
-        notes=notes_of(dataset),
+        notes=dataset_notes(dataset),
         placed=placement(dataset),
     )
 

@@ -1,7 +1,7 @@
 """Detectors meet data sets: one way from a detector to what it found, ready to be scored."""
 
-from farfield.evaluation.detecting import DetectionPlan, detect, given, median_ms, search
-from farfield.evaluation.ground_truth import against, in_coordinates
+from farfield.evaluation.detecting import DetectionPlan, detect, detections_from_boxes, median_ms, plan_detection
+from farfield.evaluation.ground_truth import attach_ground_truth, in_coordinates
 from farfield.evaluation.views import Frames, as_trained, suitable_clouds
 from farfield.evaluation.worker import FrameDetections
 
@@ -9,12 +9,12 @@ __all__ = [
     "DetectionPlan",
     "FrameDetections",
     "Frames",
-    "against",
+    "attach_ground_truth",
     "as_trained",
     "detect",
-    "given",
+    "detections_from_boxes",
     "in_coordinates",
     "median_ms",
-    "search",
+    "plan_detection",
     "suitable_clouds",
 ]

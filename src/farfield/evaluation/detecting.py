@@ -9,7 +9,7 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, DatasetError
-from farfield.evaluation.leakage import remembered, seen_in_training
+from farfield.evaluation.leakage import leakage_warning, seen_in_training
 from farfield.evaluation.views import Frames, as_trained, suitable_clouds
 from farfield.evaluation.worker import AnyDetector, DetectTask, FrameDetections, points_in
 from farfield.files.spool import DiskDict, alike
@@ -68,7 +68,7 @@ def _timed(results: Iterable[UnitResult], clocks: dict[int, float]) -> Iterator[
         yield done.value
 
 
-def search(
+def plan_detection(
     detector: "Detector | AnyDetector",
     data: Frames,
     *,
@@ -141,7 +141,7 @@ def detect(
         ConfigError: If a frame has no cloud that suits the detector, or not the one asked for.
         DatasetError: If there is no frame, two have one name, or none is annotated though only such count.
     """
-    prepared = search(
+    prepared = plan_detection(
         detector,
         data,
         cloud=cloud,
@@ -170,7 +170,7 @@ def detect(
     return Detections(
         **_named(detector, data, annotations),
         seen_in_training=words,
-        notes=(*remembered(words, common), *_unannotated(left_out, len(seen), annotations)),
+        notes=(*leakage_warning(words, common), *_unannotated(left_out, len(seen), annotations)),
         reference=seen[0].reference,
         cloud=prepared.work.cloud,
         classes=tuple(getattr(detector, "class_names", ())),
@@ -234,7 +234,7 @@ def _with_counts(annotation: Annotation, point_count: Any) -> Annotation:
     return annotation.replaced(annotation.boxes.replace(point_count=point_count))
 
 
-def given(
+def detections_from_boxes(
     boxes: Mapping[Key, Boxes], data: Frames, *, cloud: str | None = None, progress: Progress = iter
 ) -> Detections:
     """Predictions made elsewhere, with what was annotated in the frames of ``data``.

@@ -18,7 +18,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.radar.grid import CUBE_SHAPE
 
-_LIMIT_BYTES = 1 << 26
+_FRAME_LIMIT_BYTES = 1 << 26
 _RADAR_MAP, _MAP_SHAPE = "radar/bird_db", CUBE_SHAPE[1:]
 _BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count", "velocity_m_s")
 Predictions = Boxes | Mapping[str, Boxes] | None
@@ -86,7 +86,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
     """
     path = folder / f"{name}.json"
     try:
-        content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        content = json.loads(read_bytes(path, max_bytes=_FRAME_LIMIT_BYTES))
         arrays = read_cache(folder / (name + CACHE_SUFFIX))
         sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
         clouds = {

@@ -6,13 +6,13 @@ from dataclasses import replace
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.errors import ConfigError
-from farfield.evaluation.detecting import given
+from farfield.evaluation.detecting import detections_from_boxes
 from farfield.frame import Boxes, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.oddities import oddities
 
 
-def against(predictions: Detections, data: Dataset) -> Detections:
+def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
     """Predictions with what a data set's frames have annotated, seen in the predictions' coordinates.
 
     Args:
@@ -32,7 +32,7 @@ def against(predictions: Detections, data: Dataset) -> Detections:
         notes.append(f"predictions do not name their coordinates: they are taken for {own} (--reference says it)")
     elif stands_in != own:
         notes.append(f"the annotated boxes are seen in the coordinates of {stands_in}, as the predictions are")
-    found = given(_in_sequence(predictions.boxes, data, notes), data)
+    found = detections_from_boxes(_in_sequence(predictions.boxes, data, notes), data)
     return replace(found, notes=(*notes, *found.notes, *oddities(found.boxes, found.annotated)))
 
 

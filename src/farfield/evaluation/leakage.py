@@ -22,7 +22,7 @@ def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -
         provenance: The detector's.
         keys: The frames that count.
     """
-    trained = _trained_on(provenance)
+    trained = _fingerprints(provenance)
     if not isinstance(data, Dataset) or not trained:
         return UNKNOWN, 0
     learnt: set[Key] | None = None
@@ -37,7 +37,7 @@ def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -
     return f"all {len(keys)} frames" if common == len(keys) else f"{common} of {len(keys)} frames", common
 
 
-def _trained_on(provenance: Mapping[str, Any]) -> set[tuple[str, int]]:
+def _fingerprints(provenance: Mapping[str, Any]) -> set[tuple[str, int]]:
     """Fingerprint and number of frames of each data set that was learnt from."""
     streams = [*(provenance.get("streams") or {}).values(), provenance]
     pairs = ((stream.get("data_fingerprint"), stream.get("frames")) for stream in streams)
@@ -60,7 +60,7 @@ def _candidates(data: Dataset, provenance: Mapping[str, Any], sizes: set[int]) -
         yield replay(data, recipe)
 
 
-def remembered(words: str, common: int) -> tuple[str, ...]:
+def leakage_warning(words: str, common: int) -> tuple[str, ...]:
     """A note for a score, where frames were learnt from."""
     if not common:
         return ()

@@ -19,16 +19,16 @@ def of_classes(boxes: Boxes, labels: Collection[str] | None) -> Bool[np.ndarray,
     return np.ones(len(boxes), dtype=bool) if labels is None else np.isin(boxes.label, list(labels))
 
 
-def sure(predictions: Boxes, score_min: float) -> Boxes:
+def confident(predictions: Boxes, score_min: float) -> Boxes:
     """The predictions whose score is at least ``score_min``; all of them where there are no scores."""
     return predictions if predictions.score is None else predictions[predictions.score >= score_min]
 
 
-def shown_of(predictions: Boxes | None, score_min: float) -> tuple[Boxes | None, str]:
+def shown_predictions(predictions: Boxes | None, score_min: float) -> tuple[Boxes | None, str]:
     """The predictions that a picture shows, and what it says of the others; nothing where it shows all."""
     if predictions is None:
         return None, ""
-    shown = sure(predictions, score_min)
+    shown = confident(predictions, score_min)
     if len(shown) == len(predictions):
         return shown, ""
     return shown, f"{len(shown)} of {len(predictions)} boxes: score {score_min:g} or more"
@@ -64,7 +64,7 @@ def annotated_objects(
         annotated = annotated[of_classes(annotated, labels)]
         if annotated.point_count is None:
             continue
-        detected = sure(predictions.get(key, Boxes.empty(scored=True)), score_min)
+        detected = confident(predictions.get(key, Boxes.empty(scored=True)), score_min)
         finder = finding.found_by(detected[of_classes(detected, labels)], annotated)
         known = annotated.point_count >= 0
         range_m += np.round(annotated.range_m[known], 2).tolist()

@@ -22,7 +22,7 @@ def _of_class(boxes: Mapping[Key, Boxes], name: str) -> np.ndarray:
     return np.concatenate([np.zeros(0), *parts])
 
 
-def scores(
+def score_histograms(
     before: Mapping[Key, Boxes],
     after: Mapping[Key, Boxes],
     classes: Sequence[str],
@@ -59,7 +59,7 @@ def scores(
     return figure
 
 
-def changed(frame: Frame, cloud: str, before: Boxes, after: Boxes) -> "Figure":
+def boxes_before_and_after(frame: Frame, cloud: str, before: Boxes, after: Boxes) -> "Figure":
     """A frame from above twice: with the boxes before, and with those after.
 
     Args:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.evaluation.objects import of_classes, shown_of
+from farfield.evaluation.objects import of_classes, shown_predictions
 from farfield.evaluation.sensing import kind_of, returns_word
 from farfield.figures.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
 from farfield.figures.tags import draw_tags
@@ -297,7 +297,7 @@ def birdseye(
         window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
         shown_score: Predicted boxes of a lower score are left out, which the title says.
     """
-    predictions, left_out = shown_of(predictions, shown_score)
+    predictions, left_out = shown_predictions(predictions, shown_score)
     points = frame.cloud(cloud)
     window = fit_window(points.points_m) if window_m == "fit" else window_m
     title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")

@@ -12,14 +12,16 @@ _SCALE = 4
 _BEFORE, _AFTER = (255, 64, 64), (64, 255, 64)
 
 
-def camera_picture(job: CameraJob) -> UInt8[np.ndarray, "height width 3"]:
+def camera_calibration_picture(job: CameraJob) -> UInt8[np.ndarray, "height width 3"]:
     """The first frame twice, one above the other, with the LiDAR's depth edges: red before, green after."""
     own = job.views.points_m[job.views.frame == 0]
-    halves = [_drawn(job.picture, camera, own, ink) for camera, ink in ((job.before, _BEFORE), (job.after, _AFTER))]
+    halves = [
+        _draw_edges(job.picture, camera, own, ink) for camera, ink in ((job.before, _BEFORE), (job.after, _AFTER))
+    ]
     return np.concatenate(halves)
 
 
-def _drawn(
+def _draw_edges(
     picture: UInt8[np.ndarray, "height width 3"],
     camera: Camera,
     points_m: Float[np.ndarray, "n 3"],
@@ -34,14 +36,16 @@ def _drawn(
     return image
 
 
-def radar_picture(job: RadarJob) -> UInt8[np.ndarray, "height width 3"]:
+def radar_calibration_picture(job: RadarJob) -> UInt8[np.ndarray, "height width 3"]:
     """The middle frame's radar power (blue) under the LiDAR's points, from above; before left, after right."""
     middle = len(job.moments) // 2
-    halves = [_above(job, middle, pose, ink) for pose, ink in ((job.before, _BEFORE), (job.found.pose, _AFTER))]
+    halves = [
+        _draw_from_above(job, middle, pose, ink) for pose, ink in ((job.before, _BEFORE), (job.found.pose, _AFTER))
+    ]
     return np.concatenate([halves[0], np.full((len(halves[0]), 8, 3), 255, np.uint8), halves[1]], axis=1)
 
 
-def _above(
+def _draw_from_above(
     job: RadarJob, index: int, pose: RadarPose, ink: tuple[int, int, int]
 ) -> UInt8[np.ndarray, "height width 3"]:
     lidar = job.moments[index]

@@ -86,7 +86,7 @@ def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | Non
         for axes in places[len(drawn) :]:
             axes.set_visible(False)
         for axes, (panel, columns) in zip(places, drawn, strict=False):
-            _draw(axes, rows, panel, columns)
+            _draw_panel(axes, rows, panel, columns)
     return figure
 
 
@@ -99,7 +99,7 @@ def columns_of(rows: Sequence[Row], panel: CoursePanel, panels: Sequence[CourseP
     return [name for name in names if not name.startswith(others)]
 
 
-def _draw(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: Sequence[str]) -> None:
+def _draw_panel(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: Sequence[str]) -> None:
     for place, name in enumerate(columns):
         having = [row for row in rows if name in row and np.isfinite(row[name])]
         steps, values = (np.array([row[key] for row in having], dtype=np.float64) for key in ("step", name))

@@ -38,7 +38,7 @@ def conditional_rows(
     """
     if kind not in CONDITIONS:
         raise ConfigError(f"kind: expected one of {', '.join(CONDITIONS)}, got {kind!r}")
-    _check(results)
+    _check_conventions(results)
     values = list(CONDITIONS[kind])
     for result in results.values():
         values += [value for value in result.get("conditions", {}).get(kind, {}) if value not in values]
@@ -101,7 +101,7 @@ def _title(label: str, measure: str, iou: float) -> str:
     return f"AP{'3D' if measure == '3d' else '_BEV'} of {label!r} at IoU {iou:g}, per cent; '-': nothing annotated"
 
 
-def _check(results: Results) -> None:
+def _check_conventions(results: Results) -> None:
     first = next(iter(results), None)
     if first is None:
         raise ConfigError("results: expected at least one, got none")

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from farfield.figures.tables import NOTHING, heading, shown
+from farfield.figures.tables import NOTHING, figure_text, heading
 from farfield.metrics.protocol import Protocol, protocol_of
 from farfield.metrics.result import table
 
 
-def _figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
+def _main_figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
     """The main figure and what belongs beside it; of several classes or measures all that stand side by side."""
     stated = protocol.presentation(result)
     if protocol.several_classes or protocol.per_cent:
@@ -16,7 +16,7 @@ def _figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
     return [name for name in (stated.main, stated.beside) if name]
 
 
-def classes_of(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
+def class_table(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
     """A table of all classes and their mean; nothing where there are none.
 
     Args:
@@ -29,7 +29,7 @@ def classes_of(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
         rows[f"mean of {len(mean['of'])} classes"] = mean
     protocol = protocol_of(result)
     found = list(dict.fromkeys(name for row in rows.values() for name in row.get("figures") or ()))
-    names = [name for name in _figures(protocol, result) if name in found] or found
+    names = [name for name in _main_figures(protocol, result) if name in found] or found
     if not names:
         return ""
     lines = [
@@ -45,4 +45,4 @@ def _cells(protocol: Protocol, row: Mapping[str, Any], names: list[str]) -> list
         return [str(row["why"]).replace("_", " "), *[""] * (len(names) - 1)]
     values = [(row["figures"] or {}).get(name) for name in names]
     units = [protocol.unit(name) for name in names]
-    return [NOTHING if value is None else shown(value, unit) for value, unit in zip(values, units, strict=True)]
+    return [NOTHING if value is None else figure_text(value, unit) for value, unit in zip(values, units, strict=True)]

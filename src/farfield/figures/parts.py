@@ -76,7 +76,7 @@ def condition_tables(
     tables = []
     for kind in (kind for kind in kinds if kind in _HEADS):
         title, head = _HEADS[kind]
-        values = [value for value in _names(parts, ("conditions", kind)) if _is_there(parts, kind, value)]
+        values = [value for value in _names(parts, ("conditions", kind)) if _has_frames(parts, kind, value)]
         if not values:
             continue
         rows = []
@@ -90,7 +90,7 @@ def condition_tables(
     return tables
 
 
-def _is_there(parts: Parts, kind: str, value: str) -> bool:
+def _has_frames(parts: Parts, kind: str, value: str) -> bool:
     """Whether a part has frames, or nothing says how many it has."""
     return any(at(part, ("counts", kind, value, "frames")) != 0 for part in parts.values())
 
@@ -112,8 +112,8 @@ def _condition(
         result=result,
         first=first,
         cells={name: TableCell(value_at(figures, name), _interval(drawn, name), protocol.unit(name)) for name in names},
-        annotated=_whole(counts, "annotated"),
-        frames=_whole(counts, "frames"),
+        annotated=_integer(counts, "annotated"),
+        frames=_integer(counts, "frames"),
     )
 
 
@@ -125,7 +125,7 @@ def class_rows(parts: Parts, names: Sequence[str], protocol: Protocol) -> list[P
         names: Figures to take.
         protocol: Says in which units they are shown.
     """
-    found = [name for label in _names(parts, ("classes",)) for name in _figures(parts, label)]
+    found = [name for label in _names(parts, ("classes",)) for name in _figure_names(parts, label)]
     shown = [name for name in names if name in found] or list(dict.fromkeys(found))
     rows = []
     for label in _names(parts, ("classes",)):
@@ -153,7 +153,7 @@ def _class_row(row: Any, title: str, result: str, shown: Sequence[str], protocol
         result=result,
         first=first,
         cells={each: TableCell(_number(known.get(each)), None, protocol.unit(each)) for each in shown},
-        annotated=_whole(row, "annotated"),
+        annotated=_integer(row, "annotated"),
         why=str(at(row, ("why",)) or "")[:80].replace("_", " "),
     )
 
@@ -163,7 +163,7 @@ def _names(parts: Parts, path: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(name for node in nodes if isinstance(node, Mapping) for name in node))
 
 
-def _figures(parts: Parts, label: str) -> list[str]:
+def _figure_names(parts: Parts, label: str) -> list[str]:
     nodes = [at(part, ("classes", label, "figures")) for part in parts.values()]
     return [name for node in nodes if isinstance(node, Mapping) for name in node]
 
@@ -175,7 +175,7 @@ def _interval(drawn: Any, name: str) -> tuple[float, float] | None:
     return float(ends[0]), float(ends[1])
 
 
-def _whole(node: Any, name: str) -> int | None:
+def _integer(node: Any, name: str) -> int | None:
     value = at(node, (name,))
     return value if isinstance(value, int) else None
 

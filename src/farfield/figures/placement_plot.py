@@ -29,8 +29,8 @@ def placement_figure(found: RigPlacement | None) -> "Figure | None":
     with house_style():
         figure = new_figure(11.0, 4.6)
         above, beside = figure.subplots(1, 2)
-        _draw(above, found, (1, 0), size, mirrored=True)
-        _draw(beside, found, (0, 2), size, mirrored=False)
+        _draw_sensors(above, found, (1, 0), size, mirrored=True)
+        _draw_sensors(beside, found, (0, 2), size, mirrored=False)
         above.set(title="From above, ahead is up", xlabel="y, left (m)", ylabel="x, forward (m)")
         beside.set(title="From the right, ahead is to the right", xlabel="x, forward (m)", ylabel="z, up (m)")
         handles = [above.plot([], [], color=colour, label=name)[0] for name, colour in _AXES]
@@ -38,7 +38,9 @@ def placement_figure(found: RigPlacement | None) -> "Figure | None":
     return figure
 
 
-def _draw(axes: "Axes", found: RigPlacement, across_up: tuple[int, int], size: float, *, mirrored: bool) -> None:
+def _draw_sensors(
+    axes: "Axes", found: RigPlacement, across_up: tuple[int, int], size: float, *, mirrored: bool
+) -> None:
     rows = list(across_up)
     axes.scatter(0, 0, marker="+", s=60, color=MUTED, linewidths=0.8)
     taken: list[np.ndarray] = []
@@ -53,7 +55,7 @@ def _draw(axes: "Axes", found: RigPlacement, across_up: tuple[int, int], size: f
         lower = sum(bool(np.linalg.norm(at - other) < 0.15 * size) for other in taken)
         taken.append(at)
         place, below = (float(at[0]), float(at[1])), (6, -10 - 11 * lower)
-        axes.annotate(_name(each), place, below, textcoords="offset points", fontsize=7.5, color=INK)
+        axes.annotate(_sensor_name(each), place, below, textcoords="offset points", fontsize=7.5, color=INK)
     spread = np.array([each.frame_T_sensor[rows, 3] for each in found.sensors] + [np.zeros(2)])
     middle, reach = (spread.min(axis=0) + spread.max(axis=0)) / 2, 0.5 * size + 0.35 * size
     low, high = middle - reach, middle + reach
@@ -63,7 +65,7 @@ def _draw(axes: "Axes", found: RigPlacement, across_up: tuple[int, int], size: f
     axes.grid(True)
 
 
-def _name(each: SensorPlacement) -> str:
+def _sensor_name(each: SensorPlacement) -> str:
     shown = ", ".join(each.names[:_MOST_NAMES]) + (", ..." if len(each.names) > _MOST_NAMES else "")
     x, y, z = each.frame_T_sensor[:3, 3]
     return f"{shown} ({x:.2f}, {y:.2f}, {z:.2f})"

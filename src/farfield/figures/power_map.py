@@ -22,8 +22,8 @@ ANNOTATED_ON_MAP, PREDICTED_ON_MAP = "#3ddbd9", "#ffd43b"
 """Colours of boxes that stand out from the map's dark ground."""
 SECOND = "#ff8cc6"
 """Colour of a second detector's boxes on a map."""
-_COLOURS = (("yellow", PREDICTED_ON_MAP), ("pink", SECOND))
-_ASIDE_M = 40.0
+_DETECTOR_COLOURS = (("yellow", PREDICTED_ON_MAP), ("pink", SECOND))
+_MAP_ASIDE_M = 40.0
 
 
 def power_map(
@@ -46,19 +46,19 @@ def power_map(
     reach_m = min(max(rings_m, default=CUBE_X_M[-1]), float(CUBE_X_M[-1]))
     sets = predicted if isinstance(predicted, Mapping) else {} if predicted is None else {"": predicted}
     with house_style():
-        figure = new_figure(11.0, 0.9 + 9.6 * 2 * _ASIDE_M / (1.12 * reach_m))
+        figure = new_figure(11.0, 0.9 + 9.6 * 2 * _MAP_ASIDE_M / (1.12 * reach_m))
         axes = figure.add_subplot()
         shown = draw_power(axes, power_db)
-        window = (0.0, reach_m, -_ASIDE_M, _ASIDE_M)
+        window = (0.0, reach_m, -_MAP_ASIDE_M, _MAP_ASIDE_M)
         draw_rings(axes, window, rings_m, colour="white")
         if annotated is not None:
             asked = of_classes(annotated, labels)
             draw_boxes(axes, annotated[~asked], _OTHERS, line_width=0.8, order=3)
             draw_boxes(axes, annotated[asked], ANNOTATED_ON_MAP, line_width=1.8, order=4)
-        for place, (boxes, (_, colour)) in enumerate(zip(sets.values(), _COLOURS, strict=False)):
+        for place, (boxes, (_, colour)) in enumerate(zip(sets.values(), _DETECTOR_COLOURS, strict=False)):
             draw_boxes(axes, boxes, colour, line_width=1.0, order=5 + place)
         axes.set(xlim=window[:2], ylim=window[2:], xlabel="x forward (m)", ylabel="y left (m)")
-        axes.set_title("; ".join(["Blue-green: annotated", *_named(list(sets))]))
+        axes.set_title("; ".join(["Blue-green: annotated", *_legend_words(list(sets))]))
         figure.colorbar(shown, ax=axes, label="mean power, dB", shrink=0.8, pad=0.02)
     return figure
 
@@ -75,9 +75,9 @@ def draw_power(axes: "Axes", power_db: Float[np.ndarray, "y x"]) -> "AxesImage":
     )
 
 
-def _named(clouds: Sequence[str]) -> list[str]:
+def _legend_words(clouds: Sequence[str]) -> list[str]:
     """Whose predictions have which colour."""
     return [
         f"{word}: predicted{f' from {cloud}' if cloud else ''}"
-        for cloud, (word, _) in zip(clouds, _COLOURS, strict=False)
+        for cloud, (word, _) in zip(clouds, _DETECTOR_COLOURS, strict=False)
     ]

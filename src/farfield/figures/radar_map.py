@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLOURS = "magma"
+POWER_COLOURS = "magma"
 _ON_DARK = "#3ddbd9"  # annotated boxes on a map
 _STRENGTHS = {"rcs_dbsm": "RCS, dBsm", "power": "power, dB over 1e13", "snr_db": "SNR, dB"}
 
@@ -65,7 +65,7 @@ def _image(axes: "Axes", bird_db: Float[np.ndarray, "y x"]) -> Any:
     low, high = power_levels(bird_db)
     extent = cube_extent(CUBE_X_M, CUBE_Y_M)
     filled = np.isfinite(bird_db)
-    drawn = axes.imshow(bird_db, origin="lower", extent=extent, cmap=_COLOURS, vmin=low, vmax=high)
+    drawn = axes.imshow(bird_db, origin="lower", extent=extent, cmap=POWER_COLOURS, vmin=low, vmax=high)
     ahead, aside = CUBE_X_M[filled.any(axis=0)], CUBE_Y_M[filled.any(axis=1)]
     if len(ahead) and len(aside):  # cells of a region leave the rest of the cube empty
         axes.set(xlim=(max(ahead[0], 0.0), ahead[-1]), ylim=(aside[0], aside[-1]))
@@ -87,7 +87,7 @@ def _points(axes: "Axes", frame: Frame) -> tuple[Any, str, str]:
     if column == "power":
         values = 10 * np.log10(np.maximum(values, 1e-9))
     x, y, _ = cloud.points_m.T
-    drawn = axes.scatter(x, y, c=values, s=9, cmap=_COLOURS, linewidths=0)
+    drawn = axes.scatter(x, y, c=values, s=9, cmap=POWER_COLOURS, linewidths=0)
     left, right, low, high = fitting_window(cloud, frame.boxes)
     axes.set(xlim=(left, right), ylim=(low, high))
     return drawn, _STRENGTHS.get(column, "height, m"), f"the cloud {name}"

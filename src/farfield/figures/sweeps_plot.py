@@ -67,11 +67,11 @@ def from_above(sides: Sequence[ComparedDataset]) -> "Figure | None":
                 axes.add_patch(_circle(reach, INK, (0, (4, 2)), 1.0))
             axes.set(xlim=(window_m, -window_m), ylim=(-window_m, window_m), aspect="equal")  # y points left
             axes.set(xlabel="y (m)", ylabel="x (m)")
-            axes.set_title(_words(side, name, reach))
+            axes.set_title(_sweep_title(side, name, reach))
     return figure
 
 
-def _words(side: ComparedDataset, name: str, reach: float | None) -> str:
+def _sweep_title(side: ComparedDataset, name: str, reach: float | None) -> str:
     told = f"{side.title}, {name}"
     return told if reach is None else f"{told}\n{reach:.0f} m: {reaction_s(reach):.1f} s at {SPEED_MPH:.0f} mph"
 

@@ -28,14 +28,14 @@ class TableCell:
     @property
     def text(self) -> str:
         """The figure to three decimals, in per cent to two, or a dash."""
-        return NOTHING if self.value is None else shown(self.value, self.unit)
+        return NOTHING if self.value is None else figure_text(self.value, self.unit)
 
     @property
     def interval_text(self) -> str:
         """The interval with a decimal less, or nothing."""
         if self.interval is None:
             return ""
-        return " to ".join(shown(end, self.unit, less=1) for end in self.interval)
+        return " to ".join(figure_text(end, self.unit, less=1) for end in self.interval)
 
     @property
     def percent(self) -> float:
@@ -43,7 +43,7 @@ class TableCell:
         return 0.0 if self.value is None else round(100 * min(max(self.value, 0.0), 1.0), 1)
 
 
-def shown(value: float, unit: str, *, less: int = 0) -> str:
+def figure_text(value: float, unit: str, *, less: int = 0) -> str:
     """A figure as text without its unit; ``less`` decimals less than usual."""
     return f"{100 * value:.{2 - less}f}" if unit == "%" else f"{value:.{3 - less}f}"
 
@@ -91,10 +91,12 @@ def rows(results: Results, names: Sequence[str], protocol: Protocol) -> list[Sco
         parts += [part for part in part_names(result) if part not in parts]
     parts.sort(key=lambda part: float(part.split("-")[0]))
     ordered = [*parts, "overall"]
-    return [_row(name, result, part, names, protocol) for part in ordered for name, result in results.items()]
+    return [_score_row(name, result, part, names, protocol) for part in ordered for name, result in results.items()]
 
 
-def _row(name: str, result: Mapping[str, Any], part: str, names: Sequence[str], protocol: Protocol) -> ScoreTableRow:
+def _score_row(
+    name: str, result: Mapping[str, Any], part: str, names: Sequence[str], protocol: Protocol
+) -> ScoreTableRow:
     number = counts(result, part=part)
     cells = {
         each: TableCell(figure(result, each, part=part), interval(result, each, part=part), protocol.unit(each))

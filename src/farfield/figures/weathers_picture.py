@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
-from farfield.evaluation.objects import of_classes, sure
+from farfield.evaluation.objects import confident, of_classes
 from farfield.evaluation.record import FrameView
 from farfield.figures.birds_eye import draw_birdseye, draw_boxes
 from farfield.figures.power_map import ANNOTATED_ON_MAP, PREDICTED_ON_MAP, SECOND, draw_power
@@ -51,7 +51,7 @@ def weathers_picture(views: Sequence[FrameView], *, radar: str, lidar: str) -> "
             if column:
                 for axes in grid[:, column]:
                     axes.set_ylabel("")
-        _legend(figure, radar, lidar)
+        _weathers_legend(figure, radar, lidar)
     return figure
 
 
@@ -85,7 +85,7 @@ def _asked(boxes: Boxes | None) -> Boxes | None:
 
 def _shown(view: FrameView, cloud: str) -> Boxes | None:
     predicted = view.by_cloud[cloud]
-    return None if predicted is None else sure(predicted, SHOWN_SCORE)
+    return None if predicted is None else confident(predicted, SHOWN_SCORE)
 
 
 def _boxes(axes: "Axes", boxes: Boxes | None, colour: str, width: float, order: int, dashes: Any = "-") -> None:
@@ -100,7 +100,7 @@ def _corridor(axes: "Axes", colour: str) -> None:
     )
 
 
-def _legend(figure: "Figure", radar: str, lidar: str) -> None:
+def _weathers_legend(figure: "Figure", radar: str, lidar: str) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

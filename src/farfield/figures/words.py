@@ -46,7 +46,7 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
         return "Nothing is annotated in the region that counts, so there is no score."
     label = next((label for result in results.values() if (label := _label(result))), "object")
     unit = protocol.unit(score)
-    reached = _joined(
+    reached = _enumerated(
         [
             _value(value, unit) + _beside(results[n], protocol, presentation) + f" on {_short(n)}"
             for n, value in known.items()
@@ -59,7 +59,7 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
     falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
     only = "" if len(known) == 1 else f"On {_short(best)} it"
-    return first + (f" {only or 'It'} is {_joined(falls)}." if len(falls) > 1 else "")
+    return first + (f" {only or 'It'} is {_enumerated(falls)}." if len(falls) > 1 else "")
 
 
 def _label(result: Mapping[str, Any]) -> str:
@@ -103,8 +103,12 @@ def scope(results: Results) -> str:
             text = f"{frames:,} frames with {number.get('annotated', 0):,} annotated objects"
             groups.setdefault(text, []).append(_short(name))
     if len(groups) == 1 and len(results) > 1:
-        return f"Scored: {next(iter(groups))}, the same in {_joined(next(iter(groups.values())))}."
-    return f"Scored: {_joined([f'{text} in {_joined(names)}' for text, names in groups.items()])}." if groups else ""
+        return f"Scored: {next(iter(groups))}, the same in {_enumerated(next(iter(groups.values())))}."
+    return (
+        f"Scored: {_enumerated([f'{text} in {_enumerated(names)}' for text, names in groups.items()])}."
+        if groups
+        else ""
+    )
 
 
 def origin(provenance: Mapping[str, Any]) -> tuple[str, str]:
@@ -137,7 +141,7 @@ def pattern_note(name: str) -> str:
 
 def metres(edges_m: Collection[float]) -> str:
     """Range edges as people read them: ``"70, 150 and 250 m"``."""
-    return f"{_joined([f'{edge:g}' for edge in edges_m])} m"
+    return f"{_enumerated([f'{edge:g}' for edge in edges_m])} m"
 
 
 def _short(name: str) -> str:
@@ -150,5 +154,5 @@ def pattern_title(name: str) -> str:
     return f"{name.capitalize()} pattern" if name.lower() in PATTERN_NOTES else name
 
 
-def _joined(parts: list[str]) -> str:
+def _enumerated(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else ""

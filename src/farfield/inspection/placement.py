@@ -58,14 +58,16 @@ def placement(data: Dataset) -> RigPlacement | None:
         known: list[SensorPlacement] = []
         for name, sensor in sensors.items():
             if sensor.frame_T_sensor is not None:
-                _add(known, SensorPlacement(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,)))
+                _add_sensor(
+                    known, SensorPlacement(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,))
+                )
         lacks = tuple(name for name, sensor in sensors.items() if sensor.frame_T_sensor is None)
         if known:
             return RigPlacement(reference=frame.reference, sensors=tuple(known), unknown=lacks)
     return None
 
 
-def _add(known: list[SensorPlacement], one: SensorPlacement) -> None:
+def _add_sensor(known: list[SensorPlacement], one: SensorPlacement) -> None:
     """Put the data of one sensor together."""
     for place, other in enumerate(known):
         if other.kind == one.kind and np.allclose(other.frame_T_sensor, one.frame_T_sensor, atol=1e-9):

@@ -130,13 +130,13 @@ def _velocity(
         return radar_velocity(forward, turn, vehicle_T_radar), f"{speed_m_s:g} m/s were given"
     for other in (index + 1, index - 1):
         if 0 <= other < len(data) and data.keys[other][0] == frame.sequence:
-            found = _between(frame, data[other])
+            found = _mean_velocity(frame, data[other])
             if found is not None:
                 return found, f"from the poses of this frame and of {data.keys[other][1]}"
     return None, ""
 
 
-def _between(frame: Frame, other: Frame) -> Float64[np.ndarray, "3"] | None:
+def _mean_velocity(frame: Frame, other: Frame) -> Float64[np.ndarray, "3"] | None:
     """Mean velocity between two frames in the axes of the first; None where poses or times are missing."""
     if frame.world_T_frame is None or other.world_T_frame is None or frame.time_ns is None or other.time_ns is None:
         return None

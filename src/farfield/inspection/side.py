@@ -62,7 +62,9 @@ class _BlockCounting:
         return UnitResult(value=statistics)
 
 
-def side_of(data: Dataset, name: str, frames: int = 0, bulk: JobOptions = HERE, **settings: Any) -> ComparedDataset:
+def count_dataset(
+    data: Dataset, name: str, frames: int = 0, bulk: JobOptions = HERE, **settings: Any
+) -> ComparedDataset:
     """Count the clouds, boxes and radar of a data set.
 
     Args:
@@ -99,7 +101,7 @@ def _sweeps(data: Dataset) -> dict[str, dict[str, np.ndarray]]:
     return {f"sweep/{name}": {"xy_m": points[:: max(steps[name], 1)]} for name, points in found.items()}
 
 
-def paired(
+def pair_clouds(
     sides: Sequence[ComparedDataset], clouds: Mapping[str, str] | None = None
 ) -> tuple[tuple[ComparedDataset, ComparedDataset], list[tuple[str, str]]]:
     """Two sides whose clouds stand beside one another under one name.

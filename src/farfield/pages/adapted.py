@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.figures.adapted_plots import changed, scores
+from farfield.figures.adapted_plots import boxes_before_and_after, score_histograms
 from farfield.figures.courses import ADAPTATION, courses
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
@@ -84,11 +84,11 @@ def write_adapted(path: Path, page: AdaptedPage) -> Path:
         page: What it shows.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, render(page))
+    write_text(path, render_adapted(page))
     return path
 
 
-def render(page: AdaptedPage) -> str:
+def render_adapted(page: AdaptedPage) -> str:
     """Return the page as HTML."""
     before, after = (rates(boxes, page) for boxes in (page.before, page.after))
     sure = [float(each[:, :, 0].sum()) for each in (before, after)]
@@ -160,7 +160,7 @@ def _origin(simulated: Mapping[str, bool]) -> str:
 
 def _histogram(page: AdaptedPage) -> PageImage:
     return PageImage(
-        figure_uri(scores(page.before, page.after, page.classes, page.positive, page.negative)),
+        figure_uri(score_histograms(page.before, page.after, page.classes, page.positive, page.negative)),
         "Histograms of the scores of all boxes before and after, a panel for each class",
         "Boxes a sweep by score, on a logarithmic scale. The dashed lines are the thresholds: boxes right of both "
         "taught as objects, those left of both as background, and what lies between was ignored. A healthy adaptation "
@@ -174,7 +174,7 @@ def _picture(change: PseudoLabelFrame) -> PageImage:
     if frame.boxes is not None:
         caption += " Annotated boxes are drawn too; they were not used."
     return PageImage(
-        figure_uri(changed(frame, change.cloud, change.before, change.after)),
+        figure_uri(boxes_before_and_after(frame, change.cloud, change.before, change.after)),
         f"Bird's-eye view of {frame.sequence}, {frame.frame_id}, with the boxes before above those after",
         caption,
         f"{frame.sequence}, frame {frame.frame_id}",

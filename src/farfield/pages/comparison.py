@@ -54,7 +54,7 @@ def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
     lines = [
         *_line(sides, "data", "frames", "frames", digits=0),
         *_line(sides, "data", "sequences", "sequences", digits=0),
-        ComparisonLine("data", "simulated", tuple(_said(side.summary.get("simulated")) for side in sides)),
+        ComparisonLine("data", "simulated", tuple(_simulated_text(side.summary.get("simulated")) for side in sides)),
         *_line(sides, "data", "boxes are", "box_protocol"),
     ]
     for cloud in _names(sides, "clouds"):
@@ -156,11 +156,11 @@ def _text(value: Any, digits: int) -> str:
     return f"{value:,.{digits}f}" if isinstance(value, int | float) else str(value)
 
 
-def _said(simulated: bool | None) -> str:
+def _simulated_text(simulated: bool | None) -> str:
     return {True: "yes", False: "no", None: "not said"}[simulated]
 
 
-def pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
+def sensor_pictures_of(sides: Sequence[ComparedDataset]) -> list[PageImage]:
     """Every figure that at least one side has the data for."""
     found = []
     for draw, heading, caption in (
@@ -216,14 +216,14 @@ def pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
     return found
 
 
-def render(sides: Sequence[ComparedDataset], *, title: str) -> str:
+def render_comparison(sides: Sequence[ComparedDataset], *, title: str) -> str:
     """Return the page as HTML."""
     return render_template(
         "comparison.html",
         title=title,
         sides=sides,
         lines=table_lines(sides),
-        pictures=pictures(sides),
+        pictures=sensor_pictures_of(sides),
         any_simulated=any(side.simulated for side in sides),
     )
 
@@ -243,5 +243,5 @@ def write_comparison(folder: Path | str, sides: Sequence[ComparedDataset], *, ti
     folder.mkdir(parents=True, exist_ok=True)
     tree = {"title": title, "sides": [{"name": s.name, "path": s.path, **s.summary} for s in sides]}
     write_text(folder / "comparison.json", json.dumps(tree, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "comparison.html", render(sides, title=title))
+    write_text(folder / "comparison.html", render_comparison(sides, title=title))
     return folder / "comparison.html"

@@ -44,13 +44,13 @@ def write_report(
         The path.
     """
     path = Path(path)
-    page = render(evaluation, shown_score=shown_score, progress=progress)
+    page = render_report(evaluation, shown_score=shown_score, progress=progress)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
 
 
-def render(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress: Progress = iter) -> str:
+def render_report(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, progress: Progress = iter) -> str:
     """Return the page as HTML; arguments as in :func:`write_report`."""
     results = evaluation.results
     first = next(iter(results.values()), {})
@@ -155,7 +155,7 @@ def _fact_name(name: str) -> str:
     return (f"{stem} ({unit})" if stem and unit in _UNITS else name).replace("_", " ")
 
 
-def _shown(value: Any) -> str:
+def _fact_text(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
     if isinstance(value, float):
@@ -163,15 +163,15 @@ def _shown(value: Any) -> str:
     if isinstance(value, str | int):
         return str(value)
     if isinstance(value, list | tuple) and all(isinstance(each, str | int | float) for each in value):
-        return ", ".join(_shown(each) for each in value) or "none"
+        return ", ".join(_fact_text(each) for each in value) or "none"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_shown(each)}" for key, each in value.items()) or "none"
+        return ", ".join(f"{key}: {_fact_text(each)}" for key, each in value.items()) or "none"
     return json.dumps(value, default=str)
 
 
 _FILTERS: dict[str, Callable[..., Any]] = {
     "range_name": range_name,
-    "shown": _shown,
+    "shown": _fact_text,
     "fact_name": _fact_name,
     "pattern_title": words.pattern_title,
 }

@@ -22,7 +22,7 @@ from farfield.files.atomic import open_atomic
 from farfield.frame import Boxes, Drive, Key
 from farfield.geometry.poses import invert
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
-from farfield.pages.film_frame import panels_of, picture
+from farfield.pages.film_frame import film_picture, panels_of
 from farfield.pages.film_panels import DrawnBoxes
 from farfield.vocabulary.scores import SHOWN_SCORE
 
@@ -79,7 +79,7 @@ class FilmWork:
         place = int(unit.parameters)
         frame = self.data[int(self.drive.indices[place])]
         drawn = [each for each in (self._drawn(place, False), self._drawn(place, True)) if each is not None]
-        image = picture(frame, self.panels, drawn, reach_m=self.settings.reach_m)
+        image = film_picture(frame, self.panels, drawn, reach_m=self.settings.reach_m)
         path = self.folder / f"{place:06d}.png"
         with open_atomic(path) as handle:
             image.save(handle, format="PNG", compress_level=1)
@@ -150,7 +150,7 @@ def make_film(
         Unit(f"{place:06d}", sources=tuple(data.files(int(index))), parameters=place)
         for place, index in enumerate(found.indices)
     ]
-    setting = repr((_VERSION, found.name, found.keys, work.panels, settings, _mark(predictions)))
+    setting = repr((_VERSION, found.name, found.keys, work.panels, settings, _predictions_crc(predictions)))
     run(work, units, bulk, journal=JobJournal(folder / ".journal.jsonl", setting=setting))
     _assemble(path, [folder / f"{place:06d}.png" for place in range(len(units))], rate_of(found, settings))
     shutil.rmtree(folder)
@@ -188,16 +188,16 @@ def _assemble(path: Path, pictures: list[Path], rate: Fraction) -> None:
         write_animation(whole, pictures, rate_hz=float(rate))
         whole.replace(path)
         return
-    videos.write_film(path, _read(pictures), range(len(pictures)), 1 / rate)
+    videos.write_film(path, _read_pictures(pictures), range(len(pictures)), 1 / rate)
 
 
-def _read(pictures: list[Path]) -> Iterator[np.ndarray]:
+def _read_pictures(pictures: list[Path]) -> Iterator[np.ndarray]:
     for each in pictures:
         with Image.open(each, formats=("PNG",)) as image:
             yield np.asarray(image.convert("RGB"))
 
 
-def _mark(predictions: Mapping[Key, Boxes] | None) -> int:
+def _predictions_crc(predictions: Mapping[Key, Boxes] | None) -> int:
     """Tells predictions apart, so that a film is not finished with others than it was begun with."""
     if predictions is None:
         return 0

@@ -48,7 +48,9 @@ def _order(frame: Frame, name: str) -> bool:
     return sensor is not None and sensor.kind != "lidar"
 
 
-def picture(frame: Frame, panels: Sequence[Panel], drawn: Sequence[DrawnBoxes], *, reach_m: float | int) -> Image.Image:
+def film_picture(
+    frame: Frame, panels: Sequence[Panel], drawn: Sequence[DrawnBoxes], *, reach_m: float | int
+) -> Image.Image:
     """Draw a frame.
 
     Args:
@@ -59,15 +61,15 @@ def picture(frame: Frame, panels: Sequence[Panel], drawn: Sequence[DrawnBoxes], 
     """
     whole = Image.new("RGB", SIZE, (32, 38, 46))
     pen = ImageDraw.Draw(whole)
-    pen.text((10, 7), words(frame, drawn), fill=WORDS, font=ImageFont.load_default(15))
-    for (kind, name), (left, top, width, height) in zip(panels, places(len(panels)), strict=True):
+    pen.text((10, 7), headline(frame, drawn), fill=WORDS, font=ImageFont.load_default(15))
+    for (kind, name), (left, top, width, height) in zip(panels, panel_rectangles(len(panels)), strict=True):
         pen.text((left + 4, top + 1), name, fill=WORDS, font=ImageFont.load_default(12))
         size = (width, height - TITLE)
         whole.paste(_panel(frame, kind, name, drawn, size, reach_m), (left, top + TITLE))
     return whole
 
 
-def places(count: int) -> list[tuple[int, int, int, int]]:
+def panel_rectangles(count: int) -> list[tuple[int, int, int, int]]:
     """Left, top, width and height of each panel."""
     room = SIZE[1] - HEAD
     if count < 2:
@@ -81,7 +83,7 @@ def places(count: int) -> list[tuple[int, int, int, int]]:
     return [(0, HEAD, MAIN, room), *beside]
 
 
-def words(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
+def headline(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
     """Which frame it is, in which conditions, and what is drawn."""
     said = [f"{frame.sequence} / {frame.frame_id}", *(str(value) for value in frame.conditions.values())]
     for each in drawn:

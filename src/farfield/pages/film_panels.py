@@ -91,7 +91,7 @@ def cloud_panel(cloud: Cloud, drawn: Sequence[DrawnBoxes], view: PanelView) -> I
     low, high = _HEIGHTS_M
     shade = np.clip((points[seen, 2] - low) / (high - low) * 255, 0, 255).astype(np.uint8)
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)) if len(points) < 60_000 else ((0, 0),):
-        canvas[rows[seen] + down, columns[seen] + right] = _table("viridis")[shade]
+        canvas[rows[seen] + down, columns[seen] + right] = _colour_table("viridis")[shade]
     return _with_boxes(canvas, drawn, view)
 
 
@@ -106,7 +106,7 @@ def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[DrawnBoxes], 
     known = bird_db[np.isfinite(bird_db)]
     low, high = np.percentile(known, [20.0, 99.8]) if known.size else (0.0, 1.0)
     shade = np.nan_to_num((level - low) / max(high - low, 1e-6) * 255, nan=0.0).clip(0, 255).astype(np.uint8)
-    canvas = np.where(np.isfinite(level)[..., None], _table("magma")[shade], np.array(GROUND, dtype=np.uint8))
+    canvas = np.where(np.isfinite(level)[..., None], _colour_table("magma")[shade], np.array(GROUND, dtype=np.uint8))
     return _with_boxes(canvas, drawn, view)
 
 
@@ -160,7 +160,7 @@ def _outline(pen: Any, box: Boxes, view: PanelView, colour: str, *, dashed: bool
 
 
 @lru_cache(maxsize=4)
-def _table(name: str) -> UInt8[np.ndarray, "256 3"]:
+def _colour_table(name: str) -> UInt8[np.ndarray, "256 3"]:
     from matplotlib import colormaps
 
     return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8)

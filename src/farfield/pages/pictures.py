@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.evaluation.objects import of_classes, sure
+from farfield.evaluation.objects import confident, of_classes
 from farfield.evaluation.record import FrameView
 from farfield.evaluation.sensing import kind_of, returns_word
 from farfield.figures.birds_eye import RANGES_M, Window, filled_zooms, fitting_window, in_window, overview, zooms
@@ -84,7 +84,7 @@ def frame_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]:
 
 def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawing: DrawingOptions) -> list[PageImage]:
     annotated, cloud = view.frame.boxes, view.frame.cloud(name)
-    predicted = None if predictions is None else sure(predictions, drawing.score_min)
+    predicted = None if predictions is None else confident(predictions, drawing.score_min)
     edges, kind = drawing.edges_m, kind_of(view.frame, name)
     window = fitting_window(cloud, annotated, predicted, edges_m=edges)
     start = f"{len(cloud):,} {returns_word(kind, many=True)}."
@@ -124,7 +124,7 @@ def _radar_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]
         return []
     given = {name: boxes for name, boxes in view.by_cloud.items() if boxes is not None}
     order = sorted(given, key=lambda name: kind_of(view.frame, name) != "radar")  # the radar's own in the first colour
-    kept = {name: sure(given[name], drawing.score_min) for name in order}
+    kept = {name: confident(given[name], drawing.score_min) for name in order}
     predicted = kept if len(kept) > 1 else next(iter(kept.values()), None)
     figure = power_map(
         view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
@@ -137,7 +137,7 @@ def _radar_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]
 def _camera_pictures(view: FrameView, score_min: float) -> list[PageImage]:
     pictures = []
     source, predictions = next(iter(view.by_cloud.items()), ("", None))
-    predicted = None if predictions is None else sure(predictions, score_min)
+    predicted = None if predictions is None else confident(predictions, score_min)
     points_m = _points_to_project(view.frame, source)
     boxes: dict[str, Any] = {"annotated": view.frame.boxes, "predicted": predicted}
     for name, image in view.frame.images.items():

@@ -15,7 +15,7 @@ from farfield.files.atomic import write_bytes, write_text
 from farfield.inspection.placement import RigPlacement
 from farfield.inspection.side import ComparedDataset
 from farfield.pages.comparison import ComparisonLine, table_lines
-from farfield.pages.comparison import pictures as sensor_pictures
+from farfield.pages.comparison import sensor_pictures_of as sensor_pictures
 from farfield.pages.pictures import PageImage
 from farfield.pages.template import render_template
 
@@ -134,15 +134,15 @@ def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[st
             found.append((_TITLES[key], heads, rows))
     heads = ["sequence", "frames", "weather", "road", "time", "boxes"]
     keys = ("sequence", "frames", "weather", "road", "time", "objects")
-    rows = [[plots.spoken(_text(row[key])) for key in keys] for row in census["table_5"]]
+    rows = [[plots.spoken(_count_text(row[key])) for key in keys] for row in census["table_5"]]
     return [*found, ("Sequences", heads, rows)]
 
 
-def _text(value: str | int) -> str:
+def _count_text(value: str | int) -> str:
     return f"{value:,}" if isinstance(value, int) else value
 
 
-def render(found: DatasetFigures, drawn: list[PageImage]) -> str:
+def render_statistics(found: DatasetFigures, drawn: list[PageImage]) -> str:
     """Return the page as HTML."""
     side = found.sensors
     lines: list[ComparisonLine] = [] if side is None else [line for line in table_lines([side]) if line.topic != "data"]
@@ -178,5 +178,5 @@ def write_statistics(folder: Path | str, found: DatasetFigures) -> Path:
     content = {**tree, "annotations": found.census, "sensors": found.sensors and found.sensors.summary}
     content |= {"placement": None if found.placed is None else found.placed.to_json()}
     write_text(folder / "statistics.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "statistics.html", render(found, drawn))
+    write_text(folder / "statistics.html", render_statistics(found, drawn))
     return folder / "statistics.html"

@@ -38,14 +38,14 @@ def write_synchronised(
     tables = [folder / ("matches.csv" if len(found) == 1 else f"matches-{name}.csv") for name in names]
     for path in (*tables, folder / "sync.json", folder / "sync.html"):
         sweep_out_file(path)  # what a killed command left
-    done = [_one(path, recording, to, tolerance_ns) for path, recording in zip(tables, found, strict=True)]
+    done = [_synchronise(path, recording, to, tolerance_ns) for path, recording in zip(tables, found, strict=True)]
     content = {"recordings": [each.to_json() for each in done]}
     write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
     write_sync_page(folder / "sync.html", done, title=title)
     return done
 
 
-def _one(path: Path, recording: RecordedStreams, to: str | None, tolerance_ns: int | None) -> SyncResult:
+def _synchronise(path: Path, recording: RecordedStreams, to: str | None, tolerance_ns: int | None) -> SyncResult:
     reference = best_reference(describe(recording)) if to is None else to
     labels = {name: source.labels for name, source in recording.streams.items() if source.labels is not None}
     with match_table(path, reference, labels) as table:
@@ -53,12 +53,12 @@ def _one(path: Path, recording: RecordedStreams, to: str | None, tolerance_ns: i
             recording,
             to=reference,
             tolerance_ns=tolerance_ns,
-            exchanges={log.name: _exchanged(log) for log in recording.logs},
+            exchanges={log.name: _exchange_clock(log) for log in recording.logs},
             row=table.add,
         )
 
 
-def _exchanged(log: Path) -> ExchangeClock:
+def _exchange_clock(log: Path) -> ExchangeClock:
     try:
         return summarised(read_clock_log(log))
     except FarfieldError as error:

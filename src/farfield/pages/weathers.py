@@ -80,7 +80,7 @@ def evaluate_weathers(
             )
             for weather, drives in data.items()
         }
-        found[cloud] = together(parts, name)
+        found[cloud] = merge_weathers(parts, name)
         results[cloud] = found[cloud].score(PROTOCOL, region=REGION, classes=(LABEL,)).to_json()
         objects[cloud] = annotated_objects(
             found[cloud].boxes,
@@ -110,7 +110,7 @@ def evaluate_weathers(
     )
 
 
-def together(parts: Mapping[str, Detections], name: str) -> Detections:
+def merge_weathers(parts: Mapping[str, Detections], name: str) -> Detections:
     """One detector's detections in several weathers as those of one data set; drives are told apart by weather.
 
     Args:
@@ -134,7 +134,7 @@ def together(parts: Mapping[str, Detections], name: str) -> Detections:
         conditions=conditions,
         drives=(),
         ms=tuple(ms for part in parts.values() for ms in part.ms),
-        notes=(*_mixed(parts), *dict.fromkeys(note for part in parts.values() for note in part.notes)),
+        notes=(*_mixture_note(parts), *dict.fromkeys(note for part in parts.values() for note in part.notes)),
         data=name,
         fingerprint=hashlib.sha256(prints.encode()).hexdigest() if prints else "",
         labels_fingerprint="",
@@ -144,7 +144,7 @@ def together(parts: Mapping[str, Detections], name: str) -> Detections:
     )
 
 
-def _mixed(parts: Mapping[str, Detections]) -> tuple[str, ...]:
+def _mixture_note(parts: Mapping[str, Detections]) -> tuple[str, ...]:
     """What the figures over all weathers are a mixture of."""
     if len(parts) < 2:
         return ()
@@ -171,7 +171,7 @@ def weather_table(results: Mapping[str, Mapping[str, Any]], weathers: Sequence[s
         who = cloud if subject is None else f"{subject.detector} ({cloud})"
         lines.append([who, *(_cell(result, weather) for weather in weathers)])
     first = next(iter(results.values()))
-    lines.append([f"annotated {LABEL}s", *(_counted(first, weather) for weather in weathers)])
+    lines.append([f"annotated {LABEL}s", *(_annotated_text(first, weather) for weather in weathers)])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
     rows.insert(1, "  ".join("-" * width for width in widths))
@@ -192,7 +192,7 @@ def _cell(result: Mapping[str, Any], weather: str) -> str:
     return f"{100 * value:.1f}{interval}"
 
 
-def _counted(result: Mapping[str, Any], weather: str) -> str:
+def _annotated_text(result: Mapping[str, Any], weather: str) -> str:
     counts = ((result.get("counts") or {}).get("conditions") or {}).get("weather", {}).get(weather) or {}
     return f"{counts['annotated']} in {counts['frames']} frames" if {"annotated", "frames"} <= set(counts) else "-"
 
@@ -201,7 +201,9 @@ def _views(detector: "Detector", data: Mapping[str, Dataset], found: Mapping[str
     """The moment with the most vehicles to find, in each weather; not chosen by what was found."""
     moments = set.intersection(*(set(drives.keys) for drives in data.values()))
     first = next(iter(found.values()))
-    rated = {key: [_wanted(first.annotations.get(key_in(weather, key))) for weather in data] for key in moments}
+    rated = {
+        key: [_vehicles_in_corridor(first.annotations.get(key_in(weather, key))) for weather in data] for key in moments
+    }
     if not rated:
         raise DatasetError(f"expected the same drives in {', '.join(data)}, found no moment that all have")
     best = max(sorted(rated), key=lambda key: (min(rated[key]), sum(rated[key])))
@@ -215,7 +217,7 @@ def _views(detector: "Detector", data: Mapping[str, Dataset], found: Mapping[str
     return views
 
 
-def _wanted(annotation: Annotation | None) -> int:
+def _vehicles_in_corridor(annotation: Annotation | None) -> int:
     """Number of annotated vehicles in the corridor."""
     if annotation is None:
         return 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from farfield.evaluation.objects import of_classes, sure
+from farfield.evaluation.objects import confident, of_classes
 from farfield.figures.birds_eye import Window, draw_birdseye, draw_boxes, in_window
 from farfield.figures.camera import box_lines
 from farfield.figures.radar_picture import cube_extent, power_levels
@@ -78,7 +78,7 @@ class RadarSheet:
         counts: dict[str, Any] = {"annotated": len(wanted), "without_return": int(lost.sum())}
         for name, boxes in (("on_radar", self.on_radar), ("on_lidar", self.on_lidar)):
             if boxes is not None:
-                seen = sure(boxes, SCORE_MIN)
+                seen = confident(boxes, SCORE_MIN)
                 counts[name] = _found(seen[in_window(seen.centre_m, window_m)], wanted, lost, self.boxes)
         return counts
 
@@ -207,7 +207,7 @@ def _draw_objects(axes: "Axes", sheet: RadarSheet, found: Boxes | None, region_m
     draw_boxes(axes, sheet.boxes[~lost], ANNOTATED, line_width=1.9, order=4)
     draw_boxes(axes, sheet.boxes[lost], LOST, line_width=1.9, order=4, dashes=_DASHED)
     if found is not None:
-        draw_boxes(axes, sure(found, SCORE_MIN), PREDICTED, line_width=1.2, order=5)
+        draw_boxes(axes, confident(found, SCORE_MIN), PREDICTED, line_width=1.2, order=5)
     if region_m is not None:
         x_from, x_to, y_from, y_to = region_m
         corridor = Rectangle((x_from, y_from), x_to - x_from, y_to - y_from, fill=False, ec=INK, lw=0.9, ls=(0, (1, 3)))

@@ -35,7 +35,7 @@ def contradictions(
         yield "road", f"labelled {conditions['road']}, driven at {mean_speed_m_s * 3.6:.0f} km/h on average"
 
 
-def against_labels(drives: Iterable[Drive], conditions: Mapping[str, Mapping[str, str]]) -> Iterator[Finding]:
+def condition_findings(drives: Iterable[Drive], conditions: Mapping[str, Mapping[str, str]]) -> Iterator[Finding]:
     """Findings on the drives whose clock or speed contradicts their conditions.
 
     Args:

@@ -219,7 +219,7 @@ def suspicious(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         close = boxes.range_m < 70.0
         total, near = total + len(boxes), near + int(close.sum())
         empty, near_empty = empty + int((count == 0).sum()), near_empty + int((count[close] == 0).sum())
-        doubled += _doubled(boxes)
+        doubled += _count_doubled(boxes)
         ground = ground_height_m(points, boxes.centre_m[:, :2])
         buried += int((boxes.centre_m[:, 2] + boxes.size_m[:, 2] / 2 < ground).sum())
     if total == 0:
@@ -250,7 +250,7 @@ def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
     return Finding(severity="warn" if many else "ok", topic="points in boxes", what=what, mend=mend)
 
 
-def _doubled(boxes: Boxes) -> int:
+def _count_doubled(boxes: Boxes) -> int:
     gap = np.linalg.norm(boxes.centre_m[:, None] - boxes.centre_m[None], axis=2)
     label = np.asarray(boxes.label)
     same = (label[:, None] == label[None]) & (gap < 0.25 * boxes.size_m[:, :2].min(axis=1)[:, None])

@@ -16,11 +16,11 @@ from farfield.inspection.doctor.evidence import (
     READINGS,
     SIZE_READINGS,
     ConventionVotes,
-    ballots,
-    changes_asked_for,
+    convention_votes,
     count_points,
     misfit_is_clear,
     misfit_share,
+    supported_changes,
 )
 from farfield.inspection.doctor.findings import Finding
 from farfield.inspection.doctor.survey import Survey
@@ -88,9 +88,9 @@ def readings(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if not boxes:
         return
     counts = np.concatenate([count_points(p, b, (*READINGS, *HEADINGS)) for p, b in zip(points, boxes, strict=True)])
-    by_name = {ballot.name: ballot for ballot in ballots(counts, READINGS)}
+    by_name = {ballot.name: ballot for ballot in convention_votes(counts, READINGS)}
     changes = (
-        [ballot for ballot, _ in changes_asked_for(points, boxes)] if any(b.wins for b in by_name.values()) else []
+        [ballot for ballot, _ in supported_changes(points, boxes)] if any(b.wins for b in by_name.values()) else []
     )
     together = Boxes.concatenate([b.plain() for b in boxes])
     yield from _size_order(found, by_name, changes, together, facts)

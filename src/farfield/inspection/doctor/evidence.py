@@ -22,7 +22,7 @@ from farfield.inspection.doctor.ground import above_ground
 _MIN_POINTS = 4
 _MIN_VOTES = 4
 _MAJORITY = 0.75
-_HELD = 0.25  # changes after which fewer boxes hold points explain nothing
+_LEAST_HELD = 0.25  # changes after which fewer boxes hold points explain nothing
 _TURNS_DEG = tuple(range(15, 180, 15))
 
 
@@ -139,17 +139,17 @@ def _count(points_m: Float[np.ndarray, "n 3"], boxes: Boxes) -> Int[np.ndarray, 
     return np.bincount(owner[inside], minlength=len(boxes))
 
 
-def ballots(counts: Int[np.ndarray, "m k"], readings: Sequence[BoxConvention]) -> list[ConventionVotes]:
+def convention_votes(counts: Int[np.ndarray, "m k"], readings: Sequence[BoxConvention]) -> list[ConventionVotes]:
     """Let the boxes vote on every reading.
 
     Args:
         counts: What :func:`count_points` gave, over all boxes of all frames.
         readings: The other readings, in the order of the columns.
     """
-    return [_ballot(reading.name, counts[:, 0], counts[:, 1 + k]) for k, reading in enumerate(readings)]
+    return [_vote(reading.name, counts[:, 0], counts[:, 1 + k]) for k, reading in enumerate(readings)]
 
 
-def _ballot(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) -> ConventionVotes:
+def _vote(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) -> ConventionVotes:
     best = np.maximum(base, other)
     valid = best >= _MIN_POINTS
     clear = _clearly_apart(base, other) & valid
@@ -201,7 +201,7 @@ def misfit_is_clear(share: float, boxes: int, *, expected: float = 0.4) -> bool:
     return (centre - spread) / (1 + z2 / boxes) > expected
 
 
-def changes_asked_for(
+def supported_changes(
     points: Sequence[Float[np.ndarray, "_ 3"]], boxes: Sequence[Boxes]
 ) -> list[tuple[ConventionVotes, BoxConvention]]:
     """Find the changes that the points support, the most helpful first, each on top of those before.
@@ -219,7 +219,7 @@ def changes_asked_for(
         counts = np.concatenate([count_points(p, b, READINGS) for p, b in zip(points, current, strict=True)])
         winners = [
             (ballot, reading)
-            for ballot, reading in zip(ballots(counts, READINGS), READINGS, strict=True)
+            for ballot, reading in zip(convention_votes(counts, READINGS), READINGS, strict=True)
             if ballot.wins
         ]
         if not winners:
@@ -227,7 +227,7 @@ def changes_asked_for(
         winner = max(winners, key=lambda pair: pair[0].gain)
         changes.append(winner)
         current = [winner[1].change(b) for b in current]
-    return changes if changes and held_share(points, current) >= _HELD else []
+    return changes if changes and held_share(points, current) >= _LEAST_HELD else []
 
 
 def held_share(points: Sequence[Float[np.ndarray, "_ 3"]], boxes: Sequence[Boxes]) -> float:

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 _CELL_M = 4.0
 _REACH_M = 400.0
 _SHARE = 0.05  # height below which this share of a cell's points lies
-_MIN_POINTS = 10
+_MIN_CELL_POINTS = 10
 
 
 def ground_height_m(points_m: Float[np.ndarray, "n 3"], at_m: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, " m"]:
@@ -24,7 +24,7 @@ def ground_height_m(points_m: Float[np.ndarray, "n 3"], at_m: Float[np.ndarray, 
     cell = _cells(points_m[:, :2], side)
     order = np.lexsort((points_m[:, 2], cell))
     names, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-    enough = count >= _MIN_POINTS
+    enough = count >= _MIN_CELL_POINTS
     low.flat[names[enough]] = points_m[order[first + (count * _SHARE).astype(np.intp)], 2][enough]
     padded = np.pad(low, 1, constant_values=np.nan)
     around = np.stack([padded[i : i + side, j : j + side] for i in range(3) for j in range(3)])

@@ -31,7 +31,7 @@ def inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             "farfield stats and farfield score.",
         )
     yield _labels(found)
-    yield from _strays(found)
+    yield from _stray_labels(found)
     images = ", ".join(f"{number} of {name}" for name, number in found.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(found)
@@ -95,7 +95,7 @@ def _labels(found: Survey) -> Finding:
     return Finding(severity="ok", topic="labels", what=what)
 
 
-def _strays(found: Survey) -> Iterator[Finding]:
+def _stray_labels(found: Survey) -> Iterator[Finding]:
     """Annotations of one's own folder that belong to no cloud."""
     reader = found.dataset.unwrapped
     strays = reader.strays if isinstance(reader, Folder) else ()

@@ -20,7 +20,7 @@ from farfield.datasets.kradar.layout import (
 from farfield.datasets.kradar.sequence import SequenceFacts
 from farfield.errors import FarfieldError
 from farfield.frame.provenance import is_simulated
-from farfield.inspection.doctor.conditions import against_labels
+from farfield.inspection.doctor.conditions import condition_findings
 from farfield.inspection.doctor.findings import Finding, Severity, counted
 from farfield.inspection.doctor.survey import Survey
 from farfield.vocabulary.kradar import SEQUENCES
@@ -47,7 +47,7 @@ def kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield from _modalities(reader, Counter(found.dataset.sequences), names, known)
     yield from _sequence_files(reader, names, known)
     if not is_simulated(reader.root):  # whose clock and speed mean nothing
-        yield from against_labels(found.dataset.drives(), _conditions(reader, names))
+        yield from condition_findings(found.dataset.drives(), _conditions(reader, names))
     yield from _versions(reader, entries, names, known)
     table = read_label_table(entries)
     if not len(table.stem):
@@ -76,7 +76,7 @@ def _modalities(
         if not per:
             yield Finding(severity="ok", topic=topic, what="none", absent=True)
             continue
-        what = f"{counted(sum(per.values()), 'file')} in {_of(per, names)}"
+        what = f"{counted(sum(per.values()), 'file')} in {_share_of(per, names)}"
         short = {name: count for name, count in per.items() if count < frames[name]}
         if short:
             what += f"; fewer than frames in {_listed(short)}"
@@ -114,7 +114,7 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]
     known["sequence_files"] = there
     for topic, having in there.items():
         lacks = [name for name in names if name not in having]
-        what = "none" if not having else f"in {_of(having, names)}"
+        what = "none" if not having else f"in {_share_of(having, names)}"
         what += f"; missing in {_listed(lacks)}" if having and lacks else ""
         stands_in = _standing_in(topic, having, lacks)
         yield Finding(severity="ok", topic=topic, what=what + stands_in, absent=not having and not stands_in)
@@ -140,7 +140,7 @@ def _versions(
     read = Counter(entry.version for entry in entries if entry.label is not None)
     there = {version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES}
     known["label_versions"] = {version: len(having) for version, having in there.items()}
-    shown = ", ".join(f"{version} in {_of(having, names)}" for version, having in there.items() if having)
+    shown = ", ".join(f"{version} in {_share_of(having, names)}" for version, having in there.items() if having)
     if not shown:
         yield Finding(severity="ok", topic="label versions", what="none")
         return
@@ -210,7 +210,7 @@ def _headings(yaw_deg: np.ndarray, known: dict[str, Any]) -> Finding:
     return Finding(severity="fail" if turned else "ok", topic="label yaw", what=what, mend=mend)
 
 
-def _of(some: Iterable[str], names: Sequence[str]) -> str:
+def _share_of(some: Iterable[str], names: Sequence[str]) -> str:
     number = len(list(some))
     return f"all {counted(len(names), 'sequence')}" if number == len(names) else f"{number} of {len(names)} sequences"
 

@@ -46,10 +46,14 @@ def stamps(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if not streams:
         return
     single = {name: {drive: health(times[:, 1]) for drive, times in by.items()} for name, by in streams.items()}
-    steps = {name: _step(streams[name], streams[FRAMES]) for name in streams if name != FRAMES and FRAMES in streams}
+    steps = {
+        name: _stamp_offset(streams[name], streams[FRAMES]) for name in streams if name != FRAMES and FRAMES in streams
+    }
     facts["stamps"] = {name: _figures(by, steps.get(name)) for name, by in single.items()}
-    findings = [finding for name, by in single.items() for finding in _alone(name, by)]
-    findings += [finding for name, step in steps.items() if step is not None for finding in _together(name, step)]
+    findings = [finding for name, by in single.items() for finding in _stream_findings(name, by)]
+    findings += [
+        finding for name, step in steps.items() if step is not None for finding in _offset_findings(name, step)
+    ]
     yield from findings
     if not findings:
         worst = max((abs(step.median_ms) for step in steps.values() if step is not None), default=0.0)
@@ -79,7 +83,7 @@ def _figures(by: Mapping[str, StreamStats], step: StampOffset | None) -> dict[st
     return alone | ({} if step is None else dict(vars(step)))
 
 
-def _alone(name: str, by: Mapping[str, StreamStats]) -> Iterator[Finding]:
+def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Finding]:
     """What is wrong with a stream by itself."""
     words = {"duplicates": "twice the same", "backwards": "earlier than the one before"}
     for what, said in words.items():
@@ -106,7 +110,7 @@ def _named(counts: Mapping[str, int]) -> str:
     return shown + (", ..." if len(counts) > 3 else "")
 
 
-def _step(
+def _stamp_offset(
     sensor: Mapping[str, Int64[np.ndarray, "n 2"]], frames: Mapping[str, Int64[np.ndarray, "m 2"]]
 ) -> StampOffset | None:
     """A sensor against the frames; None where they have no frame in common."""
@@ -126,7 +130,7 @@ def _step(
             periods.append(period)
             fifth = max(len(offset) // 5, 1)
             wander.append(abs(float(np.median(offset[-fifth:]) - np.median(offset[:fifth]))))
-            elsewhere += _elsewhere(stamp, time)
+            elsewhere += _nearer_to_neighbour(stamp, time)
         apart += int(stamp.min() > time.max() or stamp.max() < time.min()) if len(stamp) >= FEWEST else 0
     if not offsets:
         return None
@@ -143,7 +147,7 @@ def _step(
     )
 
 
-def _elsewhere(stamp: Int64[np.ndarray, " n"], time: Int64[np.ndarray, " n"]) -> int:
+def _nearer_to_neighbour(stamp: Int64[np.ndarray, " n"], time: Int64[np.ndarray, " n"]) -> int:
     """Frames to which the stamp of a neighbouring frame is nearer than their own."""
     own = np.abs(stamp - time)
     before, after = np.abs(stamp[:-1] - time[1:]), np.abs(stamp[1:] - time[:-1])
@@ -153,7 +157,7 @@ def _elsewhere(stamp: Int64[np.ndarray, " n"], time: Int64[np.ndarray, " n"]) ->
     return int(nearer.sum())
 
 
-def _together(name: str, step: StampOffset) -> Iterator[Finding]:
+def _offset_findings(name: str, step: StampOffset) -> Iterator[Finding]:
     """What is wrong with a sensor against the frames."""
     sync = "`farfield sync` on the recording matches them anew."
     if step.apart:

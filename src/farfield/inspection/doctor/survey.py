@@ -119,7 +119,7 @@ class _BlockSurvey:
                 found.times_ns.append(None)
                 found.sensor_times_ns.append({})
                 continue
-            _note(found, frame)
+            _count_sensors(found, frame)
             boxes = _boxes(found, frame)
             if index in self.chosen:
                 found.samples.append(SurveyFrame(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
@@ -142,7 +142,7 @@ def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: JobOptions = HERE) -
     return found
 
 
-def _note(found: SurveyBlock, frame: Frame) -> None:
+def _count_sensors(found: SurveyBlock, frame: Frame) -> None:
     for name in frame.clouds:
         found.sensors[name] = found.sensors.get(name, 0) + 1
     for name in frame.images:

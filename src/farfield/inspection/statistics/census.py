@@ -194,14 +194,14 @@ def _census_of_kradar(dataset: Dataset, reader: KRadar, bulk: JobOptions) -> Cen
         name=table.name,
         range_m=table.range_m,
         size_m=table.size_m,
-        visibility=_sight(table),
+        visibility=_kradar_visibility(table),
         track=table.track if table.tracked.all() else None,
         farfield_class=dict(zip(table.name.tolist(), label, strict=True)),
         damaged=table.damaged,
     )
 
 
-def _sight(table: LabelTable) -> Shaped[np.ndarray, " n"]:
+def _kradar_visibility(table: LabelTable) -> Shaped[np.ndarray, " n"]:
     return np.array([_KRADAR_SIGHT[flag] for flag in table.availability.tolist()], dtype=np.str_)
 
 

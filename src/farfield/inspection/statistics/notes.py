@@ -7,7 +7,7 @@ from farfield.datasets.kradar import KRadar
 from farfield.errors import FarfieldError
 
 
-def notes_of(dataset: Dataset) -> tuple[str, ...]:
+def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
     """Of a K-Radar: versions of its annotations, and where its conditions come from; nothing of others."""
     reader = dataset.unwrapped
     if not isinstance(reader, KRadar):

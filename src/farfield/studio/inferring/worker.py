@@ -35,12 +35,12 @@ def work(source: IO[bytes], target: IO[bytes]) -> None:
 
 
 def _answer(data: Dataset, loader: Load, loaded: dict[str, Any], name: str, index: int) -> tuple[str, Any]:
-    from farfield.evaluation import search
+    from farfield.evaluation import plan_detection
 
     try:
         if name not in loaded:
             loaded[name] = loader(name)
-        found = next(iter(search(loaded[name], data.select([index]), in_own=True).found({})))
+        found = next(iter(plan_detection(loaded[name], data.select([index]), in_own=True).found({})))
         return "boxes", Boxes.empty(scored=True) if found is None else found.boxes
     except FarfieldError as error:
         return "failed", str(error)
