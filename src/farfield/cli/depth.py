@@ -78,7 +78,7 @@ def run(
         max_gap_deg=max_gap_deg,
     )
     if picture is not None:
-        from farfield.figures.trails import check_picture
+        from farfield.figures.style import check_picture
 
         check_picture(picture)
     if dry_run:

@@ -61,7 +61,7 @@ def run(
     from farfield.cli._progress import hands
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
-    from farfield.figures.trails import check_picture
+    from farfield.figures.style import check_picture
     from farfield.odometry.odometry import OdometrySettings
     from farfield.odometry.runs import odometry
     from farfield.odometry.sweeps import SweepSettings

@@ -68,7 +68,8 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.evaluation import in_coordinates
-    from farfield.figures.trails import check_picture, write_trails
+    from farfield.figures.style import check_picture
+    from farfield.figures.trails import write_trails
     from farfield.metrics.reading import read_predictions
     from farfield.tracking import joined, joining_of, track, with_options
     from farfield.tracking import preset as preset_of

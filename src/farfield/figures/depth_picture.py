@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from farfield.depth.maps import DepthMap
-from farfield.figures.style import figure_bytes, house_style, new_figure
-from farfield.figures.trails import picture_kind
+from farfield.figures.style import figure_bytes, house_style, new_figure, picture_kind
 from farfield.files.atomic import write_bytes
 
 if TYPE_CHECKING:

@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from farfield.errors import ConfigError
+from farfield.figures.tables import Results
 from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
 from farfield.metrics.result import value_at
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.published_tables import KRADAR_TABLES
-
-Results = Mapping[str, Mapping[str, Any]]
 
 _TABLE_4 = KRADAR_TABLES["4"]
 PUBLISHED_TABLE_4: dict[str, tuple[float, ...]] = {

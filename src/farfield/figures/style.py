@@ -4,7 +4,10 @@ import base64
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +20,7 @@ SIDES = ("#0b6e99", "#d9480f")  # of two data sets side by side
 THRESHOLDS = ("#9fb6c9", "#5f8fb3", "#0b6e99", "#063a52")  # 0.5, 1, 2, 4 m: light to dark
 
 Kind = Literal["svg", "png", "jpg"]
+_KINDS: dict[str, Kind] = {".svg": "svg", ".png": "png", ".jpg": "jpg"}
 
 _RC: Any = {
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -124,3 +128,23 @@ def figure_uri(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> str:
     """Return a figure as a ``data:`` address."""
     mime = {"svg": "image/svg+xml", "png": "image/png", "jpg": "image/jpeg"}[kind]
     return data_uri(figure_bytes(figure, kind, dpi=dpi), mime)
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a picture whose kind is not known.
+
+    Raises:
+        ConfigError: If the file's name does not end with .svg, .png or .jpg.
+    """
+    picture_kind(path)
+
+
+def picture_kind(path: Path) -> Kind:
+    """The kind of a picture, by the suffix of its file.
+
+    Raises:
+        ConfigError: If the suffix is not .svg, .png or .jpg.
+    """
+    if path.suffix.lower() not in _KINDS:
+        raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
+    return _KINDS[path.suffix.lower()]

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from farfield.errors import ConfigError
-from farfield.figures.style import INK, MUTED, Kind, figure_bytes, house_style, new_figure
+from farfield.figures.style import INK, MUTED, figure_bytes, house_style, new_figure, picture_kind
 from farfield.files.atomic import write_bytes
 from farfield.frame.drive import Key
 from farfield.metrics.detections import Detections
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 MOST_SEQUENCES = 12
 STANDING_M = 2.0
 _COLOURS = ("#0b6e99", "#c2255c", "#2b8a3e", "#e67700", "#5f3dc4", "#846358", "#087f5b", "#a61e4d")
-_KINDS: dict[str, Kind] = {".svg": "svg", ".png": "png", ".jpg": "jpg"}
 
 Trail = Float[np.ndarray, "n 2"]
 
@@ -105,26 +103,6 @@ def _draw(axes: "Axes", trails: Mapping[int, np.ndarray], path: Trail) -> None:
     ]
     names = [*(["the sensor's path"] if len(path) else []), "sensor at the start" if len(path) else "sensor"]
     axes.legend(handles, [*names, "stands", "moves; the dot is its end"], loc="best", framealpha=0.85)
-
-
-def check_picture(path: Path) -> None:
-    """Refuse a picture whose kind is not known.
-
-    Raises:
-        ConfigError: If the file's name does not end with .svg, .png or .jpg.
-    """
-    picture_kind(path)
-
-
-def picture_kind(path: Path) -> Kind:
-    """The kind of a picture, by the suffix of its file.
-
-    Raises:
-        ConfigError: If the suffix is not .svg, .png or .jpg.
-    """
-    if path.suffix.lower() not in _KINDS:
-        raise ConfigError(f"picture: expected a name that ends with {', '.join(_KINDS)}, got {path.name}")
-    return _KINDS[path.suffix.lower()]
 
 
 def write_trails(path: Path | str, tracks: Detections) -> None:

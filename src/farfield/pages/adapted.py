@@ -14,8 +14,7 @@ from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame, Key
 from farfield.pages.adapted_scores import HeldScores
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 
 @dataclass(frozen=True, eq=False)

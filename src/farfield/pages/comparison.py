@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from farfield.figures import comparison_plots as plots
+from farfield.figures import comparison_plots
 from farfield.figures.style import figure_uri
 from farfield.figures.sweeps_plot import SPEED_MPH, effective_range_m, from_above, reaction_s
 from farfield.files.atomic import write_text
 from farfield.inspection.side import ComparedDataset
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published import RADAR_LEVELS, RAISED_SHARES, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
@@ -171,39 +170,43 @@ def sensor_pictures_of(sides: Sequence[ComparedDataset]) -> list[PageImage]:
             "of all frames: the effective range, and beside it the time that it leaves at a speed.",
         ),
         (
-            plots.elevation,
+            comparison_plots.elevation,
             "Where the returns lie in elevation",
             "Left: share of returns per degree of elevation, as the origin of the frame sees it. Right: shares near "
             "the horizon, of returns beyond 8 m; nearer ones shift where several sensors were merged into one cloud. "
             "The crosses are the published figures of real Luminar sweeps.",
         ),
         (
-            plots.points_in_vehicles,
+            comparison_plots.points_in_vehicles,
             "Points in vehicle boxes over distance",
             "Darker hexagons hold more boxes; empty boxes stand on the lowest line. Dots are medians of distance bins, "
             "lines are fitted to the medians. A sensor that sees whole objects has slope -2.",
         ),
-        (plots.ranges, "Range of the returns", "Share of returns in each 5 m of range."),
+        (comparison_plots.ranges, "Range of the returns", "Share of returns in each 5 m of range."),
         (
-            plots.objects,
+            comparison_plots.objects,
             "Objects",
             "Distance of annotated vehicles over the ground, and the classes that were annotated.",
         ),
-        (plots.sizes, "Box sizes", "Mean and standard deviation by class, in metres, of classes with 3 boxes or more."),
         (
-            plots.survival,
+            comparison_plots.sizes,
+            "Box sizes",
+            "Mean and standard deviation by class, in metres, of classes with 3 boxes or more.",
+        ),
+        (
+            comparison_plots.survival,
             "What weather leaves of a vehicle's points",
             "Mean points in vehicle boxes over those in normal weather at the same distance; 1 is no loss. Boxes of "
             "visible parts only hide the loss of whole objects.",
         ),
-        (plots.conditions, "Conditions", "Shares of frames by weather, road and time of day."),
+        (comparison_plots.conditions, "Conditions", "Shares of frames by weather, road and time of day."),
         (
-            plots.radar_maps,
+            comparison_plots.radar_maps,
             "Radar: power by range and azimuth",
             "Mean over Doppler and elevation of the first frame, in dB above that frame's floor.",
         ),
         (
-            plots.radar_levels,
+            comparison_plots.radar_levels,
             "Radar: floor, edges and side lobes",
             "Left: median over azimuth by range, above the floor. Right: quantiles of the strongest object's azimuth "
             "row; the crosses are the published real frame.",

@@ -7,8 +7,7 @@ from pathlib import Path
 from farfield.figures.courses import RUN, Row, columns_of, courses
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 _LAST = 20  # losses are means over this part of the steps
 

@@ -19,8 +19,8 @@ from farfield.files.atomic import write_text
 from farfield.metrics.conventions import protocol_family
 from farfield.metrics.presenting import Presentation, edges_m
 from farfield.metrics.protocol import protocol_of
-from farfield.pages.pictures import DrawingOptions, PageImage, frame_pictures, pattern_picture
-from farfield.pages.template import render_template
+from farfield.pages.pictures import DrawingOptions, frame_pictures, pattern_picture
+from farfield.pages.template import PageImage, render_template
 from farfield.vocabulary.kradar import REGIONS_M, Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
 from farfield.vocabulary.studio import studio_link

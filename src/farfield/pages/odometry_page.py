@@ -16,13 +16,12 @@ from farfield.figures.style import (
     figure_uri,
     house_style,
     new_figure,
+    picture_kind,
 )
-from farfield.figures.trails import picture_kind
 from farfield.files.atomic import write_bytes, write_text
 from farfield.odometry.drift import way_m
 from farfield.odometry.runs import OdometryTrack
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,27 +19,11 @@ from farfield.figures.words import pattern_note, pattern_title
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.presenting import HitRule
+from farfield.pages.template import PageImage
 from farfield.vocabulary.kradar import Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 _DPI = 110  # of the points, which are counted at as many
-
-
-@dataclass(frozen=True)
-class PageImage:
-    """A picture in a page.
-
-    Args:
-        uri: ``data:`` address.
-        alt: What it shows, for those who cannot see it.
-        caption: What stands under it.
-        heading: What stands above it.
-    """
-
-    uri: str
-    alt: str
-    caption: str = ""
-    heading: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,8 +11,7 @@ import numpy as np
 from farfield.files.atomic import write_text
 from farfield.files.images import read_image
 from farfield.files.videos import film_frames, read_film
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 from farfield.privacy import PictureSummary
 from farfield.privacy.hits import FACE
 

@@ -9,8 +9,7 @@ from farfield.figures.radar_picture import STANDING_M_S, frame_words, radar_pict
 from farfield.figures.style import data_uri, figure_bytes
 from farfield.files.atomic import write_bytes, write_text
 from farfield.inspection.radar_frame import RadarLook
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 _DPI = 130
 

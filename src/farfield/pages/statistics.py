@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.figures import statistics_plots as plots
+from farfield.figures import statistics_plots
 from farfield.figures.placement_plot import placement_figure
 from farfield.figures.style import figure_bytes, figure_uri
 from farfield.files.atomic import write_bytes, write_text
@@ -16,8 +16,7 @@ from farfield.inspection.placement import RigPlacement
 from farfield.inspection.side import ComparedDataset
 from farfield.pages.comparison import ComparisonLine, table_lines
 from farfield.pages.comparison import sensor_pictures_of as sensor_pictures
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,41 +62,46 @@ def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
     drawn = (
         (
             "frames_by_condition",
-            plots.frames_by_condition(summary),
+            statistics_plots.frames_by_condition(summary),
             "Frames by weather, road and time",
             "How many frames were recorded in each condition; K-Radar tells them for whole sequences.",
         ),
         (
             "sequences",
-            plots.sequences(summary),
+            statistics_plots.sequences(summary),
             "Sequences",
             "Frames of each sequence in the colour of its weather.",
         ),
         (
             "classes",
-            plots.classes(summary),
+            statistics_plots.classes(summary),
             "Classes",
             "Boxes of each class as the data set names it, and how much of them the sensors see.",
         ),
         (
             "class_tables",
-            plots.matrix(summary),
+            statistics_plots.matrix(summary),
             "Classes by weather and range",
             "Number of boxes; darker is more, on a logarithmic scale. A dash is none.",
         ),
         (
             "ranges",
-            plots.ranges(summary, arrays),
+            statistics_plots.ranges(summary, arrays),
             "Range",
             "Ground distance of each box's centre from the sensor in whose frame the boxes are.",
         ),
         (
             "visibility_by_weather",
-            plots.visibility_by_weather(summary),
+            statistics_plots.visibility_by_weather(summary),
             "Visibility by weather",
             "Shares of boxes, and how many boxes a frame has.",
         ),
-        ("per_frame", plots.per_frame(arrays), "Objects in a frame", "Frames without annotation are left out."),
+        (
+            "per_frame",
+            statistics_plots.per_frame(arrays),
+            "Objects in a frame",
+            "Frames without annotation are left out.",
+        ),
         ("sensor_placement", placement_figure(found.placed), "Sensor placement", _placed_caption(found.placed)),
     )
     for name, figure, heading, caption in drawn:
@@ -126,7 +130,7 @@ def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[st
     ]
     found = [("Classes", ["class", "in Farfield", "boxes", "tracks", "mean length × width × height (m)"], classes)]
     for key, table in census["objects_by"].items():
-        heads = ["class", *(plots.spoken(name) for name in next(iter(table.values()), {})), "all"]
+        heads = ["class", *(statistics_plots.spoken(name) for name in next(iter(table.values()), {})), "all"]
         rows = [
             [name, *(f"{count:,}" for count in row.values()), f"{sum(row.values()):,}"] for name, row in table.items()
         ]
@@ -134,7 +138,7 @@ def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[st
             found.append((_TITLES[key], heads, rows))
     heads = ["sequence", "frames", "weather", "road", "time", "boxes"]
     keys = ("sequence", "frames", "weather", "road", "time", "objects")
-    rows = [[plots.spoken(_count_text(row[key])) for key in keys] for row in census["table_5"]]
+    rows = [[statistics_plots.spoken(_count_text(row[key])) for key in keys] for row in census["table_5"]]
     return [*found, ("Sequences", heads, rows)]
 
 

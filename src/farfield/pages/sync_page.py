@@ -8,8 +8,7 @@ import numpy as np
 
 from farfield.figures.style import ANNOTATED, INK, MUTED, PREDICTED, RULE, figure_uri, house_style, new_figure
 from farfield.files.atomic import write_text
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 from farfield.sync.synchronising import StreamPair, SyncResult, over_time
 
 if TYPE_CHECKING:

@@ -1,10 +1,28 @@
 """Pages from the templates that lie in this folder."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import Any
+
+
+@dataclass(frozen=True)
+class PageImage:
+    """A picture in a page.
+
+    Args:
+        uri: ``data:`` address.
+        alt: What it shows, for those who cannot see it.
+        caption: What stands under it.
+        heading: What stands above it.
+    """
+
+    uri: str
+    alt: str
+    caption: str = ""
+    heading: str = ""
 
 
 def render_template(

@@ -9,8 +9,7 @@ from farfield.figures.plots import precision_recall
 from farfield.figures.reproduction_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 from farfield.papers.memory_table import MEMORY, brought, memory_rows, unmeasured, with_memory
 from farfield.papers.radar_sheets import SheetGroup
 from farfield.papers.scenario_tables import scenarios

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.figures.style import PATTERNS, figure_uri, house_style, new_figure
 from farfield.files.atomic import write_text
-from farfield.pages.pictures import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

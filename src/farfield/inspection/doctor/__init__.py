@@ -3,29 +3,32 @@
 from typing import Any
 
 from farfield.datasets.base import Dataset
-from farfield.inspection.doctor import content, conventions, inventory, upright
 from farfield.inspection.doctor.calibration import calibration as check_calibration
+from farfield.inspection.doctor.content import classes, clouds, sizes, suspicious
+from farfield.inspection.doctor.conventions import quaternions, readings
 from farfield.inspection.doctor.findings import DoctorReport, Finding
+from farfield.inspection.doctor.inventory import inventory, timing
 from farfield.inspection.doctor.kradar import kradar
 from farfield.inspection.doctor.stamps import stamps
 from farfield.inspection.doctor.survey import survey
+from farfield.inspection.doctor.upright import cameras_upright, clouds_upright
 from farfield.jobs import HERE, JobOptions
 
 __all__ = ["DoctorReport", "Finding", "examine"]
 
 _CHECKS = (
-    inventory.inventory,
-    inventory.timing,
+    inventory,
+    timing,
     stamps,
     kradar,
-    content.clouds,
-    upright.clouds_upright,
-    upright.cameras_upright,
-    conventions.quaternions,
-    conventions.readings,
-    content.classes,
-    content.sizes,
-    content.suspicious,
+    clouds,
+    clouds_upright,
+    cameras_upright,
+    quaternions,
+    readings,
+    classes,
+    sizes,
+    suspicious,
 )
 
 
