@@ -29,7 +29,7 @@ from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kradar.labels import annotation_of, read_labels
 from farfield.datasets.kradar.texts import read_camera
 from farfield.errors import DatasetError
-from farfield.figures.calibrated_boxes import boxes_picture
+from farfield.figures.camera import boxes_picture
 from farfield.files.images import read_image, write_image
 from farfield.frame import Boxes, Frame
 from farfield.geometry.cameras import Camera

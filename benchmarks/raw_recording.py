@@ -16,7 +16,7 @@ from typing import Any
 
 from _report import header, progress
 
-from farfield.pages.sync_writing import write_synchronised
+from farfield.pages.sync_page import write_synchronised
 from farfield.simulation.presets import find_preset
 from farfield.simulation.recording.raw import record_streams
 from farfield.sync.sources import recordings

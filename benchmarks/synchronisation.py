@@ -216,7 +216,7 @@ def child(mode: str, folder: Path) -> None:
         rows = sum(len(part.index) for part in match_blocks(blocks, reference="lidar", tolerance_ns=tolerance))
         said = f"{rows} rows"
     else:
-        from farfield.pages.sync_writing import write_synchronised
+        from farfield.pages.sync_page import write_synchronised
 
         (found,) = write_synchronised(folder / "out", [recording], to="lidar", tolerance_ns=None, title="speed")
         total = sum(health.count for health in found.streams.values())

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import farfield as ff
 from farfield.depth import frame_depth
-from farfield.evaluation.objects import VEHICLES, confident
+from farfield.evaluation.report_data import VEHICLES, confident
 from farfield.figures.birds_eye import WINDOW_M, overview
-from farfield.figures.depth_picture import depth_picture
+from farfield.figures.camera import depth_picture
 from farfield.figures.plots import scan_patterns
 from farfield.figures.style import figure_bytes
 from farfield.simulation import simulate_sequence

@@ -282,12 +282,12 @@ def show(
     Args:
         frame: The frame; or a cloud or its rows, of which every point is shown.
         predictions: Predicted boxes.
-        radar: Draw the radar's power instead of a cloud; see :func:`farfield.figures.radar_map.radar_map`.
+        radar: Draw the radar's power instead of a cloud; see :func:`farfield.figures.radar.radar_map`.
         shown_score: Predicted boxes of a lower score are left out, which the title says; 0 shows all.
     """
-    from farfield.evaluation.objects import shown_predictions
+    from farfield.evaluation.report_data import shown_predictions
     from farfield.figures.birds_eye import show_frame
-    from farfield.figures.radar_map import radar_map
+    from farfield.figures.radar import radar_map
     from farfield.frame import Frame
 
     if not isinstance(frame, Frame):

@@ -13,7 +13,7 @@ from farfield.calibration.mounting import camera_at, camera_from_clicked, read_c
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.errors import FileFormatError
-from farfield.figures.calibrated_boxes import boxes_picture
+from farfield.figures.camera import boxes_picture
 from farfield.files.images import read_image
 from farfield.frame import camera_sensor
 from farfield.geometry.cameras import Camera

@@ -11,7 +11,7 @@ from street import write_street
 
 from farfield.cli import main
 from farfield.datasets.kradar import KRadarWriter
-from farfield.figures.radar_map import radar_map
+from farfield.figures.radar import radar_map
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
 from farfield.radar.cells import cells_of_cube

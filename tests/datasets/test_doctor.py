@@ -11,8 +11,13 @@ from street import GROUND_M, street
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
 from farfield.inspection.doctor import DoctorReport, examine
-from farfield.inspection.doctor.evidence import READINGS, convention_votes, count_points
-from farfield.inspection.doctor.ground import above_ground, ground_height_m
+from farfield.inspection.doctor.conventions import (
+    READINGS,
+    above_ground,
+    convention_votes,
+    count_points,
+    ground_height_m,
+)
 
 Label = dict[str, Any]
 

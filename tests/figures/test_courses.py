@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.figures.courses import RUN, CoursePanel, columns_of, courses, smoothed
-from farfield.pages.course_page import CoursePage, write_course
+from farfield.figures.training_plots import RUN, CoursePanel, columns_of, courses, smoothed
+from farfield.pages.training_pages import CoursePage, write_course
 
 ROWS = [
     {"step": step, "time": 1.0, "learning_rate": 1e-3, "loss": 2.0 / step, "box": 1.0, "lambda": 0.1 * step}

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.figures.kradar_tables import (
+from farfield.figures.tables import (
     PUBLISHED_TABLE_4,
     conditional_markdown,
     conditional_rows,

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from farfield.evaluation.objects import annotated_objects, confident
 from farfield.evaluation.record import Evaluation
-from farfield.figures import words
+from farfield.evaluation.report_data import annotated_objects, confident
+from farfield.figures import report_text
 from farfield.figures.tables import heading, range_name, rows
 from farfield.geometry.boxes import Boxes
 from farfield.metrics import PROTOCOLS
@@ -49,16 +49,16 @@ def test_rows_carry_intervals_and_order() -> None:
 def test_headline_and_scope_by_hand() -> None:
     results = {"gaussian": RESULT, "uniform": RESULT}
     shown = DDS.presentation(RESULT)
-    assert words.headline(results, DDS, shown) == (
+    assert report_text.headline(results, DDS, shown) == (
         "Overall vehicle detection score (DDS, 1 is perfect): 0.50 (mAP 0.40) on the Gaussian pattern and "
         "0.50 (mAP 0.40) on the uniform pattern."
     )
-    assert words.scope(results) == (
+    assert report_text.scope(results) == (
         "Scored: 3 frames with 1,200 annotated objects, the same in the Gaussian pattern and the uniform pattern."
     )
-    assert words.headline({}, DDS, shown).startswith("Pictures only")
-    assert words.scope({}) == ""
-    assert "real recordings" in words.origin({"simulated": False})[1]
+    assert report_text.headline({}, DDS, shown).startswith("Pictures only")
+    assert report_text.scope({}) == ""
+    assert "real recordings" in report_text.origin({"simulated": False})[1]
 
 
 def test_only_sure_predictions_find_objects() -> None:
@@ -80,5 +80,5 @@ def test_a_headline_of_several_classes_is_named_by_its_figure() -> None:
     protocol = PROTOCOLS["kradar"]
     result = {"label": "vehicle, pedestrian", "figures": {}, "ap": {"vehicle": {"3d": {"0.3": 0.5}}}}
     presentation = replace(protocol.presentation(result), figures=("ap/vehicle/3d/0.3",))
-    text = words.headline({"os2-64": result}, protocol, presentation)
+    text = report_text.headline({"os2-64": result}, protocol, presentation)
     assert text.startswith("Overall score (vehicle AP3D 0.3, 100 is perfect): 50.0 on os2-64.")

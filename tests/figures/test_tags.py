@@ -55,16 +55,16 @@ def test_a_report_s_camera_picture_has_the_points_and_the_colours_of_classes(mon
     from matplotlib.colors import to_rgba
 
     from farfield.evaluation.record import FrameView
-    from farfield.pages import pictures
+    from farfield.pages import evaluation_page
     from farfield.vocabulary.classes import CLASS_COLOURS
 
     drawn: list = []
-    monkeypatch.setattr(pictures, "figure_uri", lambda figure, *_, **__: drawn.append(figure) or "data:,")
+    monkeypatch.setattr(evaluation_page, "figure_uri", lambda figure, *_, **__: drawn.append(figure) or "data:,")
     image = np.zeros((120, 200, 3), dtype=np.uint8)
     near = np.array([[10.0, 0, 0], [60, 10, 1], [-10, 0, 0]])
     points = ff.Frame.of(ff.Cloud(near), FOUND.plain(), images={"front": image}, cameras={"front": CAMERA})
     view = FrameView(frame=points, predictions={"lidar": FOUND})
-    shown = pictures.frame_pictures(view, pictures.DrawingOptions(score_min=0.0))
+    shown = evaluation_page.frame_pictures(view, evaluation_page.DrawingOptions(score_min=0.0))
     axes = drawn[-1].axes[0]
     (scattered,) = [each for each in axes.collections if isinstance(each, PathCollection)]
     pixels, _, visible = CAMERA.project(near)
@@ -93,10 +93,9 @@ def test_every_picture_has_the_same_threshold() -> None:
     import inspect
 
     from farfield.cli import report
-    from farfield.evaluation.objects import annotated_objects
-    from farfield.pages.evaluation_page import render_report, write_report
+    from farfield.evaluation.report_data import annotated_objects
+    from farfield.pages.evaluation_page import DrawingOptions, render_report, write_report
     from farfield.pages.film import FilmSettings
-    from farfield.pages.pictures import DrawingOptions
 
     assert FilmSettings().score == DrawingOptions().score_min == SHOWN_SCORE
     for function in (report.run, render_report, write_report, ff.show):

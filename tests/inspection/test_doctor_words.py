@@ -8,9 +8,9 @@ import pytest
 import farfield as ff
 from farfield.cli.doctor import _print
 from farfield.inspection.doctor import examine
-from farfield.inspection.doctor.conditions import contradictions
-from farfield.inspection.doctor.evidence import misfit_is_clear
-from farfield.inspection.doctor.findings import DoctorReport, Finding
+from farfield.inspection.doctor.conventions import misfit_is_clear
+from farfield.inspection.doctor.kradar import contradictions
+from farfield.inspection.doctor.survey import DoctorReport, Finding
 
 
 def road_m() -> np.ndarray:

@@ -7,8 +7,8 @@ from street import write_street
 from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.clouds import write_bin
-from farfield.inspection.side import ComparedDataset, pair_clouds
-from farfield.pages.comparison import table_lines
+from farfield.inspection.comparison import ComparedDataset, pair_clouds
+from farfield.pages.dataset_pages import table_lines
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from drive import OS2_T_OS1, frame
 from farfield.cli import stats
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar.writer import KRadarWriter
-from farfield.figures.placement_plot import placement_figure
+from farfield.figures.rig import placement_figure
 from farfield.inspection.placement import RigPlacement, SensorPlacement, placement
 
 

@@ -10,7 +10,7 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadarWriter
 from farfield.errors import ConfigError, DatasetError
-from farfield.figures.radar_picture import radar_picture
+from farfield.figures.radar import radar_picture
 from farfield.inspection.radar_frame import RadarLook, look_at
 from farfield.pages.radar_page import caption, write_radar
 from farfield.radar.products import zyx_cube

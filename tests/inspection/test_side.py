@@ -7,8 +7,8 @@ import numpy as np
 from street import write_street
 
 from farfield.datasets import open_dataset
-from farfield.inspection.side import count_dataset, has_sensors, shots_of
-from farfield.inspection.statistics.notes import dataset_notes
+from farfield.inspection.comparison import count_dataset, has_sensors, shots_of
+from farfield.inspection.statistics.census import dataset_notes
 from farfield.jobs import JobOptions
 
 

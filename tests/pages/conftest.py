@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.evaluation.objects import annotated_objects
 from farfield.evaluation.record import Evaluation, FrameView
+from farfield.evaluation.report_data import annotated_objects
 from farfield.frame import Annotation, Cloud, Constant, Frame, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from farfield.figures.courses import ADAPTATION, courses
+from farfield.figures.training_plots import ADAPTATION, courses
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
-from farfield.pages.adapted import AdaptedPage, PseudoLabelFrame, rates, render_adapted
-from farfield.pages.adapted_scores import HeldScores, ScoreRow
+from farfield.pages.training_pages import AdaptedPage, HeldScores, PseudoLabelFrame, ScoreRow, rates, render_adapted
 
 
 def boxes_at(*x: float, score: tuple[float, ...], label: str = "vehicle") -> Boxes:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from farfield.figures import comparison_plots as plots
-from farfield.inspection.side import ComparedDataset
-from farfield.pages.comparison import render_comparison, sensor_pictures_of, table_lines, write_comparison
+from farfield.inspection.comparison import ComparedDataset
+from farfield.pages.dataset_pages import render_comparison, sensor_pictures_of, table_lines, write_comparison
 
 EDGES_M = [0.0, 20.0, 40.0, 70.0]
 
@@ -212,7 +212,7 @@ def test_written_files_read_back(sides, tmp_path):
 
 def test_the_effective_range_and_the_time_it_leaves():
     """Cirrus, introduction: at 75 mph 250, 120 and 70 m leave 7.5, 3.5 and 2 s."""
-    from farfield.figures.sweeps_plot import effective_range_m, reaction_s
+    from farfield.figures.comparison_plots import effective_range_m, reaction_s
 
     assert [round(reaction_s(each) * 2) / 2 for each in (250.0, 120.0, 70.0)] == [7.5, 3.5, 2.0]
     cloud = {"range": {"count": [990, 9, 0, 1], "edges_m": [0.0, 50.0, 100.0, 200.0, 400.0]}}
@@ -222,8 +222,8 @@ def test_the_effective_range_and_the_time_it_leaves():
 
 def test_sweeps_stand_side_by_side(rng, tmp_path):
     import farfield as ff
-    from farfield.figures.sweeps_plot import from_above
-    from farfield.inspection.side import count_dataset
+    from farfield.figures.comparison_plots import from_above
+    from farfield.inspection.comparison import count_dataset
 
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

@@ -13,9 +13,20 @@ from farfield.datasets.folder import write_boxes
 from farfield.errors import ConfigError
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.pages import film
-from farfield.pages.film import FilmSettings, FilmWork, drive_named, make_film, rate_of
-from farfield.pages.film_frame import SIZE, panel_rectangles, panels_of
-from farfield.pages.film_panels import DrawnBoxes, PanelView, cloud_panel, track_colour
+from farfield.pages.film import (
+    SIZE,
+    DrawnBoxes,
+    FilmSettings,
+    FilmWork,
+    PanelView,
+    cloud_panel,
+    drive_named,
+    make_film,
+    panel_rectangles,
+    panels_of,
+    rate_of,
+    track_colour,
+)
 
 FRAMES = 5
 

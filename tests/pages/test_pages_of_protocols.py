@@ -11,13 +11,13 @@ import pytest
 from matplotlib.text import Text
 
 from farfield.evaluation.evaluating import _parts
-from farfield.evaluation.objects import annotated_objects
 from farfield.evaluation.record import Evaluation, FrameView
+from farfield.evaluation.report_data import annotated_objects
 from farfield.frame import Cloud, Constant, Frame, Sensor
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.comparing import compare, read_results
 from farfield.metrics.subject import subject_of
-from farfield.pages import evaluation_page, pictures
+from farfield.pages import evaluation_page
 from farfield.radar.grid import CUBE_SHAPE
 from farfield.testing.protocols import example
 
@@ -112,7 +112,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         said.extend(text.get_text() for text in figure.findobj(Text) if text.get_visible())
         return "data:image/png;base64,"
 
-    for module in (evaluation_page, pictures):
+    for module in (evaluation_page,):
         monkeypatch.setattr(module, "figure_uri", record)
     return said
 
@@ -127,7 +127,7 @@ def test_a_page_has_the_words_of_its_protocol_alone(name: str, drawn: list[str])
     assert {word for kind in own for word in WORDS[kind]} - said == set()
     foreign = {word for kind, words in WORDS.items() if kind not in own for word in words} & said
     assert foreign == set()
-    assert str(next(iter(evaluation_page.words.subjects(evaluation.results)))) in text
+    assert str(next(iter(evaluation_page.report_text.subjects(evaluation.results)))) in text
 
 
 def test_headlines_and_what_they_are_made_of() -> None:

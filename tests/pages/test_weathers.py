@@ -9,8 +9,8 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.evaluation.record import Evaluation, FrameView
+from farfield.figures.radar import weathers_picture
 from farfield.figures.style import figure_bytes
-from farfield.figures.weathers_picture import weathers_picture
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.metrics.detections import Detections
 from farfield.pages.evaluation_page import render_report

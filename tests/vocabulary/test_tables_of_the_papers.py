@@ -3,7 +3,7 @@
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.figures.kradar_tables import PUBLISHED_TABLE_4
+from farfield.figures.tables import PUBLISHED_TABLE_4
 from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.published_tables import CIRRUS_TABLES, KRADAR_TABLES, PUBLISHED_TABLES, PublishedTable
 

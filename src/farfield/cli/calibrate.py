@@ -190,8 +190,8 @@ def _camera(
     from farfield.calibration.jobs import camera_job, read_pairs
     from farfield.calibration.pairs import calibrate_pairs
     from farfield.errors import ConfigError
-    from farfield.figures.calibrated_boxes import boxes_picture
     from farfield.figures.calibration_pictures import camera_calibration_picture
+    from farfield.figures.camera import boxes_picture
     from farfield.files.images import write_image
 
     index, chosen = _pictured(data, indices, name, uncalibrated=beginning.given)

@@ -13,8 +13,8 @@ from farfield.cli._words import pairs_of, read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
-    from farfield.inspection.side import ComparedDataset
-    from farfield.pages.comparison import ComparisonLine
+    from farfield.inspection.comparison import ComparedDataset
+    from farfield.pages.dataset_pages import ComparisonLine
 
 _UNASKED = " (--clouds A:B sets others side by side)"
 
@@ -62,8 +62,8 @@ def run(
         json: Write what is in comparison.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError
-    from farfield.inspection.side import count_dataset, pair_clouds
-    from farfield.pages.comparison import table_lines, write_comparison
+    from farfield.inspection.comparison import count_dataset, pair_clouds
+    from farfield.pages.dataset_pages import table_lines, write_comparison
 
     if frames < 0:
         raise ConfigError(f"--frames: expected 0 (all) or more, got {frames}")

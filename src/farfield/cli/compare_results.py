@@ -47,7 +47,7 @@ def run(
     called = [word.strip() for word in names.split(",")] if names else []
     entries = read_results(results, called)
     if paper:
-        from farfield.figures.kradar_tables import paper_table
+        from farfield.figures.tables import paper_table
 
         found = {entry.name: entry.tree for entry in entries}
         print(paper_table(found, label=label or "vehicle", figures=figures, by=by), end="")

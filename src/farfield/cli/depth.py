@@ -113,7 +113,7 @@ def _said(written: int, skipped: int, summary: dict[str, Any]) -> str:
 
 def _draw(frame: Any, settings: Any, picture: Path) -> None:
     from farfield.depth import frame_depth
-    from farfield.figures.depth_picture import write_depth_picture
+    from farfield.figures.camera import write_depth_picture
 
     made = frame_depth(
         frame,

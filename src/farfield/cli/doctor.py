@@ -85,7 +85,7 @@ def _print(report: "DoctorReport") -> None:
     console.print(table)
     if report.absent:
         console.print(f"not there: {', '.join(report.absent)}", highlight=False)
-    from farfield.inspection.doctor.findings import counted
+    from farfield.inspection.doctor.survey import counted
 
     failures = sum(finding.severity == "fail" for finding in report.findings)
     console.print(

@@ -97,7 +97,7 @@ def run(
     from farfield.evaluation import as_trained, suitable_clouds
     from farfield.evaluation.evaluating import evaluate_clouds
     from farfield.evaluation.record import default_folder
-    from farfield.figures.lines import class_table
+    from farfield.figures.tables import class_table
     from farfield.frame.provenance import is_simulated
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers

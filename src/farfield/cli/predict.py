@@ -127,7 +127,7 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
     """The frame from above, and each camera's image with the boxes projected into it, beside one another as files."""
     from farfield.api import show
     from farfield.datasets.labels.json_labels import file_name
-    from farfield.evaluation.objects import shown_predictions
+    from farfield.evaluation.report_data import shown_predictions
     from farfield.figures.camera import camera_picture
     from farfield.vocabulary.scores import SHOWN_SCORE
 

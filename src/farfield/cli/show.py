@@ -69,9 +69,9 @@ def run(
 
 
 def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | None, least: float | None) -> "Figure":
-    from farfield.evaluation.objects import shown_predictions
+    from farfield.evaluation.report_data import shown_predictions
     from farfield.figures.birds_eye import birdseye
-    from farfield.figures.radar_map import radar_map
+    from farfield.figures.radar import radar_map
     from farfield.vocabulary.scores import SHOWN_SCORE
 
     shown_score = SHOWN_SCORE if least is None else least

@@ -11,7 +11,7 @@ from farfield.cli._words import read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
-    from farfield.pages.statistics import DatasetFigures
+    from farfield.pages.dataset_pages import DatasetFigures
 
 
 def run(
@@ -56,7 +56,7 @@ def run(
     """
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
-    from farfield.pages.statistics import write_statistics
+    from farfield.pages.dataset_pages import write_statistics
 
     if sweeps < 0:
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
@@ -74,11 +74,10 @@ def run(
 
 
 def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: int, engine: str) -> "DatasetFigures":
+    from farfield.inspection.comparison import count_dataset, has_sensors
     from farfield.inspection.placement import placement
-    from farfield.inspection.side import count_dataset, has_sensors
-    from farfield.inspection.statistics.census import take_census
-    from farfield.inspection.statistics.notes import dataset_notes
-    from farfield.pages.statistics import DatasetFigures
+    from farfield.inspection.statistics.census import dataset_notes, take_census
+    from farfield.pages.dataset_pages import DatasetFigures
 
     census = take_census(dataset, hands(workers, engine, "annotations"))
     sensors = None
@@ -101,7 +100,7 @@ def _print(found: "DatasetFigures") -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from farfield.pages.statistics import tables
+    from farfield.pages.dataset_pages import tables
 
     census, console = found.census, Console(width=None if sys.stdout.isatty() else 160)
     annotated = f"{census['annotated_frames']:,} annotated, {census['empty_frames']:,} of them empty"

@@ -41,7 +41,7 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
-    from farfield.pages.sync_writing import write_synchronised
+    from farfield.pages.sync_page import write_synchronised
     from farfield.sync.sources import recordings
     from farfield.sync.synchronising import describe, reference_of
 

@@ -1,9 +1,15 @@
 """Detectors meet data sets: one way from a detector to what it found, ready to be scored."""
 
-from farfield.evaluation.detecting import DetectionPlan, detect, detections_from_boxes, median_ms, plan_detection
+from farfield.evaluation.detecting import (
+    DetectionPlan,
+    FrameDetections,
+    detect,
+    detections_from_boxes,
+    median_ms,
+    plan_detection,
+)
 from farfield.evaluation.ground_truth import attach_ground_truth, in_coordinates
 from farfield.evaluation.views import Frames, as_trained, suitable_clouds
-from farfield.evaluation.worker import FrameDetections
 
 __all__ = [
     "DetectionPlan",

@@ -8,10 +8,8 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.evaluation import as_trained, detect, median_ms, suitable_clouds
-from farfield.evaluation.objects import annotated_objects
 from farfield.evaluation.record import Evaluation, FrameView
-from farfield.evaluation.results import scored_labels
-from farfield.evaluation.sensing import kind_of, power_from_above
+from farfield.evaluation.report_data import annotated_objects, kind_of, power_from_above, scored_labels
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment
 from farfield.jobs import JobOptions

@@ -13,6 +13,7 @@ Nothing is pickled, and the data set itself is not needed to draw the report aga
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,13 @@ from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.evaluation.frame_store import load_frame, save_frame
 from farfield.files.atomic import read_bytes, write_text
-from farfield.frame import Frame
+from farfield.files.clouds import CACHE_SUFFIX, read_cache, write_cache
+from farfield.files.images import read_image, write_image
+from farfield.frame import Annotation, Cloud, Constant, Frame, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
+from farfield.geometry.cameras import Camera
+from farfield.radar.grid import CUBE_SHAPE
 
 EVALUATION = "evaluation.json"
 _LIMIT_BYTES = 1 << 28
@@ -39,7 +43,7 @@ class FrameView:
         frame: The frame, with its clouds in reach.
         predictions: Predicted boxes of the first cloud, or by cloud name where several patterns were run.
         title: A few words above its pictures.
-        radar_db: The radar's power from above, see :func:`farfield.evaluation.sensing.power_from_above`, or None.
+        radar_db: The radar's power from above, see :func:`farfield.evaluation.report_data.power_from_above`, or None.
     """
 
     frame: Frame
@@ -66,7 +70,7 @@ class Evaluation:
         settings: What the detector and the run were set to.
         provenance: Where it comes from: versions, seed, commit, data fingerprint, ``simulated`` (bool).
         frames: Frames to show.
-        objects: Annotated objects by result name, see :func:`farfield.evaluation.objects.annotated_objects`.
+        objects: Annotated objects by result name, see :func:`farfield.evaluation.report_data.annotated_objects`.
         parts: Figures by condition and sector and rows of all classes, by result name, see
             :func:`farfield.metrics.parts.parts_json` and :func:`farfield.metrics.parts.by_class`.
         title: Title of the report.
@@ -191,3 +195,164 @@ def _is_of(folder: Path, digest: str, fingerprint: str) -> bool:
     except (ValueError, KeyError, TypeError, AttributeError):
         return False
     return all(each["detector_digest"] == digest and each["fingerprint"] == fingerprint for each in subjects)
+
+
+# One shown frame on disk: a JSON file of names, a cloud cache of numbers, JPEGs of images.
+
+_FRAME_LIMIT_BYTES = 1 << 26
+_RADAR_MAP, _MAP_SHAPE = "radar/bird_db", CUBE_SHAPE[1:]
+_BOX_ARRAYS = ("centre_m", "size_m", "yaw_rad", "score", "track_id", "point_count", "velocity_m_s")
+Predictions = Boxes | Mapping[str, Boxes] | None
+
+
+def save_frame(
+    folder: Path,
+    name: str,
+    frame: Frame,
+    predictions: Predictions,
+    *,
+    title: str = "",
+    radar_db: Float32[np.ndarray, "y x"] | None = None,
+) -> None:
+    """Write a frame and its predictions as ``NAME.json``, ``NAME.ffcloud`` and a JPEG for each image.
+
+    Args:
+        folder: An existing folder.
+        name: Stem of the files.
+        frame: The frame; its clouds and images are read.
+        predictions: Predicted boxes, or by cloud name.
+        title: A few words about it.
+        radar_db: The radar's power from above, shape (400, 250), or None.
+    """
+    by_cloud = dict(predictions) if isinstance(predictions, Mapping) else {"": predictions}
+    sets = {f"predicted/{cloud}": boxes for cloud, boxes in by_cloud.items() if boxes is not None}
+    if frame.boxes is not None:
+        sets["annotated"] = frame.boxes
+    arrays: dict[str, np.ndarray] = {}
+    for cloud_name, cloud in frame.clouds.items():
+        arrays[f"cloud/{cloud_name}/points_m"] = cloud.points_m
+        if cloud.intensity is not None:
+            arrays[f"cloud/{cloud_name}/intensity"] = cloud.intensity
+    for set_name, boxes in sets.items():
+        present = {part: getattr(boxes, part) for part in _BOX_ARRAYS}
+        arrays |= {f"boxes/{set_name}/{part}": array for part, array in present.items() if array is not None}
+    arrays |= {} if radar_db is None else {_RADAR_MAP: radar_db}
+    for camera, image in frame.images.items():
+        write_image(folder / f"{name}_{_plain(camera)}.jpg", image, quality=85)
+    write_cache(folder / (name + CACHE_SUFFIX), arrays)
+    content = {
+        "title": title,
+        "sequence": frame.sequence,
+        "frame_id": frame.frame_id,
+        "time_ns": frame.time_ns,
+        "reference": frame.reference,
+        "conditions": dict(frame.conditions),
+        "sensors": {name: _sensor_json(sensor) for name, sensor in frame.sensors.items()},
+        "clouds": list(frame.clouds),
+        "images": list(frame.images),
+        "labels": {set_name: np.asarray(boxes.label).tolist() for set_name, boxes in sets.items()},
+        "cameras": {camera: _camera_json(calibration) for camera, calibration in frame.cameras.items()},
+    }
+    write_text(folder / f"{name}.json", json.dumps(content, indent=1) + "\n")
+
+
+def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float32[np.ndarray, "y x"] | None]:
+    """Read what :func:`save_frame` wrote.
+
+    Returns:
+        The frame, the predictions, the title, and the radar's power from above, if it was kept.
+
+    Raises:
+        FileFormatError: If a file is damaged or the files contradict each other.
+    """
+    path = folder / f"{name}.json"
+    try:
+        content = json.loads(read_bytes(path, max_bytes=_FRAME_LIMIT_BYTES))
+        arrays = read_cache(folder / (name + CACHE_SUFFIX))
+        sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
+        clouds = {
+            part: Cloud(arrays[f"cloud/{part}/points_m"], arrays.get(f"cloud/{part}/intensity"))
+            for part in content["clouds"]
+        }
+        images = {camera: folder / f"{name}_{_plain(camera)}.jpg" for camera in content["images"]}
+        annotated = sets.pop("annotated", None)
+        frame = Frame(
+            sequence=str(content["sequence"]),
+            frame_id=str(content["frame_id"]),
+            time_ns=content["time_ns"],
+            reference=str(content["reference"]),
+            conditions=content["conditions"],
+            clouds=clouds,
+            images=Lazy({camera: partial(read_image, image) for camera, image in images.items()}),
+            cameras={camera: _camera(values) for camera, values in content["cameras"].items()},
+            sensors={part: _sensor(values) for part, values in content.get("sensors", {}).items()},
+            load_annotation=None if annotated is None else Constant(Annotation(boxes=annotated)),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        found = plain(error)
+        raise FileFormatError(
+            path, where="the frame", expected="a frame as `save_frame` writes it", found=found
+        ) from error
+    predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
+    boxes = predicted.get("") if set(predicted) <= {""} else predicted
+    return frame, boxes, str(content.get("title", "")), _radar_map(path, arrays.get(_RADAR_MAP))
+
+
+def _radar_map(path: Path, power_db: np.ndarray | None) -> Float32[np.ndarray, "y x"] | None:
+    if power_db is None or (power_db.shape == _MAP_SHAPE and power_db.dtype == np.float32):
+        return power_db
+    expected, found = f"a float32 map of shape {_MAP_SHAPE}", f"{power_db.dtype} of shape {power_db.shape}"
+    raise FileFormatError(path, where="the radar's power", expected=expected, found=found)
+
+
+def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Boxes:
+    parts: dict[str, Any] = {part: arrays.get(f"boxes/{name}/{part}") for part in _BOX_ARRAYS}
+    return Boxes(label=[str(label) for label in labels], **parts)
+
+
+def _plain(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name)[:64] or "camera"
+
+
+def _sensor_json(sensor: Sensor) -> dict[str, Any]:
+    pose = sensor.frame_T_sensor
+    return {
+        "kind": sensor.kind,
+        "frame_T_sensor": None if pose is None else pose.tolist(),
+        "in_frame": sensor.in_frame,
+        "time_ns": sensor.time_ns,
+        "holds": list(sensor.holds),
+    }
+
+
+def _sensor(values: Mapping[str, Any]) -> Sensor:
+    kind, pose = values["kind"], values["frame_T_sensor"]
+    if kind not in ("lidar", "radar", "camera"):
+        raise ValueError(f"expected a sensor of kind lidar, radar or camera, got {kind!r}")
+    return Sensor(
+        kind=kind,
+        frame_T_sensor=None if pose is None else np.array(pose, dtype=np.float64).reshape(4, 4),
+        in_frame=bool(values["in_frame"]),
+        time_ns=values["time_ns"],
+        holds=tuple(str(name) for name in values["holds"]),
+    )
+
+
+def _camera_json(camera: Camera) -> dict[str, Any]:
+    return {
+        "matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "camera_T_lidar": camera.camera_T_lidar.tolist(),
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+    }
+
+
+def _camera(values: Mapping[str, Any]) -> Camera:
+    return Camera(
+        matrix=np.array(values["matrix"], dtype=np.float64).reshape(3, 3),
+        distortion=np.array(values["distortion"], dtype=np.float64).reshape(5),
+        camera_T_lidar=np.array(values["camera_T_lidar"], dtype=np.float64).reshape(4, 4),
+        width_px=int(values["width_px"]),
+        height_px=int(values["height_px"]),
+    )

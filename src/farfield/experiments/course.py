@@ -8,7 +8,7 @@ from farfield.adaptation.signs import signs_of
 from farfield.experiments.plan import LOG_NAME, logged
 from farfield.experiments.schema import Experiment, load_experiment
 from farfield.frame.provenance import environment
-from farfield.pages.course_page import CoursePage, write_course
+from farfield.pages.training_pages import CoursePage, write_course
 
 PAGE_NAME = "course.html"
 

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.evaluation.objects import of_classes, shown_predictions
-from farfield.evaluation.sensing import kind_of, returns_word
+from farfield.evaluation.report_data import kind_of, of_classes, returns_word, shown_predictions
 from farfield.figures.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
-from farfield.figures.tags import draw_tags
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
@@ -388,3 +386,34 @@ def show_frame(
     if pyplot.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
         pyplot.new_figure_manager_given_figure(max(pyplot.get_fignums(), default=0) + 1, figure).show()
     return figure
+
+
+# Words beside the boxes of a picture: class and score.
+
+_MOST_TAGS = 80  # in one picture
+
+
+def tags_of(boxes: Boxes) -> list[str]:
+    """Class and, where there is one, score of each box, such as ``"vehicle 0.87"``."""
+    if boxes.score is None:
+        return [str(label) for label in boxes.label]
+    return [f"{label} {score:.2f}" for label, score in zip(boxes.label, boxes.score, strict=True)]
+
+
+def draw_tags(axes: "Axes", boxes: Boxes, colour: str) -> None:
+    """Class and score beside each box seen from above; of very many beside the surest, or else the nearest."""
+    order = np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")[:_MOST_TAGS]
+    corners = boxes.bev_corners_m()
+    for row, words in zip(order, tags_of(boxes[order]), strict=True):
+        right, top = corners[row].max(axis=0)
+        axes.annotate(
+            words,
+            (right, top),
+            xytext=(1.5, 0.5),
+            textcoords="offset points",
+            fontsize=6.5,
+            color=colour,
+            annotation_clip=True,
+            clip_on=True,
+            zorder=6,
+        )

@@ -1,12 +1,16 @@
-"""Camera pictures with points and boxes projected into them."""
+"""Camera pictures with points and boxes projected into them, and depth maps beside them."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
+from PIL import Image, ImageDraw
 
-from farfield.figures.style import POINT, house_style, new_figure
-from farfield.figures.tags import tags_of
+from farfield.depth.maps import DepthMap
+from farfield.figures.birds_eye import tags_of
+from farfield.figures.style import POINT, figure_bytes, house_style, new_figure, picture_kind
+from farfield.files.atomic import write_bytes
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.vocabulary.classes import CLASS_COLOURS
@@ -110,3 +114,115 @@ def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:
         if seen.any():
             left, top = place[seen].min(axis=0)
             axes.text(left, top - 2, words, color=colour, fontsize=6.5, va="bottom", clip_on=True)
+
+
+# A picture with the LiDAR's points and the boxes in it, as Cirrus' Figure 5 has them.
+
+_INKS = {"pedestrian": (235, 45, 45), "wheeled_pedestrian": (235, 45, 45), "bicycle": (60, 110, 255)}
+_OTHER = (40, 220, 60)
+_NEAR_M, _FAR_M = 3.0, 100.0
+
+
+def boxes_picture(
+    image: UInt8[np.ndarray, "height width 3"],
+    camera: Camera,
+    boxes: Boxes,
+    points_m: Float[np.ndarray, "n 3"] | None = None,
+    *,
+    line_px: int = 2,
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Draw boxes (pedestrians red, bicycles blue, vehicles green) and, if given, points from near red to far blue."""
+    canvas = image.copy() if points_m is None else _with_points((image * 0.75).astype(np.uint8), camera, points_m)
+    picture = Image.fromarray(canvas)
+    pen = ImageDraw.Draw(picture)
+    labels = np.asarray(boxes.label).tolist()
+    for number, label in enumerate(labels):
+        ink = _INKS.get(str(label), _OTHER)
+        for line in box_lines(boxes[np.array([number])], camera):
+            pen.line([(float(u), float(v)) for u, v in line], fill=ink, width=line_px)
+    return np.asarray(picture)
+
+
+def _with_points(
+    canvas: UInt8[np.ndarray, "height width 3"], camera: Camera, points_m: Float[np.ndarray, "n 3"]
+) -> UInt8[np.ndarray, "height width 3"]:
+    pixels, depth, visible = camera.project(points_m)
+    order = np.flatnonzero(visible)[np.argsort(-depth[visible])]  # near points over far ones
+    share = np.clip(np.log(depth[order] / _NEAR_M) / np.log(_FAR_M / _NEAR_M), 0, 1)[:, None]
+    near, middle, far = (np.array(ink) for ink in ((255, 70, 40), (250, 220, 40), (50, 110, 255)))
+    ink = np.where(share < 0.5, near + (middle - near) * 2 * share, middle + (far - middle) * (2 * share - 1))
+    column, row = np.clip(pixels[order].round().astype(int), 0, [canvas.shape[1] - 2, canvas.shape[0] - 2]).T
+    for down in (0, 1):
+        for right in (0, 1):
+            canvas[row + down, column + right] = ink.astype(np.uint8)
+    return canvas
+
+
+# A depth map beside the camera's picture.
+
+_COLOURS = "turbo_r"
+_TICKS_M = (1, 2, 3, 5, 10, 20, 30, 50, 100, 200, 400)
+
+
+def depth_picture(
+    depth: DepthMap, image: UInt8[np.ndarray, "height width 3"] | None = None, *, title: str = ""
+) -> "Figure":
+    """Draw the picture with its measured points, the depth over it (fainter where it is less sure), the uncertainty.
+
+    Args:
+        depth: The map.
+        image: The camera's picture, if there is one.
+        title: What stands above.
+    """
+    from matplotlib.colors import LogNorm
+
+    height, width = depth.depth_m.shape
+    known = depth.depth_m[np.isfinite(depth.depth_m)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 100.0)
+    norm = LogNorm(low, max(high, low * 1.01))
+    sure = np.isfinite(depth.uncertainty_m).any()
+    rows = 3 if sure else 2
+    with house_style():
+        figure = new_figure(10.0, rows * 9.0 * height / width + 0.9)
+        axes = figure.subplots(rows, 1)
+        grey = np.full((height, width), 0.15, np.float32) if image is None else image[..., :3].mean(axis=2) / 510
+        for ax in axes:
+            ax.set_axis_off()
+        axes[0].imshow(grey if image is None else image, cmap="gray", vmin=0, vmax=1)
+        v, u = np.nonzero(depth.measured)
+        axes[0].scatter(u, v, c=depth.depth_m[v, u], s=1.2, lw=0, cmap=_COLOURS, norm=norm)
+        axes[0].set_title(f"{title}{len(v):,} measured depths", fontsize=9)
+        axes[1].imshow(grey, cmap="gray", vmin=0, vmax=1)
+        shown = axes[1].imshow(depth.depth_m, cmap=_COLOURS, norm=norm, alpha=_certainty(depth), interpolation="none")
+        filled = np.isfinite(depth.depth_m).mean()
+        axes[1].set_title(f"{depth.method}: {filled:.0%} of the pixels, fainter where less sure", fontsize=9)
+        ticks = [tick for tick in _TICKS_M if low <= tick <= high]
+        bar = figure.colorbar(shown, ax=list(axes[:2]), label="depth in m", ticks=ticks, format="%g", shrink=0.8)
+        bar.minorticks_off()
+        if sure:
+            doubt = axes[2].imshow(depth.uncertainty_m, cmap="magma", norm=LogNorm(0.02, 20), interpolation="none")
+            axes[2].set_title("how far it may be off", fontsize=9)
+            figure.colorbar(doubt, ax=axes[2], label="m", format="%g", shrink=0.8)
+        for ax in axes:
+            ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+    return figure
+
+
+def write_depth_picture(
+    path: Path | str, depth: DepthMap, image: UInt8[np.ndarray, "height width 3"] | None = None, *, title: str = ""
+) -> None:
+    """Write :func:`depth_picture` as SVG, PNG or JPEG, by the file's name.
+
+    Raises:
+        ConfigError: If it has another ending.
+    """
+    path = Path(path)
+    kind = picture_kind(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, figure_bytes(depth_picture(depth, image, title=title), kind))
+
+
+def _certainty(depth: DepthMap) -> Float32[np.ndarray, "h w"]:
+    """1 where the uncertainty is a hundredth of the depth or unknown, towards 0.3 where it is as large as the depth."""
+    share = np.nan_to_num(depth.uncertainty_m / depth.depth_m, nan=0.0, posinf=1.0)
+    return np.where(np.isfinite(depth.depth_m), np.clip(1 - 0.7 * share, 0.3, 1), 0).astype(np.float32)

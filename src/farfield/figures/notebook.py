@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.evaluation.sensing import returns_word
+from farfield.evaluation.report_data import returns_word
 from farfield.figures.birds_eye import Window, birdseye, draw_birdseye, fit_window, overview
 from farfield.figures.plots import precision_recall
 from farfield.figures.style import INK, MUTED, figure_uri, house_style, new_figure

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.evaluation.sensing import returns_word
+from farfield.evaluation.report_data import returns_word
 from farfield.figures.birds_eye import RANGES_M, draw_birdseye
+from farfield.figures.report_text import pattern_title
 from farfield.figures.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, THRESHOLDS, house_style, new_figure
-from farfield.figures.words import pattern_title
 from farfield.frame import Cloud
 from farfield.metrics.presenting import CurvePanel
 from farfield.metrics.protocol import protocol_of
@@ -80,7 +80,7 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]], *, edges_m: S
 
     Args:
         objects: Lists ``range_m``, ``point_count``, ``found`` by result name, see
-            :func:`farfield.evaluation.objects.annotated_objects`.
+            :func:`farfield.evaluation.report_data.annotated_objects`.
         edges_m: Ranges to mark.
     """
     farthest_m = max(edges_m, default=RANGES_M[-1])

@@ -6,25 +6,311 @@ again when an interrupted film is begun anew.
 
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PIL import Image
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError
+from farfield.figures.camera import box_lines
+from farfield.figures.style import ANNOTATED, PREDICTED
 from farfield.files import videos
 from farfield.files.animations import write_animation
 from farfield.files.atomic import open_atomic
-from farfield.frame import Boxes, Drive, Key
+from farfield.frame import Boxes, Cloud, Drive, Frame, Key
+from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
-from farfield.pages.film_frame import film_picture, panels_of
-from farfield.pages.film_panels import DrawnBoxes
+from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M
+from farfield.radar.views import PRODUCTS, bird_db
 from farfield.vocabulary.scores import SHOWN_SCORE
+
+# The panels of a film's picture: a cloud or a radar's power from above, a camera; drawn in milliseconds, by pillow.
+
+Colour = tuple[int, int, int]
+Picture = UInt8[np.ndarray, "height width 3"]
+GROUND, RING, WORDS = (14, 18, 23), (52, 62, 74), (205, 213, 222)
+_TRACKS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#f0e442", "#7fd1ff", "#ffffff")
+_HEIGHTS_M = (-2.5, 4.0)
+_RINGS_M = (25.0, 50.0, 100.0, 150.0, 200.0, 250.0)
+_BEHIND = 0.25  # share of a view from above that lies behind the sensor
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnBoxes:
+    """Boxes of one kind in one frame.
+
+    Args:
+        boxes: In the frame's coordinates.
+        predicted: Whether a detector or tracker made them.
+        trails: Places of each track that is seen here, oldest first, in the frame's coordinates, by identity.
+    """
+
+    boxes: Boxes
+    predicted: bool
+    trails: dict[int, Float[np.ndarray, "n 3"]] = field(default_factory=dict)
+
+    def colour(self, row: int) -> str:
+        """Of a box: its track's, else its kind's."""
+        track = -1 if self.boxes.track_id is None else int(self.boxes.track_id[row])
+        if track >= 0:
+            return track_colour(track)
+        return PREDICTED if self.predicted else ANNOTATED
+
+
+def track_colour(track: int) -> str:
+    """The colour that a track keeps through the film."""
+    return _TRACKS[track % len(_TRACKS)]
+
+
+@dataclass(frozen=True)
+class PanelView:
+    """A window seen from above, ahead upwards.
+
+    Args:
+        width: Pixels.
+        height: Pixels.
+        reach_m: How far ahead it shows.
+        behind: How much of the height lies behind the sensor.
+    """
+
+    width: int
+    height: int
+    reach_m: float | int
+    behind: float = _BEHIND
+
+    @property
+    def scale(self) -> float:
+        """Pixels a metre."""
+        return self.height * (1 - self.behind) / self.reach_m
+
+    def pixels(self, points_m: Float[np.ndarray, "n _"]) -> Float[np.ndarray, "n 2"]:
+        """Column and row of places."""
+        column = self.width / 2 - points_m[:, 1] * self.scale
+        row = self.height * (1 - self.behind) - points_m[:, 0] * self.scale
+        return np.stack([column, row], axis=1)
+
+
+def cloud_panel(cloud: Cloud, drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
+    """A cloud from above, coloured by height, with boxes and trails."""
+    canvas = np.full((view.height, view.width, 3), GROUND, dtype=np.uint8)
+    order = np.argsort(cloud.points_m[:, 2], kind="stable")  # the highest on top
+    points = cloud.points_m[order]
+    columns, rows = np.floor(view.pixels(points)).astype(np.int64).T
+    seen = (columns >= 0) & (columns < view.width - 1) & (rows >= 0) & (rows < view.height - 1)
+    low, high = _HEIGHTS_M
+    shade = np.clip((points[seen, 2] - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)) if len(points) < 60_000 else ((0, 0),):
+        canvas[rows[seen] + down, columns[seen] + right] = _colour_table("viridis")[shade]
+    return _with_boxes(canvas, drawn, view)
+
+
+def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
+    """A radar's power from above (BEV-2D), with boxes and trails given in the radar's coordinates."""
+    columns, rows = np.meshgrid(np.arange(view.width), np.arange(view.height))
+    x = (view.height * (1 - view.behind) - rows) / view.scale
+    y = (view.width / 2 - columns) / view.scale
+    at = [np.rint((value - axis[0]) / CUBE_STEP_M).astype(np.int64) for value, axis in ((y, CUBE_Y_M), (x, CUBE_X_M))]
+    inside = (at[0] >= 0) & (at[0] < bird_db.shape[0]) & (at[1] >= 0) & (at[1] < bird_db.shape[1])
+    level = np.where(inside, bird_db[np.where(inside, at[0], 0), np.where(inside, at[1], 0)], np.nan)
+    known = bird_db[np.isfinite(bird_db)]
+    low, high = np.percentile(known, [20.0, 99.8]) if known.size else (0.0, 1.0)
+    shade = np.nan_to_num((level - low) / max(high - low, 1e-6) * 255, nan=0.0).clip(0, 255).astype(np.uint8)
+    canvas = np.where(np.isfinite(level)[..., None], _colour_table("magma")[shade], np.array(GROUND, dtype=np.uint8))
+    return _with_boxes(canvas, drawn, view)
+
+
+def camera_panel(
+    image: Picture, camera: Camera | None, drawn: Sequence[DrawnBoxes], size: tuple[int, int]
+) -> Image.Image:
+    """A camera's picture as large as fits, with boxes where there is a calibration."""
+    shown = Image.fromarray(image)
+    share = min(size[0] / shown.width, size[1] / shown.height)
+    shown = shown.resize((max(1, round(shown.width * share)), max(1, round(shown.height * share))))
+    pen = ImageDraw.Draw(shown)
+    for each in drawn if camera is not None else ():
+        for row in range(len(each.boxes)):
+            for line in box_lines(each.boxes[row : row + 1], camera) if camera is not None else ():
+                pen.line([tuple(place) for place in (line * share).tolist()], fill=each.colour(row), width=1)
+    panel = Image.new("RGB", size, GROUND)
+    panel.paste(shown, ((size[0] - shown.width) // 2, (size[1] - shown.height) // 2))
+    return panel
+
+
+def _with_boxes(canvas: Picture, drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
+    panel = Image.fromarray(canvas)
+    pen = ImageDraw.Draw(panel)
+    for ring in (each for each in _RINGS_M if each <= 1.4 * view.reach_m):
+        (x, y), radius = view.pixels(np.zeros((1, 2)))[0], ring * view.scale
+        pen.ellipse([x - radius, y - radius, x + radius, y + radius], outline=RING)
+        pen.text((x + 3, y - radius + 1), f"{ring:g} m", fill=RING)
+    for each in drawn:
+        for track, trail in each.trails.items():
+            if len(trail) > 1:
+                pen.line([tuple(place) for place in view.pixels(trail).tolist()], fill=track_colour(track), width=1)
+        for row in range(len(each.boxes)):
+            _outline(pen, each.boxes[row : row + 1], view, each.colour(row), dashed=each.predicted)
+    return panel
+
+
+def _outline(pen: Any, box: Boxes, view: PanelView, colour: str, *, dashed: bool) -> None:
+    """A box from above with its heading; predicted ones are dashed, as in the studio."""
+    length, width = box.size_m[0, :2] / 2
+    cos, sin = np.cos(box.yaw_rad[0]), np.sin(box.yaw_rad[0])
+    local = np.array([[length, width], [length, -width], [-length, -width], [-length, width], [length, width]])
+    ahead = np.array([[0.0, 0.0], [length + 1.0, 0.0]])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    for line in (local, ahead):
+        places = view.pixels(line @ turn + box.centre_m[0, :2])
+        for start, end in pairwise(places):
+            parts = max(2, round(np.hypot(*(end - start)) / 4)) if dashed else 1
+            for part in range(0, parts, 2):
+                a, b = start + (end - start) * part / parts, start + (end - start) * (part + 1) / parts
+                pen.line([tuple(a.tolist()), tuple(b.tolist())], fill=colour, width=2)
+
+
+@lru_cache(maxsize=4)
+def _colour_table(name: str) -> UInt8[np.ndarray, "256 3"]:
+    from matplotlib import colormaps
+
+    return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
+
+
+# One picture of a film: a cloud large on the left, the other sensors beside it, words above.
+
+SIZE = (1280, 720)
+HEAD, TITLE, MAIN = 30, 18, 660
+_MOST = 6
+
+Panel = tuple[str, str]
+"""Kind (``cloud``, ``radar``, ``camera``) and name."""
+
+
+def panels_of(data: Dataset, drive: Drive) -> tuple[Panel, ...]:
+    """What the frames of a drive have to show, the LiDAR that is shown large first; judged by its first frame."""
+    frame = data[int(drive.indices[0])]
+    placed = [name for name in frame.clouds if _stands(frame, name)]
+    clouds = sorted(placed, key=partial(_order, frame))
+    held = {name for other in frame.clouds for name in _holds(frame, other)}
+    radar = [("radar", "power from above")] if any(name in frame.radar for name in PRODUCTS) else []
+    shown = [("cloud", name) for name in clouds if name not in held]
+    return (*shown[:1], *[("camera", name) for name in frame.images], *radar, *shown[1:])[: _MOST + 1]
+
+
+def _stands(frame: Frame, name: str) -> bool:
+    sensor = frame.sensors.get(name)
+    return sensor is None or sensor.in_frame
+
+
+def _holds(frame: Frame, name: str) -> tuple[str, ...]:
+    sensor = frame.sensors.get(name)
+    return () if sensor is None else tuple(sensor.holds)
+
+
+def _order(frame: Frame, name: str) -> bool:
+    """LiDARs before radars."""
+    sensor = frame.sensors.get(name)
+    return sensor is not None and sensor.kind != "lidar"
+
+
+def film_picture(
+    frame: Frame, panels: Sequence[Panel], drawn: Sequence[DrawnBoxes], *, reach_m: float | int
+) -> Image.Image:
+    """Draw a frame.
+
+    Args:
+        frame: The frame.
+        panels: What stands where: the first large on the left.
+        drawn: Its boxes.
+        reach_m: How far ahead the views from above show.
+    """
+    whole = Image.new("RGB", SIZE, (32, 38, 46))
+    pen = ImageDraw.Draw(whole)
+    pen.text((10, 7), headline(frame, drawn), fill=WORDS, font=ImageFont.load_default(15))
+    for (kind, name), (left, top, width, height) in zip(panels, panel_rectangles(len(panels)), strict=True):
+        pen.text((left + 4, top + 1), name, fill=WORDS, font=ImageFont.load_default(12))
+        size = (width, height - TITLE)
+        whole.paste(_panel(frame, kind, name, drawn, size, reach_m), (left, top + TITLE))
+    return whole
+
+
+def panel_rectangles(count: int) -> list[tuple[int, int, int, int]]:
+    """Left, top, width and height of each panel."""
+    room = SIZE[1] - HEAD
+    if count < 2:
+        return [(0, HEAD, SIZE[0], room)][:count]
+    columns = 1 if count - 1 <= 3 else 2
+    rows = -(-(count - 1) // columns)
+    width, height = (SIZE[0] - MAIN - 4) // columns, room // rows
+    beside = [
+        (MAIN + 4 + width * (k % columns), HEAD + height * (k // columns), width - 2, height) for k in range(count - 1)
+    ]
+    return [(0, HEAD, MAIN, room), *beside]
+
+
+def headline(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
+    """Which frame it is, in which conditions, and what is drawn."""
+    said = [f"{frame.sequence} / {frame.frame_id}", *(str(value) for value in frame.conditions.values())]
+    for each in drawn:
+        tracks = 0 if each.boxes.track_id is None else len({int(t) for t in each.boxes.track_id if t >= 0})
+        kind = "predicted" if each.predicted else "annotated"
+        said.append(f"{len(each.boxes)} {kind}" + (f" ({tracks} tracks)" if tracks else ""))
+    return "    ".join(said)
+
+
+def _panel(
+    frame: Frame, kind: str, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
+) -> Image.Image:
+    draw: dict[str, Callable[[], Image.Image | None]] = {
+        "cloud": lambda: _cloud(frame, name, drawn, size, reach_m),
+        "camera": lambda: _camera(frame, name, drawn, size),
+        "radar": lambda: _radar(frame, drawn, size, reach_m),
+    }
+    return draw[kind]() or _nothing(size)
+
+
+def _nothing(size: tuple[int, int]) -> Image.Image:
+    panel = Image.new("RGB", size, GROUND)
+    ImageDraw.Draw(panel).text((size[0] / 2, size[1] / 2), "nothing at this moment", fill=WORDS, anchor="mm")
+    return panel
+
+
+def _cloud(
+    frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
+) -> Image.Image | None:
+    return cloud_panel(frame.cloud(name), drawn, PanelView(*size, reach_m)) if name in frame.clouds else None
+
+
+def _camera(frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int]) -> Image.Image | None:
+    if name not in frame.images:
+        return None
+    return camera_panel(np.asarray(frame.images[name]), frame.cameras.get(name), drawn, size)
+
+
+def _radar(
+    frame: Frame, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
+) -> Image.Image | None:
+    bird = bird_db(frame.radar)
+    if bird is None:
+        return None
+    sensor = next((frame.sensors[name] for name in PRODUCTS if name in frame.sensors and name in frame.radar), None)
+    if sensor is not None and not sensor.in_frame and sensor.frame_T_sensor is not None:
+        drawn = [_moved(each, invert(sensor.frame_T_sensor)) for each in drawn]
+    return radar_panel(bird, drawn, PanelView(*size, reach_m, behind=0.03))
+
+
+def _moved(drawn: DrawnBoxes, pose: np.ndarray) -> DrawnBoxes:
+    trails = {track: trail @ pose[:3, :3].T + pose[:3, 3] for track, trail in drawn.trails.items()}
+    return replace(drawn, boxes=drawn.boxes.transform(pose), trails=trails)
+
 
 ANIMATED = (".gif", ".webp")
 _VERSION = 1

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.figures.radar_picture import STANDING_M_S, frame_words, radar_picture
+from farfield.figures.radar import STANDING_M_S, frame_words, radar_picture
 from farfield.figures.style import data_uri, figure_bytes
 from farfield.files.atomic import write_bytes, write_text
 from farfield.inspection.radar_frame import RadarLook

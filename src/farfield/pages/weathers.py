@@ -13,11 +13,10 @@ from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import as_trained, detect, suitable_clouds
 from farfield.evaluation.evaluating import trained_on
-from farfield.evaluation.objects import annotated_objects
 from farfield.evaluation.record import Evaluation, FrameView
-from farfield.evaluation.sensing import power_from_above
+from farfield.evaluation.report_data import annotated_objects, power_from_above
+from farfield.figures.radar import weathers_picture
 from farfield.figures.style import figure_bytes
-from farfield.figures.weathers_picture import weathers_picture
 from farfield.files.atomic import write_bytes
 from farfield.frame import Annotation, Boxes, Key
 from farfield.frame.provenance import environment, is_simulated

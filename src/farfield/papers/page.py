@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from farfield.figures.dataset_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.figures.plots import precision_recall
-from farfield.figures.reproduction_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from farfield.evaluation.objects import confident, of_classes
+from farfield.evaluation.report_data import confident, of_classes
 from farfield.figures.birds_eye import Window, draw_birdseye, draw_boxes, in_window
 from farfield.figures.camera import box_lines
-from farfield.figures.radar_picture import cube_extent, power_levels
+from farfield.figures.radar import cube_extent, power_levels
 from farfield.figures.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, RULE, figure_uri, house_style, new_figure
 from farfield.frame import Cloud
 from farfield.geometry.boxes import Boxes

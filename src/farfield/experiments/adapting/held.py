@@ -11,7 +11,7 @@ from farfield.errors import ConfigError
 from farfield.metrics import Bootstrap
 from farfield.metrics.deciding import ScoreSample, difference_of, figure, samples
 from farfield.metrics.detections import Detections
-from farfield.pages.adapted_scores import HeldScores, ScoreRow
+from farfield.pages.training_pages import HeldScores, ScoreRow
 
 _FIGURES = {"DDS": figure("dds/0/dds"), "mAP": figure("dds/0/map")}
 _LEVEL_PERCENT = (2.5, 97.5)

@@ -40,7 +40,7 @@ from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
 from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
-from farfield.pages.adapted_scores import HeldScores
+from farfield.pages.training_pages import HeldScores
 from farfield.simulation.recording.frames import bytes_needed
 from farfield.simulation.recording.wanted import planned
 from farfield.training.report import TrainingReport

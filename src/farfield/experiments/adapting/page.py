@@ -13,8 +13,7 @@ from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.detections import Detections
-from farfield.pages.adapted import AdaptedPage, PseudoLabelFrame, write_adapted
-from farfield.pages.adapted_scores import HeldScores
+from farfield.pages.training_pages import AdaptedPage, HeldScores, PseudoLabelFrame, write_adapted
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector

@@ -3,32 +3,36 @@
 from typing import Any
 
 from farfield.datasets.base import Dataset
-from farfield.inspection.doctor.calibration import calibration as check_calibration
-from farfield.inspection.doctor.content import classes, clouds, sizes, suspicious
-from farfield.inspection.doctor.conventions import quaternions, readings
-from farfield.inspection.doctor.findings import DoctorReport, Finding
-from farfield.inspection.doctor.inventory import inventory, timing
-from farfield.inspection.doctor.kradar import kradar
-from farfield.inspection.doctor.stamps import stamps
-from farfield.inspection.doctor.survey import survey
-from farfield.inspection.doctor.upright import cameras_upright, clouds_upright
+from farfield.inspection.doctor.calibration import check_calibration as check_calibration
+from farfield.inspection.doctor.content import (
+    check_cameras_upright,
+    check_classes,
+    check_clouds,
+    check_clouds_upright,
+    check_sizes,
+    check_suspicious_boxes,
+)
+from farfield.inspection.doctor.conventions import check_conventions, check_quaternion_order
+from farfield.inspection.doctor.inventory import check_inventory, check_stamps, check_timing
+from farfield.inspection.doctor.kradar import check_kradar
+from farfield.inspection.doctor.survey import DoctorReport, Finding, survey
 from farfield.jobs import HERE, JobOptions
 
 __all__ = ["DoctorReport", "Finding", "examine"]
 
 _CHECKS = (
-    inventory,
-    timing,
-    stamps,
-    kradar,
-    clouds,
-    clouds_upright,
-    cameras_upright,
-    quaternions,
-    readings,
-    classes,
-    sizes,
-    suspicious,
+    check_inventory,
+    check_timing,
+    check_stamps,
+    check_kradar,
+    check_clouds,
+    check_clouds_upright,
+    check_cameras_upright,
+    check_quaternion_order,
+    check_conventions,
+    check_classes,
+    check_sizes,
+    check_suspicious_boxes,
 )
 
 

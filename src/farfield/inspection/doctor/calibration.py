@@ -18,13 +18,13 @@ from farfield.datasets.kradar import KRadar
 from farfield.errors import DatasetError, FarfieldError
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
-from farfield.inspection.doctor.findings import Finding, Severity
+from farfield.inspection.doctor.survey import Finding, Severity
 
 _EDGES = 600  # a frame
 _MARGIN_PX = 120.0
 
 
-def calibration(data: Dataset, frames: int, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_calibration(data: Dataset, frames: int, facts: dict[str, Any]) -> Iterator[Finding]:
     """Check the cameras, and K-Radar's radar, of the first sequence.
 
     Args:

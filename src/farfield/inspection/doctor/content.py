@@ -1,4 +1,4 @@
-"""What the clouds and boxes hold: columns, units, intensity, classes by range, suspicious boxes."""
+"""What the clouds and boxes hold: columns, units, intensity, which way is up, classes by range, suspicious boxes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -8,12 +8,17 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.datasets.folder import MAPPING_NAME, Folder
-from farfield.frame import Boxes, Cloud
-from farfield.inspection.doctor.evidence import count_points
-from farfield.inspection.doctor.findings import Finding, counted
-from farfield.inspection.doctor.ground import ground_height_m
+from farfield.datasets.folder import Folder
+from farfield.datasets.folder import MAPPING_NAME
+from farfield.errors import FarfieldError
+from farfield.frame import Boxes
+from farfield.frame import Camera
+from farfield.frame import Cloud
+from farfield.inspection.doctor.conventions import count_points
+from farfield.inspection.doctor.conventions import ground_height_m
+from farfield.inspection.doctor.survey import Finding
 from farfield.inspection.doctor.survey import Survey
+from farfield.inspection.doctor.survey import counted
 from farfield.metrics.oddities import meant_by
 from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class
 from farfield.vocabulary.sizes import unit_of_sizes
@@ -32,7 +37,7 @@ _LARGEST_M = {  # length, width, height of the largest plausible objects, sorted
 }
 
 
-def clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell columns, points a sweep, reach and intensity of each pattern."""
     for name in found.sensors:
         read = [sample.clouds[name] for sample in found.samples if name in sample.clouds]
@@ -120,7 +125,7 @@ def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: flo
         yield Finding(severity="fail", topic="units", what=what, where=name, mend="Bring the points to metres.")
 
 
-def classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Count classes by range, and tell names that the vocabulary lacks."""
     boxes = found.all_boxes()
     table: dict[str, dict[str, int]] = {}
@@ -188,7 +193,7 @@ def _bins() -> list[tuple[float, float]]:
     return list(pairwise(RANGE_BINS_M))
 
 
-def sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Check the unit of the sizes and find implausible ones."""
     boxes = found.all_boxes()
     if not len(boxes):
@@ -210,7 +215,7 @@ def sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(severity=severity, topic="box sizes", what=what, mend=mend)  # type: ignore[arg-type]
 
 
-def suspicious(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_suspicious_boxes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Find empty, doubled and underground boxes in the frames whose clouds were read."""
     total = near = empty = near_empty = doubled = buried = 0
     for sample, boxes in found.annotated_samples():
@@ -255,3 +260,56 @@ def _count_doubled(boxes: Boxes) -> int:
     label = np.asarray(boxes.label)
     same = (label[:, None] == label[None]) & (gap < 0.25 * boxes.size_m[:, :2].min(axis=1)[:, None])
     return int(np.triu(same, 1).any(axis=0).sum())
+
+
+# Which way is up: clouds whose z points down, cameras that lie on their side or whose pose is the inverse.
+
+_LEAST_POINTS = 1_000
+_LAYER_M = 0.2
+_BESIDE_M = 0.5
+_STANDING = 0.7  # cosine between the image's down and the ground's: 45 degrees
+
+
+def check_clouds_upright(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Look for the densest layer, the ground: the rest of a cloud stands above it."""
+    del facts
+    points = [sample.points_m for sample in found.samples]
+    z = np.concatenate(points)[:, 2] if points else np.zeros(0)
+    z = z[np.isfinite(z)]
+    if len(z) < _LEAST_POINTS:
+        return
+    low, high = np.percentile(z, [0.1, 99.9])
+    counts, edges = np.histogram(z, np.arange(low, high + 2 * _LAYER_M, _LAYER_M))
+    ground = float(edges[counts.argmax()] + _LAYER_M / 2)
+    above, below = float((z > ground + _BESIDE_M).mean()), float((z < ground - _BESIDE_M).mean())
+    if ground > _BESIDE_M and below > 0.02 and above < 0.2 * below:
+        what = (
+            f"the densest layer lies {ground:.1f} m above the sensor, {below:.0%} of the points below it and "
+            f"{above:.0%} above: z seems to point down"
+        )
+        mend = "z points up and y left: from axes x ahead, y right, z down change the sign of y and z, of boxes too."
+        yield Finding(severity="fail", topic="axes", what=what, mend=mend)
+
+
+def check_cameras_upright(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Hold the cameras' poses against the ground: an image's lower edge points down."""
+    del facts
+    try:
+        cameras = found.dataset[0].cameras if found.cameras and len(found.dataset) else {}
+    except (FarfieldError, OSError, ValueError):
+        return  # the survey has reported it
+    for name, camera in cameras.items():
+        down, inverse = _down(camera)
+        if down > _STANDING:
+            continue
+        what = f"camera {name} lies on its side or its head (cosine between its down and the ground's: {down:.2f})"
+        if inverse > _STANDING:
+            what += "; it is upright if camera_T_lidar is inverted: the file holds lidar_T_camera"
+        mend = "Give camera_T_lidar, which takes the lidar's points (z up) to the camera (x right, y down, z ahead)."
+        yield Finding(severity="fail", topic="calibration", what=what, mend=mend)
+
+
+def _down(camera: Camera) -> tuple[float, float]:
+    """Cosine between the image's downward axis and the lidar's, of the pose and of its inverse."""
+    turn = camera.camera_T_lidar[:3, :3]
+    return float(-turn[1, 2]), float(-turn[2, 1])

@@ -1,20 +1,120 @@
-"""What an adaptation changed, on one self-contained page: boxes, scores, pictures, the course of the training."""
+"""A training and an adaptation on one self-contained page each: curves, warnings, boxes, scores, settings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from farfield.figures.adapted_plots import boxes_before_and_after, score_histograms
-from farfield.figures.courses import ADAPTATION, courses
 from farfield.figures.style import figure_uri
+from farfield.figures.training_plots import (
+    ADAPTATION,
+    RUN,
+    Row,
+    boxes_before_and_after,
+    columns_of,
+    courses,
+    score_histograms,
+)
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame, Key
-from farfield.pages.adapted_scores import HeldScores
 from farfield.pages.template import PageImage, render_template
+
+# Scores of an adaptation on labelled frames that it did not learn from, for its page.
+
+Interval = tuple[float, float]
+NOTHING = "–"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreRow:
+    """A figure of a class before and after.
+
+    Args:
+        label: The class.
+        annotated: Number of its annotated objects.
+        figure: What was scored.
+        before: The figure before; None where there is none.
+        after: The figure after.
+        before_interval: Its interval, 95 %, or None.
+        after_interval: The same after.
+        gain: After minus before.
+        gain_interval: Its interval, 95 %.
+    """
+
+    label: str
+    annotated: int
+    figure: str
+    before: float | None
+    after: float | None
+    before_interval: Interval | None
+    after_interval: Interval | None
+    gain: float | None
+    gain_interval: Interval | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldScores:
+    """Scores on labelled frames that were not learnt from.
+
+    Args:
+        rows: Figures by class.
+        frames: Number of these frames.
+        drives: Number of their drives.
+        shared_drives: How many of these have other frames that were learnt from.
+        grouped_by: What was drawn for the intervals: ``"sequences"``, or ``"frames"`` of one sequence.
+        groups: How many of them.
+    """
+
+    rows: tuple[ScoreRow, ...]
+    frames: int
+    drives: int
+    shared_drives: int
+    grouped_by: str
+    groups: int
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return asdict(self)
+
+    @property
+    def words(self) -> str:
+        """What was scored, and what the intervals hold."""
+        held = "drive" if self.drives == 1 else "drives"
+        text = f"{self.frames} labelled frames of {self.drives} {held} that were not learnt from"
+        if self.shared_drives:
+            text += (
+                f"; {self.shared_drives} of these drives had other frames that were, so scores may come out too good"
+            )
+        drawn = "drives" if self.grouped_by == "sequences" else "frames of the one drive"
+        return (
+            f"{text}. The labels were read at the end and decided nothing. Intervals, 95 %, are over draws of the "
+            f"{drawn}: another training would give other figures, and that spread is not in them."
+        )
+
+    @property
+    def lines(self) -> list[list[tuple[str, str]]]:
+        """Rows of the table: each cell a figure and its interval."""
+        return [
+            [
+                (row.label.replace("_", " "), ""),
+                (f"{row.annotated:,}", ""),
+                (row.figure, ""),
+                _cell(row.before, row.before_interval),
+                _cell(row.after, row.after_interval),
+                _cell(row.gain, row.gain_interval, signed=True),
+            ]
+            for row in self.rows
+        ]
+
+
+def _cell(value: float | None, interval: Interval | None, *, signed: bool = False) -> tuple[str, str]:
+    form = "+.3f" if signed else ".3f"
+    if value is None:
+        return NOTHING, ""
+    return format(value, form), "" if interval is None else f"{interval[0]:{form}} to {interval[1]:{form}}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,3 +291,66 @@ def _course(rows: Sequence[Mapping[str, float | int]]) -> PageImage | None:
         "boxes; sure and ignored boxes a frame are the teacher's; docs/adaptation.md says how to read the others.",
         "The course of the training",
     )
+
+
+# The course of a training on one self-contained page: curves, what the log warns of, settings.
+
+_LAST = 20  # losses are means over this part of the steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoursePage:
+    """Everything that the page shows.
+
+    Args:
+        title: Its title.
+        steps: Steps that are wanted.
+        rows: Rows of the log, by step.
+        signs: Failure modes that it shows, one sentence each.
+        settings: What was set, by name.
+    """
+
+    title: str
+    steps: int
+    rows: Sequence[Row]
+    signs: Sequence[str]
+    settings: Mapping[str, object]
+
+    @property
+    def headline(self) -> str:
+        """How far it is."""
+        done = int(self.rows[-1]["step"]) if self.rows else 0
+        return f"All {self.steps} steps are done." if done >= self.steps else f"{done} of {self.steps} steps are done."
+
+    @property
+    def last(self) -> list[tuple[str, str, str]]:
+        """Each figure at the end: its name, the step that it is of, its value."""
+        losses = set(columns_of(self.rows, RUN[0], RUN))
+        names = dict.fromkeys(name for panel in RUN for name in columns_of(self.rows, panel, RUN))
+        return [self._last_of(name, mean=name in losses) for name in names]
+
+    def _last_of(self, name: str, *, mean: bool) -> tuple[str, str, str]:
+        having = [row for row in self.rows if name in row]
+        values = [row[name] for row in having][-max(1, len(having) // _LAST) :] if mean else [having[-1][name]]
+        return name.replace("_", " "), str(having[-1]["step"]), f"{sum(values) / len(values):.4g}"
+
+
+def write_course(path: Path, page: CoursePage) -> Path:
+    """Write the page, all or nothing.
+
+    Args:
+        path: The HTML file.
+        page: What it shows.
+    """
+    figure = courses(page.rows, RUN)
+    course = None
+    if figure is not None:
+        course = PageImage(
+            figure_uri(figure),
+            "Curves of the losses and of what else was logged over the steps",
+            "Every logged step; of long curves the mean of fifty stretches is drawn over the single steps. A dashed "
+            "line is what chance gives. docs/adaptation.md says how to read what a method logs.",
+            "The course of the training",
+        )
+    write_text(path, render_template("course.html", page=page, course=course))
+    return path

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from farfield.evaluation.results import counts, figure, part_names
+from farfield.evaluation.report_data import counts, figure, part_names
 from farfield.figures.tables import Results, range_name
 from farfield.metrics.presenting import BASICS, Presentation, Words
 from farfield.metrics.protocol import Protocol
