@@ -8,7 +8,7 @@ import pytest
 
 from farfield.figures import comparison_plots as plots
 from farfield.inspection.comparison import ComparedDataset
-from farfield.pages.dataset_pages import render_comparison, sensor_pictures_of, table_lines, write_comparison
+from farfield.pages.dataset_pages import render_comparison, sensor_pictures, table_lines, write_comparison
 
 EDGES_M = [0.0, 20.0, 40.0, 70.0]
 
@@ -154,7 +154,7 @@ def test_lines_that_nobody_has_are_left_out():
 
 def test_every_figure_is_drawn_where_there_is_data_and_none_where_not(page):
     assert page.count("data:image/svg+xml;base64,") == 9  # of both sides
-    assert [item.heading for item in sensor_pictures_of((bare_side(), bare_side()))] == [
+    assert [item.heading for item in sensor_pictures((bare_side(), bare_side()))] == [
         "Where the returns lie in elevation",
         "Range of the returns",
     ]
