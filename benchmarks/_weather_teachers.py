@@ -71,7 +71,7 @@ def _found_in_weather(
     detector: Detector, val: DataLocation, cloud: str, config: WeatherConfig
 ) -> tuple[dict[Key, Boxes], dict[Key, Boxes]]:
     """What is found, and what is to be found, in frames that each have one kind of weather laid over them."""
-    data, found, truth = as_trained(val.opened(), detector), {}, {}
+    data, found, truth = as_trained(val.opened(), detector.info), {}, {}
     always = config.model_copy(update={"probability": 1.0})
     for number in range(len(data)):
         frame, rng = data[number], np.random.default_rng((_SEED, number))

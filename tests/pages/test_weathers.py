@@ -9,12 +9,12 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.evaluation.record import Evaluation, FrameView
+from farfield.evaluation.weathers import key_in, merge_weathers, weather_table
 from farfield.figures.radar import weathers_picture
 from farfield.figures.style import figure_bytes
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
 from farfield.metrics.detections import Detections
 from farfield.pages.evaluation_page import render_report
-from farfield.pages.weathers import key_in, merge_weathers, weather_table
 
 KEYS = (("1", "00001_00001"), ("2", "00001_00001"))
 

@@ -97,7 +97,8 @@ def _with_lidar(out: Path, sequences: int, frames: int, seed: int) -> int:
 
 def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
     from farfield.api import load_detector, open_dataset
-    from farfield.pages.weathers import evaluate_weathers, weather_table, write_weathers
+    from farfield.evaluation.weathers import evaluate_weathers, weather_table
+    from farfield.pages.evaluation_page import write_weathers
     from farfield.simulation.recording import record
 
     began, each = time.monotonic(), frames // len(_WEATHERS)

@@ -95,7 +95,7 @@ def run(
     """
     from farfield.api import load_detector, open_dataset
     from farfield.evaluation import as_trained, suitable_clouds
-    from farfield.evaluation.evaluating import evaluate_clouds
+    from farfield.evaluation.evaluating import EvaluationOptions, evaluate_clouds
     from farfield.evaluation.record import default_folder
     from farfield.figures.tables import class_table
     from farfield.frame.provenance import is_simulated
@@ -120,10 +120,10 @@ def run(
         "bootstrap": Bootstrap(replicates=replicates) if "bootstrap" in PROTOCOLS[protocol].options() else None,
     }
     given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
-    folder, clocks = out or default_folder(loaded.name, loaded.digest(), opened), dict[str, dict[str, float]]()
+    folder = out or default_folder(loaded.name, loaded.digest(), opened)
     if dry_run:
-        first = as_trained(opened, loaded)[0]
-        read = names(clouds) or suitable_clouds(loaded, first)
+        first = as_trained(opened, loaded.info)[0]
+        read = names(clouds) or suitable_clouds(loaded.info, first)
         for each in read:
             first.cloud(each)  # or says why it cannot be read
         what = (
@@ -131,34 +131,31 @@ def run(
         )
         would_write(what, folder)
         return 0
-    tables: dict[str, str] = {}
-    evaluation = evaluate_clouds(
-        loaded,
-        opened,
+    chosen = EvaluationOptions(
         clouds=names(clouds) or None,
         shown_frames=shown_frames,
         protocol=protocol,
         title=f"{detector} on {opened.root.name}",
         provenance={"simulated": is_simulated(opened.root), **({"kept": kept.said} if kept.said else {})},
         bulk=hands(workers or int(loaded.device.type != "cpu" or len(opened) < _FEW), engine, "detecting"),
-        kept=folder,
+        journals=folder,
         overwrite=overwrite,
-        tables=tables,
-        clocks=clocks,
-        **{name: value for name, value in given.items() if value is not None},
+        settings={name: value for name, value in given.items() if value is not None},
     )
+    evaluation = evaluate_clouds(loaded, opened, chosen)
     evaluation.save(folder)
-    if clocks:  # apart, so that equal evaluations are equal files
-        write_json(folder / "timing.json", clocks)
+    if evaluation.timing:  # apart, so that equal evaluations are equal files
+        write_json(folder / "timing.json", evaluation.timing)
     for name, result in evaluation.results.items():
-        print(f"{name}:\n{tables[name]}\n")
+        print(f"{name}:\n{evaluation.tables[name]}\n")
         print(class_table(result, evaluation.parts[name]), end="")
     if report:
         drawing = partial(bar, what="drawing", transient=True)
         page = write_report(folder / "report.html", evaluation, progress=drawing)
     if json is not None:
-        write_json(json, dict(evaluation.results) if len(tables) > 1 else evaluation.results[next(iter(tables))])
-    for name, measured in clocks.items():
+        results = evaluation.results
+        write_json(json, dict(results) if len(results) > 1 else results[next(iter(results))])
+    for name, measured in evaluation.timing.items():
         print(f"{name}: {measured['median_ms']:.1f} ms a frame from points to boxes (median of {measured['frames']})")
     print(f"evaluation: {folder / 'evaluation.json'}")
     if report:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from farfield.datasets import Dataset
-    from farfield.datasets.cloud_files import CloudFiles
     from farfield.evaluation import FrameDetections
     from farfield.frame import Boxes, Frame, Key
 
@@ -92,20 +91,20 @@ def run(
     bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
     chosen = partial(plan_detection, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
     prepared = chosen()
-    own, seen = frames[0], prepared.work.seen[0]
+    own, seen = frames[0], prepared.task.seen[0]
     if reference and reference not in (own.reference, seen.reference):
         known = " or ".join(dict.fromkeys((own.reference, seen.reference)))
         raise ConfigError(f"--reference: expected {known}, got {reference!r}")
-    shown = prepared.work.seen if reference == seen.reference else frames
-    prepared = prepared if shown is prepared.work.seen else chosen(in_own=True)
+    shown = prepared.task.seen if reference == seen.reference else frames
+    prepared = prepared if shown is prepared.task.seen else chosen(in_own=True)
     if dry_run:
-        shown[0].cloud(cloud or suitable_clouds(loaded, shown[0])[0])  # reads it, or says why it cannot
+        shown[0].cloud(cloud or suitable_clouds(loaded.info, shown[0])[0])  # reads it, or says why it cannot
         would_write(f"the boxes of {len(frames)} frames as {chosen_format}", out or "the output")
         return 0
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)
-    found = _CountedPredictions(frames.keys, prepared.found({}))
+    found = _CountedPredictions(frames.keys, prepared.detections())
     if out is not None and journal is not None:
         results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
         results.write(out, found)
@@ -164,7 +163,7 @@ class _CountedPredictions:
             yield key, boxes
 
 
-def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> "Dataset | CloudFiles":
+def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> "Dataset":
     from farfield.datasets import open_dataset
     from farfield.datasets.cloud_files import CloudFiles
     from farfield.errors import DatasetError

@@ -56,8 +56,8 @@ def run(
     shown = opened[frame]
     if detector:
         loaded = load_detector(detector, **kept.options)
-        shown = as_trained(opened, loaded)[frame]
-        cloud = cloud or suitable_clouds(loaded, shown)[0]
+        shown = as_trained(opened, loaded.info)[frame]
+        cloud = cloud or suitable_clouds(loaded.info, shown)[0]
         predicted = loaded.with_cloud(cloud)(shown)
     figure = _drawn(shown, predicted, radar, cloud, kept.score_threshold)
     path = out or Path("runs") / f"show-{opened.root.resolve().name}-{frame}.png"

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
+from farfield.datasets.base import Dataset
+from farfield.datasets.drives import Indices
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bin_columns import bin_columns as bin_columns_of
 from farfield.files.bin_columns import names_of
@@ -30,7 +32,7 @@ _NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 Columns = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
 
-class CloudFiles(Sequence[Frame]):
+class CloudFiles(Dataset):
     """Single clouds as frames, each read when it is asked for and not kept.
 
     Args:
@@ -41,24 +43,32 @@ class CloudFiles(Sequence[Frame]):
         DatasetError: If a file is named twice, or two cannot be told apart.
     """
 
+    name = "files"
+    root = Path()
+    stored = False
+
     def __init__(self, paths: Sequence[Path], *, bin_columns: int | None = None) -> None:
         self.paths, self.bin_columns = tuple(paths), bin_columns
         alone = len({path.stem for path in self.paths}) == len(self.paths)
-        self.keys: tuple[Key, ...] = tuple(
+        keys: tuple[Key, ...] = tuple(
             ("files" if alone else path.resolve().parent.name, path.stem) for path in self.paths
         )
-        double = next((key for key, count in Counter(self.keys).items() if count > 1), None)
+        double = next((key for key, count in Counter(keys).items() if count > 1), None)
         if double is not None:
-            same = ", ".join(str(path) for path, key in zip(self.paths, self.keys, strict=True) if key == double)
+            same = ", ".join(str(path) for path, key in zip(self.paths, keys, strict=True) if key == double)
             raise DatasetError(f"{same}: expected each cloud once, and names or folders that differ; both are {double}")
 
-    def __len__(self) -> int:
-        return len(self.paths)
+        self.sequences = tuple(sequence for sequence, _ in keys)
+        self.frame_ids = tuple(frame_id for _, frame_id in keys)
 
-    def __getitem__(self, index: int) -> Frame:  # type: ignore[override]
-        path = self.paths[index]
-        sequence, frame_id = self.keys[index]
-        return Frame.of(read_cloud(path, bin_columns=self.bin_columns), sequence=sequence, frame_id=frame_id)
+    def frame(self, index: int) -> Frame:
+        """Read the cloud of a file."""
+        cloud = read_cloud(self.paths[index], bin_columns=self.bin_columns)
+        return Frame.of(cloud, sequence=self.sequences[index], frame_id=self.frame_ids[index])
+
+    def drive_indices(self) -> dict[str, Indices]:
+        """None: nothing says whether one cloud follows another."""
+        return {}
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""

@@ -138,7 +138,7 @@ def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
         ConfigError: If they meet.
     """
     place, files = target.resolve(), getattr(data, "files", None)
-    if isinstance(data, Dataset) and place == data.root.resolve():
+    if isinstance(data, Dataset) and data.stored and place == data.root.resolve():
         raise ConfigError(f"{target}: expected a folder beside the data, got their own: they would be written over")
     chosen = range(0, len(data), max(1, len(data) // 100)) if files is not None else ()
     read = {Path(file).resolve() for index in chosen for file in (files(index) if files is not None else ())}

@@ -1,152 +1,207 @@
 """A detector over a data set, cloud by cloud: scores, found objects and a few frames to look at, ready for a report."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from farfield.datasets.base import Dataset
-from farfield.evaluation import as_trained, detect, median_ms, suitable_clouds
+from farfield.datasets.memory import in_memory
+from farfield.detectors.info import DescribedDetector, DetectorFunction, as_detector
+from farfield.evaluation.detecting import detect, median_ms
 from farfield.evaluation.record import Evaluation, FrameView
 from farfield.evaluation.report_data import annotated_objects, kind_of, power_from_above, scored_labels
-from farfield.frame import Boxes, Key
+from farfield.evaluation.views import as_trained, suitable_clouds
+from farfield.frame import Boxes, Frame, Key
 from farfield.frame.provenance import environment
 from farfield.jobs import JobOptions
 from farfield.metrics import PROTOCOLS, Bootstrap, Protocol
 from farfield.metrics.detections import Detections
+from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.parts import by_class, by_part, mean_of_classes, parts_json
 
-if TYPE_CHECKING:
-    from farfield.detectors.runtime import Detector
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationOptions:
+    """How a detector is evaluated.
+
+    Args:
+        clouds: Which clouds; by default those of the first frame that suit the detector.
+        shown_frames: Frames that the report shows, spread evenly over the data.
+        protocol: The metric.
+        settings: Settings of the protocol.
+        title: Title of the report.
+        provenance: What is known of the data beyond their fingerprint.
+        bulk: Who detects; this process with all its threads unless given.
+        journals: Folder that keeps the detections, so that an interrupted evaluation goes on and one with other
+            settings of the protocol detects nothing anew; None keeps nothing.
+        overwrite: Detect anew what is kept.
+    """
+
+    clouds: Sequence[str] | None = None
+    shown_frames: int = 4
+    protocol: str = "dds"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    title: str = "Farfield evaluation"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    bulk: JobOptions | None = None
+    journals: Path | None = None
+    overwrite: bool = False
 
 
 def evaluate_clouds(
-    detector: "Detector",
-    data: Dataset,
-    *,
-    clouds: Sequence[str] | None = None,
-    shown_frames: int = 4,
-    protocol: str = "dds",
-    title: str = "Farfield evaluation",
-    provenance: Mapping[str, Any] | None = None,
-    bulk: JobOptions | None = None,
-    kept: Path | None = None,
-    overwrite: bool = False,
-    tables: dict[str, str] | None = None,
-    clocks: dict[str, dict[str, float]] | None = None,
-    **options: Any,
+    detector: DescribedDetector | DetectorFunction,
+    data: Dataset | Sequence[Frame],
+    options: EvaluationOptions = EvaluationOptions(),
 ) -> Evaluation:
     """Score a detector on each cloud of a data set; a cloud's result is that of :func:`farfield.evaluate`.
 
     Args:
         detector: The detector.
         data: Annotated frames.
-        clouds: Which clouds; by default those of the first frame that suit the detector.
-        shown_frames: Frames that the report shows, spread evenly over the data.
-        protocol: The metric.
-        title: Title of the report.
-        provenance: What is known of the data beyond their fingerprint.
-        bulk: Who detects; this process with all its threads unless given.
-        kept: Folder that keeps what was found, so that an interrupted evaluation goes on and one with other settings
-            of the protocol detects nothing anew; None keeps nothing.
-        overwrite: Detect anew what is kept.
-        tables: Is filled with the table of each result by cloud, as ``farfield score`` prints it.
-        clocks: Is filled with what the clock measured, by cloud: ``frames`` that were searched now and their
-            ``median_ms``. It stands apart from the evaluation, so that two equal ones are equal.
-        **options: Settings of the protocol.
+        options: How.
 
     Returns:
-        Results, pictures' frames, settings and provenance by cloud.
+        Results and their tables, pictures' frames, settings, provenance and what the clock measured, by cloud.
 
     Raises:
         DatasetError: If no frame is annotated.
         ConfigError: If a cloud is missing or does not suit.
     """
-    seen: Dataset = as_trained(data, detector)
-    chosen = PROTOCOLS[protocol]
-    results, objects, predicted, parts = {}, {}, {}, {}
-    for name in clouds or suitable_clouds(detector, seen[0]):
-        found = detect(
-            detector,
-            data,
+    described, dataset = as_detector(detector), in_memory(data)
+    info = described.info
+    seen = as_trained(dataset, info)
+    first = seen[0]
+    protocol = PROTOCOLS[options.protocol]
+    clouds = options.clouds or suitable_clouds(info, first)
+    # Detect in each cloud and score its detections.
+    predictions: dict[str, BoxesByFrame] = {}
+    clouds_results: dict[str, CloudResult] = {}
+    for name in clouds:
+        detections = detect(
+            described,
+            dataset,
             cloud=name,
             annotated_only=True,
-            bulk=bulk,
-            journal=None if kept is None else kept / f".found-{name}.jsonl",
-            overwrite=overwrite,
+            bulk=options.bulk,
+            journal=None if options.journals is None else options.journals / f".found-{name}.jsonl",
+            overwrite=options.overwrite,
         )
-        found.check_label(chosen, options.get("label"), **{k: v for k, v in options.items() if k != "label"})
-        result = found.score(protocol, **options)
-        results[name] = result.to_json()
-        if tables is not None:
-            tables[name] = str(result)
-        parts[name] = _parts(found, chosen, options, by_condition="conditions" not in results[name])
-        objects[name] = annotated_objects(
-            found.boxes,
-            found.annotated,
-            labels=scored_labels({name: results[name]}),
-            finding=chosen.presentation(results[name]).finding,
-            kind=kind_of(seen[0], name),
-        )
-        predicted[name] = found.boxes
-        if clocks is not None and found.ms:
-            clocks[name] = {"frames": len(found.ms), "median_ms": round(median_ms(found), 1)}
+        predictions[name] = detections.boxes
+        clouds_results[name] = score_cloud(detections, protocol, options, kind=kind_of(first, name))
+    # Choose the frames that the report shows, and say what was evaluated.
+    shown = np.linspace(0, len(seen) - 1, max(0, min(options.shown_frames, len(seen)))).round().astype(int)
     return Evaluation(
-        title=title,
-        results=results,
-        objects=objects,
-        parts=parts,
-        frames=[_view(seen, index, predicted) for index in _spread(len(seen), shown_frames)],
+        title=options.title,
+        results={name: cloud.result for name, cloud in clouds_results.items()},
+        tables={name: cloud.table for name, cloud in clouds_results.items()},
+        objects={name: cloud.objects for name, cloud in clouds_results.items()},
+        parts={name: cloud.parts for name, cloud in clouds_results.items()},
+        timing={name: cloud.timing for name, cloud in clouds_results.items() if cloud.timing},
+        frames=[frame_view(seen[index], predictions) for index in sorted(set(shown.tolist()))],
         settings={
-            "detector": type(detector.network).__name__,
-            "classes": ", ".join(detector.class_names),
-            "range_m": detector.config.reach_m,
-            "precision": detector.precision,
-            "score_threshold": detector.config.score_threshold,
-            "nms_iou": detector.config.nms_iou,
+            "detector": info.network,
+            "classes": ", ".join(info.classes),
+            "range_m": info.reach_m,
+            "precision": info.precision,
+            "score_threshold": info.score_threshold,
+            "nms_iou": info.nms_iou,
         },
         provenance={
             **environment(),
             "data": seen.name,
             "data_fingerprint": seen.fingerprint(),
             "frames": len(seen),
-            "trained_on": trained_on(detector.provenance),
-            **(provenance or {}),
+            "trained_on": training_text(info.provenance),
+            **options.provenance,
         },
     )
 
 
-def _parts(found: Detections, chosen: Protocol, options: Mapping[str, Any], *, by_condition: bool) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CloudResult:
+    """A detector's score on one cloud.
+
+    Args:
+        result: Result JSON.
+        table: Its table, as ``farfield score`` prints it.
+        objects: Which annotated objects were found, see :func:`farfield.evaluation.report_data.annotated_objects`.
+        parts: Figures by condition and sector, a row for each class, and their mean.
+        timing: ``frames`` that were detected in now, and their ``median_ms``; empty if all came from a journal.
+    """
+
+    result: Mapping[str, Any]
+    table: str
+    objects: Mapping[str, Any]
+    parts: Mapping[str, Any]
+    timing: Mapping[str, float]
+
+
+def score_cloud(detections: Detections, protocol: Protocol, options: EvaluationOptions, *, kind: str) -> CloudResult:
+    """Score the detections of one cloud.
+
+    Args:
+        detections: The detections.
+        protocol: The protocol that ``options`` names.
+        options: How the detector is evaluated.
+        kind: Kind of the cloud's sensor.
+    """
+    settings = options.settings
+    others = {name: value for name, value in settings.items() if name != "label"}
+    detections.check_label(protocol, settings.get("label"), **others)
+    result = detections.score(options.protocol, **settings)
+    tree = result.to_json()
+    objects = annotated_objects(
+        detections.boxes,
+        detections.annotated,
+        labels=scored_labels({detections.cloud or "": tree}),
+        finding=protocol.presentation(tree).finding,
+        kind=kind,
+    )
+    timing = {"frames": len(detections.ms), "median_ms": round(median_ms(detections), 1)} if detections.ms else {}
+    return CloudResult(
+        result=tree,
+        table=str(result),
+        objects=objects,
+        parts=part_figures(detections, protocol, settings, by_condition="conditions" not in tree),
+        timing=timing,
+    )
+
+
+def part_figures(
+    detections: Detections, protocol: Protocol, settings: Mapping[str, Any], *, by_condition: bool
+) -> dict[str, Any]:
     """Figures by condition and sector, over the whole range, a row for each class of the data, and their mean."""
-    edges_m = options.get("range_bins_m") or chosen.default("range_bins_m") or ()
-    whole = {**options, **({"range_bins_m": (edges_m[0], edges_m[-1])} if edges_m else {})}
-    tree = parts_json(by_part(found, chosen, **whole)) if by_condition else {}
-    still = {"bootstrap": Bootstrap(replicates=0)} if "bootstrap" in chosen.options() else {}
-    rows = by_class(found, chosen, **{**whole, **still})
+    edges_m = settings.get("range_bins_m") or protocol.default("range_bins_m") or ()
+    all_ranges = {**settings, **({"range_bins_m": (edges_m[0], edges_m[-1])} if edges_m else {})}
+    tree = parts_json(by_part(detections, protocol, **all_ranges)) if by_condition else {}
+    no_intervals = {"bootstrap": Bootstrap(replicates=0)} if "bootstrap" in protocol.options() else {}
+    rows = by_class(detections, protocol, **{**all_ranges, **no_intervals})
     return {**tree, "classes": {row.label: row.to_json() for row in rows}, "mean_of_classes": mean_of_classes(rows)}
 
 
-def _spread(count: int, wanted: int) -> list[int]:
-    return sorted(set(np.linspace(0, count - 1, max(0, min(wanted, count))).round().astype(int).tolist()))
-
-
-def _view(data: Dataset, index: int, predicted: Mapping[str, Mapping[Key, Boxes]]) -> FrameView:
-    frame = data[index]
-    boxes = {name: found[frame.key] for name, found in predicted.items() if frame.key in found}
-    title = f"{frame.sequence}, frame {frame.frame_id}"
+def frame_view(frame: Frame, predictions: Mapping[str, Mapping[Key, Boxes]], *, title: str = "") -> FrameView:
+    """A frame as a report shows it, with the predictions by cloud."""
+    boxes = {cloud: by_frame[frame.key] for cloud, by_frame in predictions.items() if frame.key in by_frame}
+    title = title or f"{frame.sequence}, frame {frame.frame_id}"
     return FrameView(frame=frame, predictions=boxes, title=title, radar_db=power_from_above(frame))
 
 
-def trained_on(provenance: Mapping[str, Any]) -> str:
+def training_text(provenance: Mapping[str, Any]) -> str:
     """One phrase on what a detector learnt from; empty where nothing is known."""
     experiment = provenance.get("experiment")
     if not experiment:
         return ""
     data = experiment["data"] if "path" in experiment["data"] else next(iter(experiment["data"].values()))
-    made, clouds = data.get("simulate"), data["clouds"]
-    names = [n for each in clouds.values() for n in each] if isinstance(clouds, Mapping) else clouds
-    source = f"simulated frames (preset {made['preset']}, seed {made['seed']})" if made else f"frames of {data['path']}"
+    simulation = data.get("simulate")
+    clouds = data["clouds"]
+    names = [name for group in clouds.values() for name in group] if isinstance(clouds, Mapping) else clouds
+    if simulation:
+        source = f"simulated frames (preset {simulation['preset']}, seed {simulation['seed']})"
+    else:
+        source = f"frames of {data['path']}"
     commit = provenance.get("environment", {}).get("commit") or "unknown"
     return (
         f"{provenance.get('frames')} {source}, clouds {' and '.join(names)}, "

@@ -1,15 +1,79 @@
-"""Boxes of a file, with a data set as the truth."""
+"""Boxes that were made elsewhere, with a data set as the truth."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps.coordinates import Coordinates
+from farfield.datasets.memory import in_memory
 from farfield.errors import ConfigError
-from farfield.evaluation.detecting import detections_from_boxes
-from farfield.frame import Boxes, Key
+from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
+from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.oddities import oddities
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+def detections_from_boxes(
+    boxes: Mapping[Key, Boxes],
+    data: Dataset | Sequence[Frame],
+    *,
+    cloud: str | None = None,
+    progress: Progress = iter,
+) -> Detections:
+    """Predictions made elsewhere, with what was annotated in the frames of ``data``.
+
+    Args:
+        boxes: Scored boxes by (sequence, frame), in the coordinates of ``data``.
+        data: Frames; those without annotation are left out.
+        cloud: A cloud whose points in the annotated boxes are counted; without one their own counts stay.
+        progress: Wraps the frame numbers, to show progress.
+
+    Raises:
+        ConfigError: If there are boxes and none is of an annotated frame.
+        DatasetError: If two annotated frames have one name, or nothing is annotated.
+    """
+    dataset = in_memory(data)
+    annotations: dict[Key, Annotation] = {}
+    conditions: dict[Key, Mapping[str, str]] = {}
+    reference = ""
+    keys = set[Key]()
+    for index in progress(range(len(dataset))):
+        frame = dataset[index]
+        keys.add(frame.key)
+        annotation = frame.annotation
+        if annotation is not None:
+            check_new_key(frame.key, conditions)
+            point_count = None if cloud is None else points_in_boxes(annotation, frame.cloud(cloud))
+            annotations[frame.key] = with_point_count(annotation, point_count)
+            conditions[frame.key] = frame.conditions
+            reference = frame.reference
+    return Detections(
+        notes=_unknown_frames(boxes, annotations, keys),
+        data=dataset.root.name,
+        fingerprint=dataset.fingerprint(),
+        reference=reference,
+        cloud=cloud,
+        drives=dataset.drives(),
+        boxes={key: predicted for key, predicted in boxes.items() if key in annotations},
+        annotations=annotations,
+        conditions=conditions,
+        facts=label_facts(annotations),
+    )
+
+
+def _unknown_frames(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys: Collection[Key]) -> tuple[str, ...]:
+    """A note on the predictions of frames that the data do not have."""
+    unknown = [key for key in boxes if key not in keys]
+    if boxes and annotated and not any(key in annotated for key in boxes):
+        raise ConfigError(
+            f"expected predictions in annotated frames, got none: predictions hold {next(iter(boxes))}, annotated is "
+            f"{next(iter(annotated))}. Sequence and frame must be the same text in both."
+        )
+    if not unknown:
+        return ()
+    return (f"{len(unknown)} of {len(boxes)} frames of the predictions, such as {unknown[0]}, are not in the data",)
 
 
 def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
@@ -26,14 +90,20 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         DatasetError: If nothing is annotated.
     """
     notes = list(predictions.notes)
-    stands_in, own = predictions.reference, data[0].reference
-    data = in_coordinates(data, stands_in)
-    if not stands_in:
+    reference, own = predictions.reference, data[0].reference
+    if not reference:
         notes.append(f"predictions do not name their coordinates: they are taken for {own} (--reference says it)")
-    elif stands_in != own:
-        notes.append(f"the annotated boxes are seen in the coordinates of {stands_in}, as the predictions are")
-    found = detections_from_boxes(_in_sequence(predictions.boxes, data, notes), data)
-    return replace(found, notes=(*notes, *found.notes, *oddities(found.boxes, found.annotated)))
+    elif reference != own:
+        notes.append(f"the annotated boxes are seen in the coordinates of {reference}, as the predictions are")
+    boxes: Mapping[Key, Boxes] = predictions.boxes
+    sequences = set(data.sequences)
+    if len(sequences) == 1 and {sequence for sequence, _ in boxes} == {""}:
+        (name,) = sequences
+        notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
+        boxes = {(name, frame_id): predicted for (_, frame_id), predicted in boxes.items()}
+    detections = detections_from_boxes(boxes, in_coordinates(data, reference))
+    warnings = oddities(detections.boxes, detections.annotated)
+    return replace(detections, notes=(*notes, *detections.notes, *warnings))
 
 
 def in_coordinates(data: Dataset, reference: str) -> Dataset:
@@ -50,19 +120,9 @@ def in_coordinates(data: Dataset, reference: str) -> Dataset:
     if not reference or reference == own:
         return data
     if reference not in data.references:
-        known = " or ".join(data.references or (own,))
+        references = " or ".join(data.references or (own,))
         raise ConfigError(
             f"the boxes stand in the coordinates of {reference}; the frames of {data.root} can be seen in those of "
-            f"{known}. Write the boxes anew in one of these (farfield predict ... --reference {own})"
+            f"{references}. Write the boxes anew in one of these (farfield predict ... --reference {own})"
         )
     return data.mapped(Coordinates(reference))
-
-
-def _in_sequence(boxes: Mapping[Key, Boxes], data: Dataset, notes: list[str]) -> Mapping[Key, Boxes]:
-    """The boxes under the data set's only sequence, where they name none."""
-    sequences = set(data.sequences)
-    if len(sequences) != 1 or {sequence for sequence, _ in boxes} != {""}:
-        return boxes
-    (name,) = sequences
-    notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
-    return {(name, frame): part for (_, frame), part in boxes.items()}

@@ -1,4 +1,4 @@
-"""Whether a detector learnt from the frames on which it is tried."""
+"""Whether a detector was trained on the frames on which it is tested."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -9,11 +9,11 @@ from farfield.errors import FarfieldError
 from farfield.frame import Key
 
 UNKNOWN = "not known"
-_PARTS = ("", "train", "val", "test")
+_SPLITS = ("", "train", "val", "test")
 
 
-def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -> tuple[str, int]:
-    """What is known of a detector having learnt from frames: in words, and how many of them it learnt from for sure.
+def seen_in_training(data: Dataset, provenance: Mapping[str, Any], keys: set[Key]) -> tuple[str, int]:
+    """What is known of a detector's training on frames: in words, and on how many of them it was trained for sure.
 
     The data set, and each of its parts, is compared with the fingerprints of what the detector was trained on.
 
@@ -23,11 +23,12 @@ def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -
         keys: The frames that count.
     """
     trained = _fingerprints(provenance)
-    if not isinstance(data, Dataset) or not trained:
+    if not data.stored or not trained:
         return UNKNOWN, 0
     learnt: set[Key] | None = None
-    for candidate in _candidates(data, provenance, {number for _, number in trained}):
-        if any(print_ == candidate.fingerprint() for print_, _ in trained):
+    for candidate in _candidates(data, provenance, {frames for _, frames in trained}):
+        fingerprint = candidate.fingerprint()
+        if any(fingerprint == other for other, _ in trained):
             learnt = (learnt or set()) | set(candidate.keys)
     if learnt is None:
         return "not found, it learnt from other data", 0
@@ -38,30 +39,39 @@ def seen_in_training(data: Any, provenance: Mapping[str, Any], keys: set[Key]) -
 
 
 def _fingerprints(provenance: Mapping[str, Any]) -> set[tuple[str, int]]:
-    """Fingerprint and number of frames of each data set that was learnt from."""
+    """Fingerprint and number of frames of each data set that was trained on."""
     streams = [*(provenance.get("streams") or {}).values(), provenance]
     pairs = ((stream.get("data_fingerprint"), stream.get("frames")) for stream in streams)
-    return {(print_, number) for print_, number in pairs if isinstance(print_, str) and isinstance(number, int)}
+    return {(digest, frames) for digest, frames in pairs if isinstance(digest, str) and isinstance(frames, int)}
 
 
 def _candidates(data: Dataset, provenance: Mapping[str, Any], sizes: set[int]) -> Iterator[Dataset]:
-    """The data and its parts as the detector was trained to see them, of which some may be what it learnt from."""
-    recipe, whole = recipe_of_provenance(dict(provenance)), data.unwrapped
-    for part in _PARTS:
+    """The data and its parts as the detector was trained to see them, of which some may be what it was trained on."""
+    recipe = recipe_of_provenance(dict(provenance))
+    whole = data.unwrapped
+    annotated_origins: set[int] | None = None
+    for name in _SPLITS:
         try:
-            plain = whole.split(part) if part else whole
-            marked = [index for index in range(len(plain)) if plain.has_annotation(index)]
-            for found in (plain, plain.select(marked) if len(marked) < len(plain) else None):
-                if found is not None and len(found) in sizes:
-                    yield replay(found, recipe)
-        except FarfieldError:  # too few drives to split, or no such view: then it was not learnt from so
+            part = whole.split(name) if name else whole
+            if annotated_origins is None:  # each frame is looked at once, not once a part
+                annotated_origins = {index for index in range(len(whole)) if whole.has_annotation(index)}
+            annotated = [index for index, origin in enumerate(part.origins) if origin in annotated_origins]
+            for candidate in (part, part.select(annotated) if len(annotated) < len(part) else None):
+                if candidate is not None and len(candidate) in sizes:
+                    yield replay(candidate, recipe)
+        except FarfieldError:  # too few drives to split, or no such view: then it was not trained on so
             continue
     if len(data) in sizes:
         yield replay(data, recipe)
 
 
 def leakage_warning(words: str, common: int) -> tuple[str, ...]:
-    """A note for a score, where frames were learnt from."""
+    """A note for a score, where the detector was trained on frames that count.
+
+    Args:
+        words: On which frames, as :func:`seen_in_training` says.
+        common: How many they are.
+    """
     if not common:
         return ()
     return (f"the detector learnt from {words}: the score says how well it remembers, not how well it generalises",)

@@ -74,6 +74,9 @@ class Evaluation:
         parts: Figures by condition and sector and rows of all classes, by result name, see
             :func:`farfield.metrics.parts.parts_json` and :func:`farfield.metrics.parts.by_class`.
         title: Title of the report.
+        tables: Table of each result, as ``farfield score`` prints it; not saved.
+        timing: What the clock measured, by result name: ``frames`` and ``median_ms``; not saved, so that equal
+            evaluations are equal files.
     """
 
     results: Mapping[str, Mapping[str, Any]]
@@ -83,6 +86,8 @@ class Evaluation:
     objects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     title: str = "Farfield evaluation"
+    tables: Mapping[str, str] = field(default_factory=dict)
+    timing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def save(self, folder: Path | str) -> Path:
         """Write the evaluation into a folder, which is made if needed.

@@ -16,11 +16,11 @@ from farfield.figures import report_text
 from farfield.figures.birds_eye import RANGES_M, Window, filled_zooms, fitting_window, in_window, overview, zooms
 from farfield.figures.camera import camera_picture
 from farfield.figures.plots import points_against_range, precision_recall, scan_patterns
-from farfield.figures.radar import power_map
+from farfield.figures.radar import power_map, weathers_picture
 from farfield.figures.report_text import pattern_note, pattern_title
-from farfield.figures.style import PATTERNS, figure_uri
+from farfield.figures.style import PATTERNS, figure_bytes, figure_uri
 from farfield.figures.tables import class_rows, condition_tables, heading, range_name, rows, with_own_parts
-from farfield.files.atomic import write_text
+from farfield.files.atomic import write_bytes, write_text
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.conventions import protocol_family
@@ -168,6 +168,7 @@ def pattern_picture(frame: Frame, edges_m: Sequence[float] = RANGES_M) -> PageIm
 
 
 Progress = Callable[[list[FrameView]], Iterable[FrameView]]
+_WEATHERS_DPI = 110
 _UNITS = ("m", "s", "ms", "ns", "rad", "deg", "hz")
 
 
@@ -317,3 +318,21 @@ _FILTERS: dict[str, Callable[..., Any]] = {
     "fact_name": _fact_name,
     "pattern_title": report_text.pattern_title,
 }
+
+
+def write_weathers(evaluation: Evaluation, folder: Path, *, picture: str) -> tuple[Path, Path]:
+    """Write the evaluation, its page and the picture of its moment into a folder.
+
+    Args:
+        evaluation: Of :func:`farfield.evaluation.weathers.evaluate_weathers`, the radar's detector first.
+        folder: Where; made if absent.
+        picture: Name of the picture, ``.jpg`` or ``.png``.
+
+    Returns:
+        The paths of the page and of the picture.
+    """
+    radar, lidar = evaluation.results
+    evaluation.save(folder)
+    drawn = weathers_picture(evaluation.frames, radar=radar, lidar=lidar)
+    write_bytes(folder / picture, figure_bytes(drawn, "png" if picture.endswith(".png") else "jpg", dpi=_WEATHERS_DPI))
+    return write_report(folder / "report.html", evaluation), folder / picture

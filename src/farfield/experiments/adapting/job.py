@@ -114,9 +114,9 @@ class AdaptationJob:
         """Settings and frames of the target, as the detector sees them."""
         if not len(self.data):
             raise DatasetError(f"{self.data.root}: expected frames to adapt to, found none.")
-        seen: Dataset = as_trained(self.data, self.detector)
+        seen: Dataset = as_trained(self.data, self.detector.info)
         seen = seen.select(spread(len(seen), self.choices.frames))
-        clouds = self.choices.clouds or suitable_clouds(self.detector, seen[0])[:1]
+        clouds = self.choices.clouds or suitable_clouds(self.detector.info, seen[0])[:1]
         options = dict(self.data.options)
         if self.detector.reference in (*seen.references, seen[0].reference):
             options["reference"] = self.detector.reference
@@ -175,7 +175,7 @@ class AdaptationJob:
         for each in config.clouds:
             self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
         if self.held is not None:
-            as_trained(self.held.frames, self.detector)[0].cloud(next(iter(config.clouds)))
+            as_trained(self.held.frames, self.detector.info)[0].cloud(next(iter(config.clouds)))
 
     def rehearsed(self) -> list[str]:
         """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""

@@ -150,11 +150,11 @@ def source_frames(
     options = recipe_of_experiment({"options": learnt.options})["options"] if given is None else {}
     opened = open_dataset(path, **options)
     seen = {"whole_bodies": True} if whole_bodies and "whole_bodies" in opened.view_options else {}
-    data = annotated_frames(as_trained(opened.mapped(WholeBodies()) if seen else opened, detector), "skip")
+    data = annotated_frames(as_trained(opened.mapped(WholeBodies()) if seen else opened, detector.info), "skip")
     data = data.select(spread(len(data), frames))
     config = DataConfig(
         path=path,
-        clouds=suitable_clouds(detector, data[0]),
+        clouds=suitable_clouds(detector.info, data[0]),
         aliases=dict(learnt.aliases),
         options=(dict(learnt.options) if given is None else {}) | seen,
         simulate=simulate,

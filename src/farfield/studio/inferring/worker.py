@@ -40,8 +40,8 @@ def _answer(data: Dataset, loader: Load, loaded: dict[str, Any], name: str, inde
     try:
         if name not in loaded:
             loaded[name] = loader(name)
-        found = next(iter(plan_detection(loaded[name], data.select([index]), in_own=True).found({})))
-        return "boxes", Boxes.empty(scored=True) if found is None else found.boxes
+        detections = next(plan_detection(loaded[name], data.select([index]), in_own=True).detections())
+        return "boxes", Boxes.empty(scored=True) if detections is None else detections.boxes
     except FarfieldError as error:
         return "failed", str(error)
     except Exception as error:  # noqa: BLE001

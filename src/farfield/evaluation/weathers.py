@@ -5,19 +5,18 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.detectors.info import DescribedDetector, DetectorFunction, DetectorInfo, as_detector
 from farfield.errors import ConfigError, DatasetError
-from farfield.evaluation import as_trained, detect, suitable_clouds
-from farfield.evaluation.evaluating import trained_on
+from farfield.evaluation.detecting import detect
+from farfield.evaluation.evaluating import frame_view, training_text
 from farfield.evaluation.record import Evaluation, FrameView
-from farfield.evaluation.report_data import annotated_objects, power_from_above
-from farfield.figures.radar import weathers_picture
-from farfield.figures.style import figure_bytes
-from farfield.files.atomic import write_bytes
+from farfield.evaluation.report_data import annotated_objects
+from farfield.evaluation.views import as_trained, suitable_clouds
 from farfield.frame import Annotation, Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.jobs import JobOptions
@@ -25,19 +24,14 @@ from farfield.metrics import PROTOCOLS
 from farfield.metrics.detections import Detections
 from farfield.metrics.result import at, value_at
 from farfield.metrics.subject import subject_of
-from farfield.pages.evaluation_page import write_report
 from farfield.vocabulary.kradar import REGIONS_M
 
-if TYPE_CHECKING:
-    from farfield.detectors.runtime import Detector
-
 PROTOCOL, REGION, LABEL = "kradar", "narrow", "vehicle"
-_DPI = 110
 _FIGURE = f"ap/{LABEL}/3d/0.3"
 
 
 def evaluate_weathers(
-    detectors: Sequence["Detector"],
+    detectors: Sequence[DescribedDetector | DetectorFunction],
     data: Mapping[str, Dataset],
     *,
     title: str,
@@ -62,13 +56,17 @@ def evaluate_weathers(
         ConfigError: If two detectors read the same cloud.
         DatasetError: If the weathers have no moment in common.
     """
+    chosen = [as_detector(detector) for detector in detectors]
+    first_data = next(iter(data.values()))
+    detections: dict[str, Detections] = {}
     results: dict[str, Any] = {}
-    objects, found = {}, dict[str, Detections]()
-    for detector in detectors:
-        (cloud, *_) = suitable_clouds(detector, as_trained(next(iter(data.values())), detector)[0])
-        if cloud in found:
+    objects: dict[str, Any] = {}
+    for detector in chosen:
+        # Detect in each weather; a detector reads the cloud that suits it.
+        cloud = suitable_clouds(detector.info, as_trained(first_data, detector.info)[0])[0]
+        if cloud in detections:
             raise ConfigError(f"expected detectors of different clouds, got two of {cloud}")
-        parts = {
+        by_weather = {
             weather: detect(
                 detector,
                 drives,
@@ -79,32 +77,35 @@ def evaluate_weathers(
             )
             for weather, drives in data.items()
         }
-        found[cloud] = merge_weathers(parts, name)
-        results[cloud] = found[cloud].score(PROTOCOL, region=REGION, classes=(LABEL,)).to_json()
+        # Score all weathers as one data set, whose conditions tell them apart.
+        merged = merge_weathers(by_weather, name)
+        detections[cloud] = merged
+        results[cloud] = merged.score(PROTOCOL, region=REGION, classes=(LABEL,)).to_json()
         objects[cloud] = annotated_objects(
-            found[cloud].boxes,
-            found[cloud].annotated,
+            merged.boxes,
+            merged.annotated,
             labels=(LABEL,),
             finding=PROTOCOLS[PROTOCOL].presentation(results[cloud]).finding,
-            kind=detector.kind,
+            kind=detector.info.sensor or "",
         )
+    infos = [detector.info for detector in chosen]
     return Evaluation(
         title=title,
         results=results,
         objects=objects,
-        frames=_views(detectors[0], data, found),
+        frames=_views(infos[0], data, detections),
         settings={
-            f"{each.name} {what}": value
-            for each in detectors
-            for what, value in (("precision", each.precision), ("score_threshold", each.config.score_threshold))
+            f"{info.name} {what}": value
+            for info in infos
+            for what, value in (("precision", info.precision), ("score_threshold", info.score_threshold))
         },
         provenance={
             **environment(),
             "data": name,
-            "data_fingerprint": next(iter(found.values())).fingerprint,
+            "data_fingerprint": next(iter(detections.values())).fingerprint,
             "frames": sum(map(len, data.values())),
             "simulated": all(is_simulated(drives.root) for drives in data.values()),
-            "trained_on": "; ".join(f"{trained_on(each.provenance)} ({each.name})" for each in detectors),
+            "trained_on": "; ".join(f"{training_text(info.provenance)} ({info.name})" for info in infos),
         },
     )
 
@@ -196,23 +197,23 @@ def _annotated_text(result: Mapping[str, Any], weather: str) -> str:
     return f"{counts['annotated']} in {counts['frames']} frames" if {"annotated", "frames"} <= set(counts) else "-"
 
 
-def _views(detector: "Detector", data: Mapping[str, Dataset], found: Mapping[str, Detections]) -> list[FrameView]:
+def _views(info: DetectorInfo, data: Mapping[str, Dataset], detections: Mapping[str, Detections]) -> list[FrameView]:
     """The moment with the most vehicles to find, in each weather; not chosen by what was found."""
     moments = set.intersection(*(set(drives.keys) for drives in data.values()))
-    first = next(iter(found.values()))
-    rated = {
-        key: [_vehicles_in_corridor(first.annotations.get(key_in(weather, key))) for weather in data] for key in moments
+    annotations = next(iter(detections.values())).annotations
+    counts = {
+        key: [_vehicles_in_corridor(annotations.get(key_in(weather, key))) for weather in data] for key in moments
     }
-    if not rated:
+    if not counts:
         raise DatasetError(f"expected the same drives in {', '.join(data)}, found no moment that all have")
-    best = max(sorted(rated), key=lambda key: (min(rated[key]), sum(rated[key])))
+    best = max(sorted(counts), key=lambda key: (min(counts[key]), sum(counts[key])))
+    predictions = {cloud: merged.boxes for cloud, merged in detections.items()}
     views = []
     for weather, drives in data.items():
-        seen = as_trained(drives, detector)
+        seen = as_trained(drives, info)
         frame = replace(seen[drives.keys.index(best)], sequence=key_in(weather, best)[0])
-        boxes = {cloud: part.boxes[frame.key] for cloud, part in found.items() if frame.key in part.boxes}
         title = f"{weather.replace('_', ' ').capitalize()}: drive {best[0]}, frame {best[1]}"
-        views.append(FrameView(frame=frame, predictions=boxes, title=title, radar_db=power_from_above(frame)))
+        views.append(frame_view(frame, predictions, title=title))
     return views
 
 
@@ -224,21 +225,3 @@ def _vehicles_in_corridor(annotation: Annotation | None) -> int:
     x, y, _ = annotation.boxes.centre_m.T
     inside = (x >= x_from) & (x < x_to) & (y >= y_from) & (y < y_to)
     return int((inside & (np.asarray(annotation.boxes.label) == LABEL)).sum())
-
-
-def write_weathers(evaluation: Evaluation, folder: Path, *, picture: str) -> tuple[Path, Path]:
-    """Write the evaluation, its page and the picture of its moment into a folder.
-
-    Args:
-        evaluation: Of :func:`evaluate_weathers`, the radar's detector first.
-        folder: Where; made if absent.
-        picture: Name of the picture, ``.jpg`` or ``.png``.
-
-    Returns:
-        The paths of the page and of the picture.
-    """
-    radar, lidar = evaluation.results
-    evaluation.save(folder)
-    drawn = weathers_picture(evaluation.frames, radar=radar, lidar=lidar)
-    write_bytes(folder / picture, figure_bytes(drawn, "png" if picture.endswith(".png") else "jpg", dpi=_DPI))
-    return write_report(folder / "report.html", evaluation), folder / picture
