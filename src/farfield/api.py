@@ -6,14 +6,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from farfield.errors import DatasetError
+from farfield.errors import ConfigError, DatasetError
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
 
+    from farfield.calibration.boards import BoardCalibration
+    from farfield.calibration.jobs import CameraJob, RadarJob
+    from farfield.calibration.registration import Registration
     from farfield.datasets.base import Dataset
+    from farfield.detectors.info import DescribedDetector
+    from farfield.detectors.info import DetectorFunction
     from farfield.detectors.network import Network
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import AdaptationResult
@@ -22,10 +27,22 @@ if TYPE_CHECKING:
     from farfield.jobs import JobOptions
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
+    from farfield.simulation.recording import RecordingSummary
     from farfield.training.report import TrainingReport
     from farfield.training.starting import TransferReport
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+def _require_torch() -> None:
+    """Name the missing extra where torch is absent, before a module that imports torch is imported.
+
+    Raises:
+        MissingExtraError: If torch is not installed.
+    """
+    from farfield.detectors import DETECTORS
+
+    _ = DETECTORS["pointpillars"].network_class
 
 
 def open_dataset(path: Path | str, **options: Any) -> "Dataset":
@@ -65,9 +82,7 @@ def load_detector(
         ConfigError: If a limit is not possible, or the detector does not know a class.
         MissingExtraError: If torch is not installed.
     """
-    from farfield.detectors import DETECTORS
-
-    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
+    _require_torch()
     from farfield.detectors.runtime import Detector
 
     return Detector.load(
@@ -83,7 +98,7 @@ def load_detector(
 
 
 def detect(
-    detector: "Callable[[Frame | Cloud], Boxes]",
+    detector: "DescribedDetector | DetectorFunction",
     data: "Sequence[Frame] | Dataset",
     *,
     cloud: str | None = None,
@@ -139,7 +154,7 @@ def transfer(
 
 
 def evaluate(
-    detector: "Callable[[Frame | Cloud], Boxes] | Mapping[tuple[str, str], Boxes]",
+    detector: "DescribedDetector | DetectorFunction | Mapping[tuple[str, str], Boxes]",
     data: "Sequence[Frame] | Dataset",
     *,
     protocol: str = "dds",
@@ -173,13 +188,147 @@ def evaluate(
         warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
         protocol = metric
     if isinstance(detector, Mapping):
-        found = detections_from_boxes(detector, data, cloud=cloud, progress=progress)
+        detections = detections_from_boxes(detector, data, cloud=cloud, progress=progress)
     else:
-        found = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
-    if not found.annotations:
+        detections = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
+    if not detections.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
-    found.check_label(protocol, **settings)
-    return found.score(protocol, **settings)
+    detections.check_label(protocol, **settings)
+    return detections.score(protocol, **settings)
+
+
+def score(
+    predictions: Path | str,
+    labels: "Path | str | Dataset",
+    *,
+    protocol: str = "dds",
+    format: str = "boxes-csv",
+    reference: str = "",
+    **settings: Any,
+) -> "Result":
+    """Score the boxes of any detector against annotated boxes, without a model: what ``farfield score`` does.
+
+    Args:
+        predictions: File, or folder of files, of predicted boxes.
+        labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder, whose
+            annotation is then seen in the coordinates of the predictions.
+        protocol: As of :func:`evaluate`; also ``"tracking"`` and ``"nuscenes-tracking"``.
+        format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"`` or ``"nuscenes"``.
+        reference: Coordinates of boxes whose files do not name them, such as ``"radar"``.
+        **settings: Settings of the protocol, such as ``label`` (the most frequent class unless given),
+            ``range_bins_m``, ``region``, ``iou``.
+
+    Returns:
+        The protocol's result; ``print`` shows its table, ``to_json()`` gives everything.
+
+    Raises:
+        ConfigError: If the protocol, the format or a setting is unknown, or there is nothing to score.
+        FileFormatError: If a file does not have its format.
+    """
+    from farfield.evaluation import read_detections
+
+    return read_detections(predictions, labels, format=format, reference=reference).score(protocol, **settings)
+
+
+def simulate(preset: str, out: Path | str, *, recording: bool = False, **options: Any) -> "RecordingSummary":
+    """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE: what ``farfield simulate`` does.
+
+    Called again, it goes on where it stopped. The bytes do not depend on the number of workers.
+
+    Args:
+        preset: Such as ``"cirrus-sim-mini"`` or ``"kradar-sim"``.
+        out: Folder to write into; made if absent. :func:`open_dataset` opens it.
+        recording: Write the raw streams of each drive of the Cirrus car instead of frames; options are then those of
+            :func:`farfield.simulation.recording.raw.record_streams`.
+        **options: Options of :func:`farfield.simulation.recording.record`: ``frames``, ``sequences``, ``sensors``,
+            ``weather``, ``time``, ``seed``, ``stride_s``, ``uniform_offset_ms``, ``traffic``, ``workers``, ``engine``,
+            ``cache``, ``dry_run``, ``progress``, ``report``.
+
+    Raises:
+        ConfigError: If there is no such preset, or an option is not possible.
+        TypeError: If there is no such option.
+    """
+    if recording:
+        from farfield.simulation.recording.raw import record_streams
+
+        return record_streams(preset, out, **options)
+    from farfield.simulation.recording import record
+
+    return record(preset, out, **options)
+
+
+def calibrate(
+    kind: Literal["radar-lidar", "lidar-camera", "lidar-lidar", "board"],
+    data: "Path | str | Dataset",
+    *,
+    sequence: str | None = None,
+    frames: int = 40,
+    camera: str | None = None,
+    lidars: tuple[str, str] = ("os2-64", "os1-128"),
+    x: float | None = None,
+    y: float | None = None,
+    yaw: float | None = None,
+    frame_offset: int = 0,
+    corners: tuple[int, int] = (9, 6),
+    square: float = 0.03,
+    charuco: bool = False,
+) -> "RadarJob | CameraJob | Registration | BoardCalibration":
+    """Solve where a sensor stands against the LiDAR, or a camera's intrinsics: what ``farfield calibrate`` does.
+
+    Nothing is written. A camera without any calibration to begin with needs the verb, which takes picked pairs.
+
+    Args:
+        kind: What against what; ``"board"``: intrinsics from pictures of a board.
+        data: A data set, or its folder; for ``"board"`` the folder of pictures.
+        sequence: Which one; the first unless given.
+        frames: How many frames to use, spread over the sequence; for the radar in runs of ten.
+        camera: Name of the image; the first with a calibration unless given.
+        lidars: The clouds to register, the reference first.
+        x: Start of the radar's x in metres, as K-Radar's file has it; the data set's own unless given.
+        y: Start of its y.
+        yaw: Start of its yaw in degrees; the data set's own unless given.
+        frame_offset: Start of the radar frames to add to those that are paired.
+        corners: Inner corners of the board in a row and in a column.
+        square: Side of its squares in metres.
+        charuco: It is a ChArUco board: markers in its white squares.
+
+    Returns:
+        What was solved, with residuals and what the data cannot tell; ``to_json()`` gives everything.
+
+    Raises:
+        ConfigError: If a choice is not possible, or the data set has no such sensor.
+        DatasetError: If there is no such sequence, or no frame has both sensors.
+    """
+    from dataclasses import replace
+    from math import radians
+
+    from farfield.calibration import jobs
+
+    if frames < 1:
+        raise ConfigError(f"frames: expected one or more, got {frames}")
+    if kind == "board":
+        from farfield.calibration.boards import Board
+        from farfield.calibration.from_nothing import board_job
+
+        if not isinstance(data, Path | str):
+            raise ConfigError("calibrate board: expected a folder of pictures, got a data set")
+        return board_job(Path(data), Board(columns=corners[0], rows=corners[1], square_m=square, markers=charuco))
+    opened = open_dataset(data) if isinstance(data, Path | str) else data
+    indices = jobs.chosen(opened, sequence, frames, runs=kind == "radar-lidar")
+    if kind == "radar-lidar":
+        yaw_rad = None if yaw is None else radians(yaw)
+        guess = jobs.radar_start(opened, indices[0], x_m=x, y_m=y, yaw_rad=yaw_rad)
+        return jobs.radar_job(opened, indices, replace(guess, frames=frame_offset))
+    if kind == "lidar-lidar":
+        return jobs.lidars_job(opened, indices, *lidars)
+    if kind != "lidar-camera":
+        raise ConfigError(f"kind: expected radar-lidar, lidar-camera, lidar-lidar or board, got {kind!r}")
+    first = opened[indices[0]]
+    names = [name for name in first.images if name in first.cameras]
+    name = camera or next(iter(names), "")
+    if name not in names:
+        raise ConfigError(f"camera: expected one of {', '.join(names) or 'no camera at all'}; got {camera}")
+    return jobs.camera_job(opened, indices, camera=name)
 
 
 def adapt(
@@ -217,9 +366,7 @@ def adapt(
         DatasetError: If there are no frames.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
-    from farfield.detectors import DETECTORS
-
-    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
+    _require_torch()
     from farfield.experiments.adapting import adapt as adapt_all
 
     return adapt_all(
@@ -258,9 +405,7 @@ def train(
         DatasetError: If data are not there, or hold none of the clouds or classes asked for.
         MissingExtraError: If torch is not installed.
     """
-    from farfield.detectors import DETECTORS
-
-    _ = DETECTORS["pointpillars"].network_class  # names the missing extra where torch is absent
+    _require_torch()
     from farfield.experiments.catalogue import find
     from farfield.experiments.plan import Plan
     from farfield.experiments.schema import load_experiment

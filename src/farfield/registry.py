@@ -22,6 +22,27 @@ def named(place: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
+_DISPLAYS: dict[str, Callable[[Any], str]] = {}
+
+
+def register_display(kind: str, draw: Callable[[Any], str]) -> None:
+    """Say what draws a kind of object for a notebook.
+
+    So a method of a lower room, such as ``Frame._repr_html_``, shows what an upper room draws, which it does not know.
+
+    Args:
+        kind: Such as ``"frame"``.
+        draw: Gives HTML of an object of this kind.
+    """
+    _DISPLAYS[kind] = draw
+
+
+def display_html(kind: str, shown: object) -> str | None:
+    """What a notebook shows of an object as HTML; None where nothing draws its kind, and a notebook shows its text."""
+    draw = _DISPLAYS.get(kind)
+    return None if draw is None else draw(shown)
+
+
 class PluginError(FarfieldError):
     """What another package registered cannot be used: it fails to import, or two packages use one name."""
 

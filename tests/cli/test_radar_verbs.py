@@ -104,7 +104,7 @@ def test_the_one_line_evaluation_knows_where_the_boxes_are(home: Path) -> None:
 def test_data_are_seen_as_in_training(home: Path) -> None:
     data = open_dataset(home / "data")
     detector = load_detector(home / "runs" / "tiny")
-    seen = as_trained(data.select([3, 1]), detector)
+    seen = as_trained(data.select([3, 1]), detector.info)
     assert (data[0].reference, seen[0].reference) == ("os2-64", "radar")
     np.testing.assert_allclose(seen[0].boxes.centre_m, [[20.0, 1.0, 0.0]], atol=1e-9)
     assert len(seen[0].clouds["radar"]) < len(data[0].clouds["radar"])

@@ -151,7 +151,7 @@ def test_a_radar_detector_takes_no_lidar_and_a_lidar_detector_no_radar(kradar: P
     lidar = Detector(small_detector("pointpillars"), provenance={"experiment": {"data": {"clouds": ["gaussian"]}}})
     delft = ff.open_dataset(shared_real / "view_of_delft")[0]
     assert set(delft.clouds) > {"lidar"}
-    assert suitable_clouds(lidar, delft) == ("lidar",)
+    assert suitable_clouds(lidar.info, delft) == ("lidar",)
     with pytest.raises(ConfigError, match="radar"):
         lidar.with_cloud("radar")(delft)
 

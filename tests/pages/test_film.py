@@ -81,7 +81,7 @@ def test_an_interrupted_film_goes_on_where_it_stopped(folder: Path, tmp_path: Pa
         drawn.append(frame.frame_id)
         return real(frame, *arguments, **more)
 
-    monkeypatch.setattr(film, "picture", stops)
+    monkeypatch.setattr(film, "film_picture", stops)
     with pytest.raises(KeyboardInterrupt):
         make_film(tmp_path / "a.gif", data)
     assert not (tmp_path / "a.gif").exists()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from farfield.evaluation.evaluating import _parts
+from farfield.evaluation.evaluating import part_figures
 from farfield.evaluation.record import Evaluation, FrameView
 from farfield.evaluation.report_data import annotated_objects
 from farfield.frame import Cloud, Constant, Frame, Sensor
@@ -97,7 +97,7 @@ def evaluation_of(name: str) -> Evaluation:
                 found.boxes, found.annotated, finding=shown.finding, kind=frame.sensors[cloud].kind
             )
         },
-        parts={cloud: _parts(found, protocol, {}, by_condition="conditions" not in result)},
+        parts={cloud: part_figures(found, protocol, {}, by_condition="conditions" not in result)},
         provenance={"simulated": False},
     )
 

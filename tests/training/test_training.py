@@ -207,17 +207,18 @@ def test_experiment_round_trips_and_refuses_unknown_keys(experiment, tmp_path):
 def test_trained_sweeps_are_those_of_prediction(experiment, data, tmp_path):
     """The weights tell how many sweeps they were trained on; prediction stacks as many."""
     from farfield.api import load_detector
+    from farfield.detectors.info import describe
     from farfield.evaluation import as_trained
     from farfield.experiments.plan import Plan
 
     settings = ["training.steps=1", "data.sweeps=3", "detector.use_lag=true"]
     Plan(load_experiment(experiment, settings), tmp_path / "run").run()
     detector, opened = load_detector(tmp_path / "run"), open_dataset(data)
-    stacked = as_trained(opened, detector)
+    stacked = as_trained(opened, describe(detector))
     assert len(stacked[2].cloud("gaussian")) > 2 * len(opened[2].cloud("gaussian"))
-    assert as_trained(stacked, detector) is stacked
-    assert as_trained(stacked.select([1]), detector)[0].cloud("gaussian").extra["lag_s"].max() > 0
-    assert as_trained(opened, lambda frame: Boxes.empty()) is opened
+    assert as_trained(stacked, describe(detector)) is stacked
+    assert as_trained(stacked.select([1]), describe(detector))[0].cloud("gaussian").extra["lag_s"].max() > 0
+    assert as_trained(opened, describe(lambda frame: Boxes.empty())) is opened
 
 
 def test_run_of_another_experiment_is_not_continued(experiment, tmp_path):

@@ -160,7 +160,7 @@ def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | N
     from farfield.calibration.jobs import radar_job, radar_start
     from farfield.calibration.places import save_radar_where_read
     from farfield.calibration.saving import save_radar
-    from farfield.figures.calibration_pictures import radar_calibration_picture
+    from farfield.figures.rig import radar_calibration_picture
     from farfield.files.images import write_image
 
     x, y, yaw, offset = start
@@ -190,8 +190,8 @@ def _camera(
     from farfield.calibration.jobs import camera_job, read_pairs
     from farfield.calibration.pairs import calibrate_pairs
     from farfield.errors import ConfigError
-    from farfield.figures.calibration_pictures import camera_calibration_picture
     from farfield.figures.camera import boxes_picture
+    from farfield.figures.rig import camera_calibration_picture
     from farfield.files.images import write_image
 
     index, chosen = _pictured(data, indices, name, uncalibrated=beginning.given)

@@ -87,6 +87,7 @@ def run(
         seed: Seed of the bootstrap.
         json: Write the result as JSON into this file; - prints it instead of the tables.
     """
+    from farfield.evaluation import read_detections
     from farfield.metrics import PROTOCOLS, Bootstrap
     from farfield.metrics.options import numbers
 
@@ -106,7 +107,11 @@ def run(
     given |= {n: v for n, v in {"iou": iou, "least_track_score": least_track_score}.items() if v is not None}
     if label_version is not None:
         given["label_version"] = label_version
-    found = replace(_read(predictions, labels, format, reference), detector=predictions.name, data=labels.name)
+    found = replace(
+        read_detections(predictions, labels, format=format, reference=reference),
+        detector=predictions.name,
+        data=labels.name,
+    )
     if conditions is not None:
         found = _with_conditions(found, chosen, conditions)
     results = found.score_each(chosen, label=label, **given)
@@ -126,19 +131,6 @@ def run(
             file=sys.stderr if json == OUTPUT else sys.stdout,
         )
     return int(not found.paired or not any(result.known for result in results))
-
-
-def _read(predictions: Path, labels: Path, format: str, reference: str) -> "Detections":
-    """Predictions beside the labels of files, or of a data set."""
-    from farfield.datasets.formats import recognise
-    from farfield.metrics.reading import read, read_predictions
-
-    if format != "boxes-csv" or not labels.is_dir() or recognise(labels) is None:
-        return read(predictions, labels, format=format, reference=reference)
-    from farfield.datasets import open_dataset
-    from farfield.evaluation import attach_ground_truth
-
-    return attach_ground_truth(read_predictions(predictions, reference=reference), open_dataset(labels))
 
 
 def _with_conditions(found: "Detections", protocol: "Protocol", source: str) -> "Detections":

@@ -1,7 +1,12 @@
 """A detector over a data set: the one place where data, detectors and metrics meet."""
 
 from farfield.evaluation.detecting import DetectionPlan, FrameDetections, detect, median_ms, plan_detection
-from farfield.evaluation.ground_truth import attach_ground_truth, detections_from_boxes, in_coordinates
+from farfield.evaluation.ground_truth import (
+    attach_ground_truth,
+    detections_from_boxes,
+    in_coordinates,
+    read_detections,
+)
 from farfield.evaluation.views import as_trained, suitable_clouds
 
 __all__ = [
@@ -14,5 +19,6 @@ __all__ = [
     "in_coordinates",
     "median_ms",
     "plan_detection",
+    "read_detections",
     "suitable_clouds",
 ]

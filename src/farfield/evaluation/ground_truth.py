@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
+from farfield.datasets import open_dataset, recognise
 from farfield.datasets.base import Dataset
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.memory import in_memory
@@ -11,6 +13,7 @@ from farfield.evaluation.detecting import check_new_key, label_facts, points_in_
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.oddities import oddities
+from farfield.metrics.reading import read, read_predictions
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -74,6 +77,29 @@ def _unknown_frames(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys
     if not unknown:
         return ()
     return (f"{len(unknown)} of {len(boxes)} frames of the predictions, such as {unknown[0]}, are not in the data",)
+
+
+def read_detections(
+    predictions: Path | str, labels: Path | str | Dataset, *, format: str = "boxes-csv", reference: str = ""
+) -> Detections:
+    """Predictions of files beside the labels of files, or of a data set.
+
+    Args:
+        predictions: File, or folder of files, of predicted boxes.
+        labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder.
+        format: As of :func:`farfield.metrics.reading.read`; a data set is looked for with ``"boxes-csv"`` alone.
+        reference: Coordinates in which boxes stand whose files do not name them.
+
+    Raises:
+        ConfigError: If there is nothing to read or to score, or the files name other coordinates.
+        FileFormatError: If a file does not have its format.
+    """
+    if isinstance(labels, Path | str):
+        folder = Path(labels)
+        if format != "boxes-csv" or not folder.is_dir() or recognise(folder) is None:
+            return read(predictions, labels, format=format, reference=reference)
+        labels = open_dataset(folder)
+    return attach_ground_truth(read_predictions(predictions, format=format, reference=reference), labels)
 
 
 def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:

@@ -13,7 +13,7 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import points_in_boxes
 from farfield.geometry.poses import transform_points
-from farfield.registry import named
+from farfield.registry import display_html, named
 
 _PLACE = ("x_m", "y_m", "z_m")
 RADAR_COLUMNS = ("power", "doppler", "rcs")
@@ -99,9 +99,9 @@ class Cloud:
         reach = f" to {reach_m[np.isfinite(reach_m)].max(initial=0.0):.0f} m" if len(self) else ""
         return f"Cloud({len(self):,} points{reach}; {', '.join(self.columns)})"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """What a notebook shows: the cloud from above."""
-        return str(named("farfield.figures.notebook:cloud_html")(self))
+        return display_html("cloud", self)
 
     def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "Cloud":
         intensity = None if self.intensity is None else self.intensity[index]

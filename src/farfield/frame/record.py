@@ -19,7 +19,7 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
-from farfield.registry import named
+from farfield.registry import display_html
 
 Pose = Float[np.ndarray, "4 4"]
 Kind = Literal["lidar", "radar", "camera"]
@@ -214,9 +214,9 @@ class Frame:
         parts += [f"{name} {value}" for name, value in self.conditions.items()]
         return f"Frame({self.sequence}/{self.frame_id}: {'; '.join(parts)})"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """What a notebook shows: the frame from above, with its boxes."""
-        return str(named("farfield.figures.notebook:frame_html")(self))
+        return display_html("frame", self)
 
     @property
     def key(self) -> Key:

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from farfield.errors import ConfigError
 from farfield.files.box_tables import columns_of, fields_of, read_fields, rows_of, write_fields
-from farfield.registry import named
+from farfield.registry import display_html, named
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
 
@@ -158,9 +158,9 @@ class Boxes:
         inside = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
         return f"Boxes({len(self)}: {inside})" if len(self) else "Boxes(0)"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """What a notebook shows: the boxes from above, and a table of the first."""
-        return str(named("farfield.figures.notebook:boxes_html")(self))
+        return display_html("boxes", self)
 
     @classmethod
     def from_csv(cls, path: Path | str, *, frame: str | None = None, sequence: str | None = None) -> "Boxes":

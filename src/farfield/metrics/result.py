@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.subject import Subject
-from farfield.registry import named
+from farfield.registry import display_html
 
 Intervals = Mapping[str, list[float] | None]
 R = TypeVar("R", bound="Result")
@@ -53,9 +53,9 @@ class Result:
         about = f"{self.protocol} of {self.label!r}" if self.subject is None else str(self.subject)
         return f"{type(self).__name__}({about}; {len(self.figures)} figures)"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """What a notebook shows: the table, and the curves."""
-        return str(named("farfield.figures.notebook:result_html")(self))
+        return display_html("result", self)
 
     def __str__(self) -> str:
         rows = [[name, *(self.cell(part, name) for part in ("overall", *self.ranges))] for name in self.figures]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.datasets import open_dataset
+from farfield.datasets.memory import in_memory
 from farfield.evaluation import detect
 from farfield.evaluation.leakage import seen_in_training
 from farfield.frame import Boxes, Frame
@@ -33,7 +34,7 @@ def test_frames_of_the_training_are_named(simulated_cirrus: Path) -> None:
     other = Trained(data_fingerprint="0" * 64, frames=len(data))
     assert seen_in_training(data, other.provenance, keys) == ("not found, it learnt from other data", 0)
     assert seen_in_training(data, {}, keys) == ("not known", 0)
-    assert seen_in_training([data[0]], whole.provenance, keys) == ("not known", 0)
+    assert seen_in_training(in_memory([data[0]]), whole.provenance, keys) == ("not known", 0)
 
 
 def test_a_score_on_learnt_frames_says_so(simulated_cirrus: Path) -> None:

@@ -1,0 +1,5 @@
+"""The small evaluation on made-up frames."""
+
+from made_evaluation import camera, evaluation
+
+__all__ = ["camera", "evaluation"]
