@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
-from farfield.evaluation.record import load_frame
-from farfield.evaluation.record import save_frame
-from farfield.frame import Annotation
-from farfield.frame import Boxes
-from farfield.frame import Cloud
-from farfield.frame import Constant
-from farfield.frame import Frame
-from farfield.frame import Sensor
-from farfield.frame import merge_clouds
+from farfield.evaluation.record import load_frame, save_frame
+from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Sensor, merge_clouds
 
 
 def test_a_stored_frame_knows_its_sensors_and_a_radar_has_no_intensity(tmp_path: Path) -> None:

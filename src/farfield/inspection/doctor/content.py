@@ -8,17 +8,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.datasets.folder import Folder
-from farfield.datasets.folder import MAPPING_NAME
+from farfield.datasets.folder import MAPPING_NAME, Folder
 from farfield.errors import FarfieldError
-from farfield.frame import Boxes
-from farfield.frame import Camera
-from farfield.frame import Cloud
-from farfield.inspection.doctor.conventions import count_points
-from farfield.inspection.doctor.conventions import ground_height_m
-from farfield.inspection.doctor.survey import Finding
-from farfield.inspection.doctor.survey import Survey
-from farfield.inspection.doctor.survey import counted
+from farfield.frame import Boxes, Camera, Cloud
+from farfield.inspection.doctor.conventions import count_points, ground_height_m
+from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.metrics.oddities import meant_by
 from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class
 from farfield.vocabulary.sizes import unit_of_sizes
