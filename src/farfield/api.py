@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from farfield.metrics.detections import Detections
     from farfield.metrics.result import Result
     from farfield.simulation.recording import RecordingSummary
+    from farfield.simulation.recording.raw import RawRecorded
     from farfield.training.report import TrainingReport
     from farfield.training.starting import TransferReport
 
@@ -230,7 +231,9 @@ def score(
     return read_detections(predictions, labels, format=format, reference=reference).score(protocol, **settings)
 
 
-def simulate(preset: str, out: Path | str, *, recording: bool = False, **options: Any) -> "RecordingSummary":
+def simulate(
+    preset: str, out: Path | str, *, recording: bool = False, **options: Any
+) -> "RecordingSummary | RawRecorded":
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE: what ``farfield simulate`` does.
 
     Called again, it goes on where it stopped. The bytes do not depend on the number of workers.
