@@ -152,8 +152,8 @@ def test_evaluate_has_the_same_flags_and_keeps_them(own, tmp_path, monkeypatch, 
 
     seen = {}
 
-    def stop(detector, data, **settings):
-        seen.update(detector=detector, data=data, **settings)
+    def stop(detector, data, options):
+        seen.update(detector=detector, data=data, options=options)
         raise ConfigError("far enough")
 
     monkeypatch.setattr("farfield.evaluation.evaluating.evaluate_clouds", stop)
@@ -163,6 +163,6 @@ def test_evaluate_has_the_same_flags_and_keeps_them(own, tmp_path, monkeypatch, 
     config = seen["detector"].config
     assert (config.score_threshold, config.nms_iou, seen["detector"].chosen.max_boxes) == (0.2, 0.4, 7)
     assert seen["detector"].class_names == ("car",)
-    assert seen["provenance"]["kept"] == {
+    assert seen["options"].provenance["kept"] == {
         "score_threshold": 0.2, "nms_iou": 0.4, "max_boxes": 7, "classes": "vehicle:car",
     }  # fmt: skip

@@ -17,7 +17,7 @@ from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.radar_cloud import RadarView
 from farfield.datasets.maps import MAPS, Coordinates, Move, Sweeps, TransformedCloud, described, make, none_before
 from farfield.datasets.recipes import plain, recipe_of_experiment, replay
-from farfield.detectors.info import describe
+from farfield.detectors.info import DetectorInfo
 from farfield.errors import ConfigError
 from farfield.evaluation import as_trained
 from farfield.files.clouds import write_bin
@@ -177,11 +177,9 @@ def test_what_a_format_does_not_offer_is_passed_over(kradar):
     assert names(replay(drive, recipe)) == ["move"]
 
 
-class Trained:
+def trained_on(**provenance: object) -> DetectorInfo:
     """A detector by what is known of its training."""
-
-    def __init__(self, **provenance: object) -> None:
-        self.provenance = provenance
+    return DetectorInfo(provenance=provenance)
 
 
 @pytest.mark.parametrize("with_recipe", [True, False])
@@ -190,13 +188,13 @@ def test_all_that_was_trained_is_replayed(kradar, with_recipe):
     options = {"reference": "radar", "radar_rate": 0.01, "radar_region": "narrow", "rotate_deg": 180, "labels": "v1.0"}
     trained = open_dataset(kradar, **options).mapped(Sweeps(2))
     known = {"streams": {"labelled": {"recipe": trained.recipe}}} if with_recipe else {}
-    detector = Trained(experiment={"data": {"path": "x", "options": options, "sweeps": 2}}, **known)
-    seen = as_trained(open_dataset(kradar), describe(detector))
+    detector = trained_on(experiment={"data": {"path": "x", "options": options, "sweeps": 2}}, **known)
+    seen = as_trained(open_dataset(kradar), detector)
     assert seen.recipe["maps"] == trained.recipe["maps"]
     np.testing.assert_array_equal(seen[1].cloud("radar").points_m, trained[1].cloud("radar").points_m)
-    turned = as_trained(Drive(), describe(Trained(experiment={"data": {"options": {"rotate_deg": 180}}})))
+    turned = as_trained(Drive(), trained_on(experiment={"data": {"options": {"rotate_deg": 180}}}))
     np.testing.assert_allclose(turned[1].boxes.centre_m, Drive()[1].boxes.centre_m * [-1, -1, 1], atol=1e-9)
-    assert as_trained(turned, describe(Trained(experiment={"data": {"options": {"rotate_deg": 180}}}))) is turned
+    assert as_trained(turned, trained_on(experiment={"data": {"options": {"rotate_deg": 180}}})) is turned
     assert recipe_of_experiment({}) == {"format": None, "options": {}, "maps": []}
 
 

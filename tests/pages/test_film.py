@@ -90,7 +90,7 @@ def test_an_interrupted_film_goes_on_where_it_stopped(folder: Path, tmp_path: Pa
         drawn.append(frame.frame_id)
         return real(frame, *arguments, **more)
 
-    monkeypatch.setattr(film, "picture", goes_on)
+    monkeypatch.setattr(film, "film_picture", goes_on)
     make_film(tmp_path / "a.gif", data)
     assert sorted(drawn) == sorted(data.frame_ids)
     make_film(tmp_path / "b.gif", data)

@@ -75,7 +75,7 @@ def test_the_next_command_runs_as_it_stands(experiment, tmp_path, capsys, monkey
     assert command[:2] == ["farfield", "evaluate"]
     seen = {}
 
-    def stop(detector, data, **settings):
+    def stop(detector, data, options):
         seen.update(detector=detector, data=data)
         raise ConfigError("far enough")
 

@@ -136,7 +136,7 @@ class CloudResult:
     table: str
     objects: Mapping[str, Any]
     parts: Mapping[str, Any]
-    timing: Mapping[str, float]
+    timing: Mapping[str, float | int]
 
 
 def score_cloud(detections: Detections, protocol: Protocol, options: EvaluationOptions, *, kind: str) -> CloudResult:

@@ -87,7 +87,7 @@ class Evaluation:
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     title: str = "Farfield evaluation"
     tables: Mapping[str, str] = field(default_factory=dict)
-    timing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    timing: Mapping[str, Mapping[str, float | int]] = field(default_factory=dict)
 
     def save(self, folder: Path | str) -> Path:
         """Write the evaluation into a folder, which is made if needed.
