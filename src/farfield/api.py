@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from farfield.calibration.jobs import CameraJob, RadarJob
     from farfield.calibration.registration import Registration
     from farfield.datasets.base import Dataset
-    from farfield.detectors.info import DescribedDetector
-    from farfield.detectors.info import DetectorFunction
+    from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import AdaptationResult
