@@ -223,7 +223,7 @@ def simulated(road: str, *, sequence: int, frames: int, reach_m: float = 250.0, 
     scene, out = drive.scene, []
     for index in range(frames):
         time_s = drive.time_s(index)
-        world_T_lidar = scene.ego_pose(time_s) @ drive.mounted.ego_T_lidar
+        world_T_lidar = scene.ego_pose(time_s) @ drive.mounting.ego_T_lidar
         place, yaw = scene.motion.at(time_s)
         others = slice(1, None)
         boxes = full_boxes(

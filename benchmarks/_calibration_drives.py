@@ -53,7 +53,7 @@ class SimulatedDrive:
     @property
     def late_s(self) -> float:
         """How much later its radar measures, in seconds."""
-        return drive_of(self.preset, self.seed, self.number).mounted.radar_offset_s
+        return drive_of(self.preset, self.seed, self.number).mounting.radar_offset_s
 
     def opened(self, folder: Path, sensors: Sequence[str] = ("os2-64", "sparse")) -> Dataset:
         """Simulate the frames that are not there, and open the drive as a K-Radar."""

@@ -17,8 +17,8 @@ from _report import header
 
 from farfield.files.atomic import write_text
 from farfield.geometry.poses import pose
+from farfield.simulation.camera.mounts import rig_cameras
 from farfield.simulation.camera.render import render
-from farfield.simulation.camera.rig import rig_cameras
 from farfield.simulation.weather.conditions import draw_weather
 from farfield.simulation.world.scene import WorldScene
 

@@ -187,15 +187,16 @@ def speed(scenes: list[Scene], method: str) -> str:
 
 def simulated(preset: str, cloud: str, camera: str, frames: int) -> list[Scene]:
     """Frames of a preset in clear weather, one a sequence, with the exact depth."""
-    from farfield.simulation.camera.depth import true_depth
+    from _true_depth import true_depth
+
     from farfield.simulation.presets import find_preset
-    from farfield.simulation.rigs.cirrus import CirrusMoment
+    from farfield.simulation.rigs.cirrus import CirrusFrame
     from farfield.simulation.rigs.drive import drive_of
-    from farfield.simulation.rigs.kitti import KittiMoment
-    from farfield.simulation.rigs.kradar import KRadarMoment
+    from farfield.simulation.rigs.kitti import KittiFrame
+    from farfield.simulation.rigs.kradar import KRadarFrame
     from farfield.simulation.sequence import simulate_frame
 
-    moments: dict[str, Any] = {"cirrus": CirrusMoment, "kitti": KittiMoment, "kradar": KRadarMoment}
+    moments: dict[str, Any] = {"cirrus": CirrusFrame, "kitti": KittiFrame, "kradar": KRadarFrame}
     chosen, scenes = find_preset(preset, weather="normal"), []
     for sequence in progress(range(frames), preset):
         sensors = (cloud, camera)

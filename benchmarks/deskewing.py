@@ -23,8 +23,8 @@ from farfield.geometry.poses import invert
 from farfield.simulation import simulate_sequence
 from farfield.simulation.labels import full_boxes
 from farfield.simulation.presets import find_preset
-from farfield.simulation.raw.measure import RawMoment, ego_poses
-from farfield.simulation.rigs.cirrus import CirrusMoment
+from farfield.simulation.recording.raw.measure import RawFrame, ego_poses
+from farfield.simulation.rigs.cirrus import CirrusFrame
 from farfield.simulation.rigs.drive import SimulatedDrive, drive_of
 from farfield.sync import PoseTrack, deskew, deskew_boxes
 
@@ -35,7 +35,7 @@ STANDS_M_S = 0.3
 FAST_M_S = 15.0
 
 
-class Corrected(CirrusMoment):
+class Corrected(CirrusFrame):
     """The same sweep as the simulator itself corrects it."""
 
     def __init__(self, drive: SimulatedDrive, number: int, time_s: float) -> None:
@@ -72,8 +72,8 @@ def moments(drive: SimulatedDrive) -> list[tuple[float, float, float, float]]:
 
 def errors_of_sweep(drive: SimulatedDrive, number: int, time_s: float, found: dict[str, Errors]) -> int:
     """Add the errors within each road user's points; returns how many points kept their place."""
-    raw, right = RawMoment(drive, number, time_s), Corrected(drive, number, time_s)
-    mount = drive.mounted.ego_T_lidar
+    raw, right = RawFrame(drive, number, time_s), Corrected(drive, number, time_s)
+    mount = drive.mounting.ego_T_lidar
     knots_s = np.arange(np.floor((time_s - 0.2) * 10) / 10, time_s + 0.25, 0.1)
     track = PoseTrack(np.rint(knots_s * 1e9).astype(np.int64), ego_poses(drive, knots_s) @ mount)
     swept = raw.gaussian

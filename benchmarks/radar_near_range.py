@@ -18,7 +18,7 @@ from farfield.inspection.statistics.radar import map_statistics
 from farfield.simulation.presets import find_preset
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.rigs.drive import drive_of
-from farfield.simulation.rigs.kradar import KRadarMoment
+from farfield.simulation.rigs.kradar import KRadarFrame
 from farfield.vocabulary.published import RAISED_SHARES
 
 
@@ -26,7 +26,7 @@ def shares(high_pass_m: float, sequences: int, seed: int) -> np.ndarray:
     """Share of raised cells of the first frame of each drive by band, shape (sequences, bands)."""
     preset, model, rows = find_preset("kradar-sim"), replace(RadarModel(), high_pass_m=high_pass_m), []
     for sequence in track(range(sequences), f"{high_pass_m:g} m", transient=True):
-        measured = KRadarMoment(drive_of(preset, seed, sequence), 0).measured(("mean",), model)
+        measured = KRadarFrame(drive_of(preset, seed, sequence), 0).measured(("mean",), model)
         power_db = 10 * np.log10(measured.moments.mean_power.mean(axis=1, dtype=np.float64))
         rows.append(list(map_statistics(power_db)["raised_share"].values()))
     return np.array(rows)

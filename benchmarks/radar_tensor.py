@@ -18,8 +18,8 @@ from _report import header
 
 from farfield.files.atomic import write_text
 from farfield.radar.products import polar3d_from_moments, zyx_cube
-from farfield.simulation.radar.echoes import Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel
+from farfield.simulation.radar.points import Scatterers, cell_snr
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 
 COUNTS = (2_000, 10_000, 30_000)

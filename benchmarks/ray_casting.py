@@ -19,9 +19,8 @@ from _report import header
 from farfield.files.atomic import write_text
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel
+from farfield.simulation.lidar.rays import Scan, turned
 from farfield.simulation.lidar.rays import SensorPath as SensorPath
-from farfield.simulation.lidar.rays import turned
-from farfield.simulation.lidar.scan import Scan
 from farfield.simulation.lidar.sweep import sweep
 from farfield.simulation.world.scene import SceneWindow, WorldScene
 

@@ -2,7 +2,7 @@
 
     python benchmarks/validation.py [--only 6 7] [--output benchmarks/results/validation.txt]
 
-Scenes and the brute-force radar are those of farfield.simulation.stage and radar.response; docs/validation.md says what
+Scenes and the brute-force radar are those of _stage.py and _radar_response.py; docs/validation.md says what
 is independent and what is assumed. Exit status 1 where a figure misses its tolerance. Rows marked "shown" carry no
 verdict.
 """
@@ -15,7 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import _stage as stage
 import numpy as np
+from _radar_response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 from _report import ROOT, header
 from scipy.optimize import brentq
 from scipy.special import spherical_jn, spherical_yn
@@ -23,18 +25,27 @@ from scipy.special import spherical_jn, spherical_yn
 from farfield.files.atomic import write_text
 from farfield.geometry.poses import pose_from_yaw
 from farfield.radar.axes import RadarAxes
-from farfield.simulation import stage
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box, ellipsoid, quads
+from farfield.simulation.camera.mounts import ZED_2I, Mount
 from farfield.simulation.camera.render import radiance
-from farfield.simulation.camera.rig import ZED_2I, Mount
 from farfield.simulation.camera.sky import make_sky
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_128_BEAMS, BeamTable, line_elevations_deg
-from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.model import (
+    LUMINAR_H2,
+    OS1_128,
+    OS1_128_BEAMS,
+    OS2_64,
+    OS2_128_BEAMS,
+    BeamTable,
+    LidarModel,
+    detection_probability,
+    line_elevations_deg,
+    signal,
+)
+from farfield.simulation.lidar.rays import Scan
 from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
-from farfield.simulation.radar.echoes import Scatterers
 from farfield.simulation.radar.model import RadarModel
+from farfield.simulation.radar.points import Scatterers
 from farfield.simulation.radar.propagation import (
     film_loss_db,
     rain_coefficients,
@@ -43,14 +54,11 @@ from farfield.simulation.radar.propagation import (
     water_permittivity,
 )
 from farfield.simulation.radar.rcs import corner_reflector_m2, vehicle_pattern_dbsm
-from farfield.simulation.radar.response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
 from farfield.simulation.trace import Tracer
-from farfield.simulation.weather.beam import Beam
+from farfield.simulation.weather.backscatter import Beam, rain_drops, soft_echo
 from farfield.simulation.weather.conditions import Weather, draw_weather
-from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extinction_per_m
-from farfield.simulation.weather.precipitation import rain_drops
 from farfield.simulation.world.scene import SceneWindow
 from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.patterns import PATTERNS

@@ -18,7 +18,7 @@ from _report import header
 from farfield.files.atomic import write_text
 from farfield.simulation import find_preset
 from farfield.simulation.rigs.drive import drive_of
-from farfield.simulation.rigs.kradar import KRadarMoment
+from farfield.simulation.rigs.kradar import KRadarFrame
 from farfield.simulation.world.scene import ROADS
 from farfield.vocabulary.conditions import WEATHERS
 
@@ -27,7 +27,7 @@ def look(weather: str, number: int) -> tuple[dict[int, int], dict[int, float]]:
     """Hits and signal over noise of the cars near by, by track."""
     road = ROADS[number % len(ROADS)]
     preset = find_preset("kradar-sim", weather=weather, time="day", road=road, duration_s=60.0, radar_offset_ms=(0, 0))
-    moment = KRadarMoment(drive_of(preset, 77, number), 500)
+    moment = KRadarFrame(drive_of(preset, 77, number), 500)
     offset = moment.window.bottom_m - moment.world_T_lidar[:3, 3]
     distance = np.hypot(offset[:, 0], offset[:, 1])
     ahead = offset @ moment.world_T_lidar[:3, 0] > 0.5 * distance

@@ -86,8 +86,8 @@ def test_the_simulated_radars_strong_echo_marks_its_row_and_no_noise_elsewhere()
     simulation = pytest.importorskip("farfield.simulation.radar.synthesis")
     from farfield.radar.axes import KRADAR_AXES
     from farfield.radar.products import polar3d_from_moments
-    from farfield.simulation.radar.echoes import Scatterers
     from farfield.simulation.radar.model import RadarModel
+    from farfield.simulation.radar.points import Scatterers
 
     model = RadarModel(leakage_db=(-40.0,) * 8, range_migration=False)
     place = 50 * np.array([[np.cos(np.radians(12)), np.sin(np.radians(12)), 0.0]])

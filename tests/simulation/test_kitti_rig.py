@@ -10,18 +10,17 @@ pytest.importorskip("embreex")
 from farfield.errors import ConfigError
 from farfield.frame import Frame
 from farfield.simulation import find_preset, simulate_frame
-from farfield.simulation.lidar.beams import HDL_64E_BEAMS
-from farfield.simulation.lidar.model import HDL_64E, detection_probability, signal
+from farfield.simulation.lidar.model import HDL_64E, HDL_64E_BEAMS, detection_probability, signal
 from farfield.simulation.rigs.drive import drive_of
-from farfield.simulation.rigs.kitti import KittiMoment
+from farfield.simulation.rigs.kitti import KittiFrame
 
 FIELD_PX = (1242, 375)
 
 
 @pytest.fixture(scope="module")
-def moments() -> list[KittiMoment]:
+def moments() -> list[KittiFrame]:
     preset = find_preset("kitti-sim-mini")
-    return [KittiMoment(drive_of(preset, 0, sequence), index) for sequence, index in ((0, 1), (1, 1))]
+    return [KittiFrame(drive_of(preset, 0, sequence), index) for sequence, index in ((0, 1), (1, 1))]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,7 @@ def test_a_tenth_reflecting_target_is_seen_at_the_data_sheets_50_m() -> None:
     assert far < 0.2
 
 
-def test_whole_bodies_are_annotated(moments: list[KittiMoment]) -> None:
+def test_whole_bodies_are_annotated(moments: list[KittiFrame]) -> None:
     for moment in moments:
         boxes = moment.annotation.boxes
         bodies = {actor.track_id: actor.size_m for actor in moment.window.actors}
@@ -81,7 +80,7 @@ def test_whole_bodies_are_annotated(moments: list[KittiMoment]) -> None:
         np.testing.assert_allclose(boxes.centre_m[:, 2] - boxes.size_m[:, 2] / 2, -1.73, atol=2.0)
 
 
-def test_only_what_the_camera_sees_is_annotated_and_all_of_it(moments: list[KittiMoment]) -> None:
+def test_only_what_the_camera_sees_is_annotated_and_all_of_it(moments: list[KittiFrame]) -> None:
     for moment in moments:
         annotated = {int(number) for number in moment.annotation.boxes.track_id}  # type: ignore[union-attr]
         owner = moment.sweep.actor
@@ -114,7 +113,7 @@ def test_boxes_in_the_image_and_what_is_known_of_them(frame: Frame) -> None:
     assert set(annotation.details["occlusion"].tolist()) <= {0, 1, 2}
 
 
-def test_occlusion_is_the_share_of_shots_that_others_stop(moments: list[KittiMoment]) -> None:
+def test_occlusion_is_the_share_of_shots_that_others_stop(moments: list[KittiFrame]) -> None:
     levels = []
     for moment in moments:
         aimed = moment.sweep.aimed

@@ -12,11 +12,11 @@ from farfield.datasets import open_dataset
 from farfield.datasets.radiate import CELL_M, Radiate
 from farfield.errors import ConfigError
 from farfield.simulation import simulate_frame
-from farfield.simulation.radar.echoes import Scatterers
+from farfield.simulation.radar.points import Scatterers
 from farfield.simulation.radar.turning import TurningRadar, in_sector, polar_picture
 from farfield.simulation.recording import record
 from farfield.simulation.rigs.drive import drive_of
-from farfield.simulation.rigs.radiate import RadiateMoment
+from farfield.simulation.rigs.radiate import RadiateFrame
 
 RADAR = TurningRadar()
 DB = RADAR.count_db
@@ -114,7 +114,7 @@ def test_written_turns_are_read_as_they_were_simulated(written: Path) -> None:
 
 def test_boxes_hold_echoes() -> None:
     """Nine of ten drawn vehicles have a cell well over the floor in the picture."""
-    moment = RadiateMoment(drive_of(simulate_preset(), 0, 0), 3)
+    moment = RadiateFrame(drive_of(simulate_preset(), 0, 0), 3)
     polar, boxes = moment.polar.astype(float), moment.boxes
     best = []
     for centre, size, yaw, label in zip(boxes.centre_m, boxes.size_m, boxes.yaw_rad, boxes.label, strict=True):

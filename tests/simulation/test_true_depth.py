@@ -5,13 +5,14 @@ import pytest
 
 pytest.importorskip("embreex")
 
+from _true_depth import true_depth
+
 from farfield.depth import depth_map
 from farfield.depth.frames import cloud_and_camera
 from farfield.metrics.depth import depth_errors
-from farfield.simulation.camera.depth import true_depth
 from farfield.simulation.presets import find_preset
 from farfield.simulation.rigs.drive import drive_of
-from farfield.simulation.rigs.kitti import KittiMoment
+from farfield.simulation.rigs.kitti import KittiFrame
 from farfield.simulation.sequence import simulate_frame
 
 
@@ -19,7 +20,7 @@ def test_a_simulated_sweep_agrees_with_the_exact_depth() -> None:
     preset = find_preset("kitti-sim", weather="normal")
     frame = simulate_frame(preset, sequence=0, index=0, sensors=("lidar",))
     points, lens = cloud_and_camera(frame)
-    moment = KittiMoment(drive_of(preset, preset.seed, 0), 0)
+    moment = KittiFrame(drive_of(preset, preset.seed, 0), 0)
     truth = true_depth(moment.window, frame.cameras["camera"], moment.world_T_lidar)
     assert truth.shape == (lens.height_px, lens.width_px)
     assert np.isnan(truth).any()  # there is sky

@@ -22,8 +22,8 @@ from farfield.frame import Boxes
 from farfield.papers.grid import load_grid
 from farfield.papers.jobs import DataLocations, jobs_of
 from farfield.papers.places import places_of
+from farfield.simulation.overlay import OverlaidWeather
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.laid import OverlaidWeather
 from farfield.training.config import AugmentationConfig, WeatherConfig
 from farfield.training.samples import TrainingSamples
 from farfield.training.weather import WeatherOverlay, check_weather, draw_laid, inside_presets, lay_over, read_with

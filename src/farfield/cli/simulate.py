@@ -6,7 +6,6 @@ from pathlib import Path
 import tyro
 
 from farfield.cli._progress import bar
-from farfield.errors import ConfigError
 from farfield.vocabulary.conditions import Side, Time, Weather
 
 
@@ -73,35 +72,12 @@ def run(
             each with a clock of its own, and SEQUENCE_truth.json beside. --frames counts sweeps, 10 a second.
         dry_run: Say what would be written, and write nothing.
     """
-    if recording:
-        if stride_s is not None or cache or traffic is not None:
-            raise ConfigError(
-                "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
-            )
-        from farfield.simulation.recording.raw import record_streams
+    from farfield.simulation.recording import RecordingOptions
+    from farfield.simulation.recording.recorder import record_frames
 
-        record_streams(
-            preset,
-            out,
-            sweeps=frames,
-            sequences=sequences,
-            sensors=sensors,
-            weather=weather,
-            time=time,
-            seed=seed,
-            uniform_offset_ms=uniform_offset_ms,
-            workers=workers,
-            engine=engine,
-            dry_run=dry_run,
-            progress=partial(bar, what="recording", transient=True),
-            report=print,
-        )
-        return 0
-    from farfield.simulation.recording import record
-
-    recorded = record(
-        preset,
-        out,
+    options = RecordingOptions(
+        preset=preset,
+        out=out,
         frames=frames,
         sequences=sequences,
         sensors=sensors,
@@ -114,8 +90,13 @@ def run(
         workers=workers,
         engine=engine,
         cache=cache,
+        raw=recording,
         dry_run=dry_run,
-        progress=partial(bar, what="simulating", transient=True),
-        report=print,
     )
+    if options.raw:
+        from farfield.simulation.recording.raw.streams import record_raw
+
+        record_raw(options, progress=partial(bar, what="recording", transient=True), report=print)
+        return 0
+    recorded = record_frames(options, progress=partial(bar, what="simulating", transient=True), report=print)
     return int(recorded.different > 0)

@@ -11,9 +11,8 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
 from farfield.jobs.runs import Progress
 from farfield.papers.grid import ExperimentGrid, SimulatedSet
-from farfield.simulation.recording import record
+from farfield.simulation.recording import RecordingSummary, record
 from farfield.simulation.recording.frames import bytes_needed
-from farfield.simulation.recording.simulated import RecordingSummary
 
 _DIGITS = 8
 
@@ -116,7 +115,7 @@ def wanting(sets: Iterable[tuple[SimulatedSet | None, Path]]) -> str:
 def simulate(wanted: SimulatedSet, path: Path, **how: Any) -> RecordingSummary:
     """Simulate a set into a folder, with the fast cache of its clouds where its layout has one."""
     from farfield.simulation import find_preset
-    from farfield.simulation.recording.rigs import files_of
+    from farfield.simulation.rig import RIGS
 
     return record(
         wanted.preset,
@@ -128,7 +127,7 @@ def simulate(wanted: SimulatedSet, path: Path, **how: Any) -> RecordingSummary:
         seed=wanted.seed,
         stride_s=wanted.stride_s,
         traffic=wanted.traffic,
-        cache=files_of(find_preset(wanted.preset)).caches,
+        cache=RIGS[find_preset(wanted.preset).rig].caches,
         **how,
     )
 

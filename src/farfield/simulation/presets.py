@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from farfield.errors import ConfigError
+from farfield.simulation.rig import RIGS
 from farfield.vocabulary.conditions import SIDES, TIMES, WEATHERS
 from farfield.vocabulary.kradar import OUSTER_LINES, SEQUENCES
 from farfield.vocabulary.patterns import PATTERNS
@@ -23,8 +24,10 @@ KRADAR_SENSORS = (
 )
 KITTI_SENSORS = ("lidar", "camera")
 RADIATE_SENSORS = ("polar", "cartesian")
-SENSORS = {"cirrus": CIRRUS_SENSORS, "kradar": KRADAR_SENSORS, "kitti": KITTI_SENSORS, "radiate": RADIATE_SENSORS}
-"""The sensors of each rig, in its own order."""
+CIRRUS_SEGMENT_NAME = "segment_{sequence:02d}"
+KRADAR_SEGMENT_NAME = "{number}"
+KITTI_SEGMENT_NAME = "{sequence:04d}"
+RADIATE_SEGMENT_NAME = "sim_{sequence}_0"
 Number = float | int
 Span = tuple[Number, Number]
 
@@ -80,7 +83,7 @@ class Preset:
 
     Args:
         name: Its name.
-        rig: "cirrus", "kradar", "kitti" or "radiate".
+        rig: Name of its rig, one of :data:`farfield.simulation.rig.RIGS`.
         segments: Its sequences; further ones repeat them in turn, each with another world.
         sensors: What is written unless asked otherwise.
         stride_s: Time between frames; the sensors themselves turn at 10 Hz.
@@ -106,43 +109,48 @@ class Preset:
     loose_boxes: bool = False
     traffic: str = "right"
 
-    def said(self) -> dict[str, Any]:
-        """All settings as JSON takes them; the side only where it is the left, so that others are known as before."""
+    def as_json(self) -> dict[str, Any]:
+        """All settings as JSON takes them; the side only where it is the left, so that others are named as before."""
         settings = asdict(self)
         return settings if self.traffic != "right" else {k: v for k, v in settings.items() if k != "traffic"}
 
     def segment(self, sequence: int) -> Segment:
         """The segment of a sequence of any number."""
         segment = self.segments[sequence % len(self.segments)]
-        return segment if sequence < len(self.segments) else replace(segment, name=segment_name(self.rig, sequence))
+        if sequence < len(self.segments):
+            return segment
+        return replace(segment, name=segment_name(RIGS[self.rig].segment_name, sequence))
 
-    def longest(self, sequence: int) -> int:
+    def max_frames(self, sequence: int) -> int:
         """How many frames fit into a sequence, the sensors' offsets included."""
         return int((self.segment(sequence).duration_s - 0.2) / self.stride_s + 1e-9) + 1
 
 
-def segment_name(rig: str, sequence: int) -> str:
-    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar, "0003" in KITTI, "sim_3_0" in RADIATE."""
-    names = {"cirrus": f"segment_{sequence:02d}", "kitti": f"{sequence:04d}", "radiate": f"sim_{sequence}_0"}
-    return names.get(rig, str(sequence + 1))
+def segment_name(template: str, sequence: int) -> str:
+    """Name of a sequence: "segment_03" in Cirrus, "4" in K-Radar, "0003" in KITTI, "sim_3_0" in RADIATE.
+
+    Args:
+        template: Format of ``sequence`` (from 0) and ``number`` (from 1); a rig's ``segment_name``.
+        sequence: Its number, from 0.
+    """
+    return template.format(sequence=sequence, number=sequence + 1)
 
 
-def _cirrus(roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0) -> tuple[Segment, ...]:
-    return _in_turn("cirrus", roads, count, frames=frames, duration_s=duration_s)
-
-
-def _in_turn(
-    rig: str, roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0
+def _segments(
+    template: str, roads: tuple[str, ...], count: int, *, frames: int = 20, duration_s: Number = 60.0
 ) -> tuple[Segment, ...]:
+    """Sequences on some roads in turn."""
     return tuple(
-        Segment(segment_name(rig, i), roads[i % len(roads)], frames=frames, duration_s=duration_s) for i in range(count)
+        Segment(segment_name(template, i), roads[i % len(roads)], frames=frames, duration_s=duration_s)
+        for i in range(count)
     )
 
 
-def _kradar() -> tuple[Segment, ...]:
+def _kradar_segments() -> tuple[Segment, ...]:
+    """K-Radar's 58 sequences."""
     return tuple(
-        Segment(name, one.road, one.weather, one.time, one.frames, duration_s=one.frames * 0.1 + 1.0)
-        for name, one in SEQUENCES.items()
+        Segment(name, info.road, info.weather, info.time, info.frames, duration_s=info.frames * 0.1 + 1.0)
+        for name, info in SEQUENCES.items()
     )
 
 
@@ -179,14 +187,16 @@ _KRADAR_DEFAULT = (*OUSTER_LINES, "cam-front", "sparse", "cube")
 PRESETS: dict[str, Preset] = {
     preset.name: preset
     for preset in (
-        Preset("cirrus-sim", "cirrus", _cirrus(_BOTH, 12), CIRRUS_SENSORS),
-        Preset("cirrus-sim-ideal", "cirrus", _cirrus(_BOTH, 12), CIRRUS_SENSORS, mountings=(_IDEAL,)),
-        Preset("cirrus-sim-highway", "cirrus", _cirrus(("highway",), 12), CIRRUS_SENSORS),
-        Preset("cirrus-sim-urban", "cirrus", _cirrus(("urban",), 12), CIRRUS_SENSORS),
+        Preset("cirrus-sim", "cirrus", _segments(CIRRUS_SEGMENT_NAME, _BOTH, 12), CIRRUS_SENSORS),
+        Preset(
+            "cirrus-sim-ideal", "cirrus", _segments(CIRRUS_SEGMENT_NAME, _BOTH, 12), CIRRUS_SENSORS, mountings=(_IDEAL,)
+        ),
+        Preset("cirrus-sim-highway", "cirrus", _segments(CIRRUS_SEGMENT_NAME, ("highway",), 12), CIRRUS_SENSORS),
+        Preset("cirrus-sim-urban", "cirrus", _segments(CIRRUS_SEGMENT_NAME, ("urban",), 12), CIRRUS_SENSORS),
         Preset(
             "cirrus-sim-varied",
             "cirrus",
-            _cirrus(_MANY, 40),
+            _segments(CIRRUS_SEGMENT_NAME, _MANY, 40),
             PATTERNS,
             sizes=("us", "us", "kitti", "korea"),
             mountings=(_IDEAL, _VARIED),
@@ -194,7 +204,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "cirrus-sim-mini",
             "cirrus",
-            _cirrus(_BOTH, 2, frames=3, duration_s=10.0),
+            _segments(CIRRUS_SEGMENT_NAME, _BOTH, 2, frames=3, duration_s=10.0),
             PATTERNS,
             lines=32,
             columns=235,
@@ -202,7 +212,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "cirrus-sim-val-v2",
             "cirrus",
-            _cirrus(_BOTH, 20, duration_s=20.5),
+            _segments(CIRRUS_SEGMENT_NAME, _BOTH, 20, duration_s=20.5),
             PATTERNS,
             stride_s=1.0,
             seed=731_002,
@@ -210,7 +220,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "kradar-sim",
             "kradar",
-            _kradar(),
+            _kradar_segments(),
             _KRADAR_DEFAULT,
             stride_s=0.1,
             sizes=("korea",),
@@ -241,7 +251,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "kitti-sim",
             "kitti",
-            _in_turn("kitti", _KITTI_ROADS, 12),
+            _segments(KITTI_SEGMENT_NAME, _KITTI_ROADS, 12),
             KITTI_SENSORS,
             sizes=("kitti",),
             mountings=(_KITTI_RIG,),
@@ -250,7 +260,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "kitti-sim-mini",
             "kitti",
-            _in_turn("kitti", _KITTI_ROADS, 2, frames=2, duration_s=6.0),
+            _segments(KITTI_SEGMENT_NAME, _KITTI_ROADS, 2, frames=2, duration_s=6.0),
             ("lidar",),
             sizes=("kitti",),
             mountings=(_KITTI_RIG,),
@@ -259,7 +269,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "radiate-sim",
             "radiate",
-            _in_turn("radiate", _RADIATE_ROADS, 16, frames=40, duration_s=20.0),
+            _segments(RADIATE_SEGMENT_NAME, _RADIATE_ROADS, 16, frames=40, duration_s=20.0),
             RADIATE_SENSORS,
             stride_s=0.25,
             sizes=("kitti",),
@@ -269,7 +279,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "radiate-sim-mini",
             "radiate",
-            _in_turn("radiate", _RADIATE_ROADS, 2, frames=2, duration_s=6.0),
+            _segments(RADIATE_SEGMENT_NAME, _RADIATE_ROADS, 2, frames=2, duration_s=6.0),
             RADIATE_SENSORS,
             stride_s=0.25,
             sizes=("kitti",),
@@ -296,24 +306,25 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     if name not in PRESETS:
         raise ConfigError(f"preset: expected one of {', '.join(PRESETS)}; got {name!r}")
     preset = PRESETS[name]
-    weathers = () if weather is None else tuple(each.strip() for each in weather.split(","))
-    named: list[tuple[str, str, tuple[str, ...]]] = [("weather", each, WEATHERS) for each in weathers]
-    named += [("traffic", changes["traffic"], SIDES)] if "traffic" in changes else []
-    for what, value, known in named if time is None else [*named, ("time of day", time, TIMES)]:
-        if value not in known:
-            raise ConfigError(f"{what}: expected one of {', '.join(known)}; got {value!r}")
-    wanted = {"time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}
-    wanted = {name: value for name, value in wanted.items() if value is not None}
-    mounting = {name: changes.pop(name) for name in list(changes) if name in Mounting.__dataclass_fields__}
+    weathers = () if weather is None else tuple(name.strip() for name in weather.split(","))
+    checks: list[tuple[str, Any, tuple[str, ...]]] = [("weather", name, WEATHERS) for name in weathers]
+    checks += [("traffic", changes["traffic"], SIDES)] if "traffic" in changes else []
+    checks += [("time of day", time, TIMES)] if time is not None else []
+    for what, value, allowed in checks:
+        if value not in allowed:
+            raise ConfigError(f"{what}: expected one of {', '.join(allowed)}; got {value!r}")
+    segment_changes = {"time": time, **{name: changes.pop(name, None) for name in _SEGMENT_FIELDS}}
+    segment_changes = {name: value for name, value in segment_changes.items() if value is not None}
+    mounting_changes = {name: changes.pop(name) for name in list(changes) if name in Mounting.__dataclass_fields__}
     unknown = set(changes) - set(Preset.__dataclass_fields__)
     if unknown:
-        known_ones = [*Preset.__dataclass_fields__, *_SEGMENT_FIELDS, *Mounting.__dataclass_fields__]
-        raise ConfigError(f"preset: expected settings among {', '.join(known_ones)}; got {', '.join(sorted(unknown))}")
-    segments = [replace(segment, **wanted) for segment in preset.segments]
+        fields = [*Preset.__dataclass_fields__, *_SEGMENT_FIELDS, *Mounting.__dataclass_fields__]
+        raise ConfigError(f"preset: expected settings among {', '.join(fields)}; got {', '.join(sorted(unknown))}")
+    segments = [replace(segment, **segment_changes) for segment in preset.segments]
     if weathers:
-        segments = [replace(each, condition=weathers[i % len(weathers)]) for i, each in enumerate(segments)]
+        segments = [replace(old, condition=weathers[i % len(weathers)]) for i, old in enumerate(segments)]
     changes.setdefault("segments", tuple(segments))
-    changes.setdefault("mountings", tuple(replace(each, **mounting) for each in preset.mountings))
+    changes.setdefault("mountings", tuple(replace(old, **mounting_changes) for old in preset.mountings))
     return replace(preset, **changes)
 
 
@@ -321,10 +332,10 @@ def check_sensors(preset: Preset, sensors: tuple[str, ...]) -> tuple[str, ...]:
     """The named sensors in the rig's own order.
 
     Raises:
-        ConfigError: If the rig lacks one of them, or none is named.
+        ConfigError: If the rig is unknown or lacks one of them, or none is named.
     """
-    known = SENSORS[preset.rig]
-    unknown = [name for name in sensors if name not in known]
+    available = RIGS[preset.rig].sensors
+    unknown = [name for name in sensors if name not in available]
     if unknown or not sensors:
-        raise ConfigError(f"sensors: expected some of {', '.join(known)}; got {', '.join(unknown) or 'none'}")
-    return tuple(name for name in known if name in sensors)
+        raise ConfigError(f"sensors: expected some of {', '.join(available)}; got {', '.join(unknown) or 'none'}")
+    return tuple(name for name in available if name in sensors)

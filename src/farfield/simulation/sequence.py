@@ -11,7 +11,8 @@ from typing import Any
 from farfield.errors import ConfigError
 from farfield.frame import Frame
 from farfield.simulation.presets import Preset, check_sensors, find_preset
-from farfield.simulation.rigs.drive import SimulatedDrive, drive_of
+from farfield.simulation.rig import RIGS
+from farfield.simulation.rigs.drive import drive_of
 
 _EPOCH_NS = 1_600_000_000_000_000_000
 
@@ -25,33 +26,14 @@ def frame_time_ns(preset: Preset, seed: int, sequence: int, index: int) -> int:
 def planned_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors: tuple[str, ...]) -> Frame:
     """A frame with its names and times; whatever else it has is computed when it is read, its pose is left out."""
     drive = drive_of(preset, seed, sequence)
-    time_ns = frame_time_ns(preset, seed, sequence, index)
-    if preset.rig == "cirrus":
-        from farfield.simulation.rigs.cirrus_frame import cirrus_frame
-
-        return cirrus_frame(drive, index, sensors, time_ns)
-    if preset.rig == "kitti":
-        from farfield.simulation.rigs.kitti_frame import kitti_frame
-
-        return kitti_frame(drive, index, sensors, time_ns)
-    if preset.rig == "radiate":
-        from farfield.simulation.rigs.radiate_frame import radiate_frame
-
-        return radiate_frame(drive, index, sensors, time_ns)
-    from farfield.simulation.rigs.kradar_frame import kradar_frame
-
-    return kradar_frame(drive, index, sensors, time_ns)
+    return RIGS[preset.rig].frame(drive, index, sensors, frame_time_ns(preset, seed, sequence, index))
 
 
 def posed_frame(preset: Preset, *, seed: int, sequence: int, index: int, sensors: tuple[str, ...]) -> Frame:
     """A planned frame with the pose of its reference sensor, which needs the sequence's world but no ray."""
     frame = planned_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors)
     drive = drive_of(preset, seed, sequence)
-    return replace(frame, world_T_frame=_world_T_lidar(drive, index))
-
-
-def _world_T_lidar(drive: SimulatedDrive, index: int) -> Any:
-    return drive.scene.ego_pose(drive.time_s(index)) @ drive.mounted.ego_T_lidar
+    return replace(frame, world_T_frame=drive.scene.ego_pose(drive.time_s(index)) @ drive.mounting.ego_T_lidar)
 
 
 def simulate_frame(
@@ -87,16 +69,17 @@ def simulate_frame(
         ConfigError: If the preset is unknown or the frame lies beyond the sequence's duration.
         MissingExtraError: If embreex or numba is not installed (raised when a sensor is first read).
     """
-    chosen = find_preset(preset, **changes) if isinstance(preset, str) else preset
-    if sequence < 0 or index < 0 or index >= chosen.longest(sequence):
-        lasts = chosen.segment(max(sequence, 0)).duration_s
+    if isinstance(preset, str):
+        preset = find_preset(preset, **changes)
+    if sequence < 0 or index < 0 or index >= preset.max_frames(sequence):
+        lasts = preset.segment(max(sequence, 0)).duration_s
         raise ConfigError(
             f"simulate: expected sequence >= 0 and a frame within 0..{lasts:g} s, got sequence {sequence}, frame "
-            f"{index} at {index * chosen.stride_s:g} s. Take fewer frames or a smaller stride_s."
+            f"{index} at {index * preset.stride_s:g} s. Take fewer frames or a smaller stride_s."
         )
-    used = chosen.seed if seed is None else seed
-    named = check_sensors(chosen, chosen.sensors if sensors is None else sensors)
-    return posed_frame(chosen, seed=used, sequence=sequence, index=index, sensors=named)
+    sensors = check_sensors(preset, preset.sensors if sensors is None else sensors)
+    seed = preset.seed if seed is None else seed
+    return posed_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors)
 
 
 def simulate_sequence(
@@ -123,7 +106,8 @@ def simulate_sequence(
     Yields:
         Frames as ``simulate_frame`` makes them.
     """
-    chosen = find_preset(preset, **changes) if isinstance(preset, str) else preset
-    count = chosen.segment(sequence).frames if frames is None else frames
+    if isinstance(preset, str):
+        preset = find_preset(preset, **changes)
+    count = preset.segment(sequence).frames if frames is None else frames
     for index in range(start, start + count):
-        yield simulate_frame(chosen, seed=seed, sequence=sequence, index=index, sensors=sensors)
+        yield simulate_frame(preset, seed=seed, sequence=sequence, index=index, sensors=sensors)

@@ -1,6 +1,6 @@
 """Weather laid over training frames, drawn anew for each: fog, rain, snow, ice on the window.
 
-The physics is the simulator's (:mod:`farfield.simulation.lidar.laid`, :mod:`farfield.simulation.radar.laid`); the
+The physics is the simulator's (:mod:`farfield.simulation.overlay`, :mod:`farfield.simulation.overlay`); the
 weather of a frame, and how many frames get any, are settings. Their defaults lie outside what the simulator's own
 weathers hold, so that a detector that is scored on these has not seen them.
 """
@@ -15,12 +15,10 @@ from farfield.detectors.inputs import CloudInput
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
-from farfield.simulation.lidar.laid import LIDARS, overlay
-from farfield.simulation.radar.laid import overlay_cells
+from farfield.simulation.overlay import LIDARS, OverlaidWeather, overlay, overlay_cells, preset_bounds
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.icing import BLOCKED_TRANSMISSION, WIDTHS_DEG
-from farfield.simulation.weather.laid import OverlaidWeather, preset_bounds
 from farfield.training.bank import Points
 from farfield.training.config import WeatherConfig
 

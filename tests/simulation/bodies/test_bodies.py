@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from farfield.simulation.bodies.actors import CLASS_OF, CLASSES, Actor, draw_size_m
-from farfield.simulation.bodies.gait import PHASES, ankle_m, bent
 from farfield.simulation.bodies.materials import SURFACES, Material, draw_reflectance
 from farfield.simulation.bodies.mesh import Mesh, box
+from farfield.simulation.bodies.people import PHASES, ankle_m, bent
 
 KINDS = sorted(CLASS_OF)
 WALKERS = ["pedestrian", "child", "stroller", "animal", "deer", "cyclist"]

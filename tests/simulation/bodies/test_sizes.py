@@ -5,7 +5,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.frame import Boxes
-from farfield.simulation.bodies.sizes import (
+from farfield.simulation.bodies.actors import (
     KRADAR_LABEL_M,
     draw_car,
     draw_size_m,

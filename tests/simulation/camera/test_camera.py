@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from _stage import on_asphalt, painted
 
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import Camera
@@ -13,10 +14,9 @@ from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box
 from farfield.simulation.camera.cast import place, ray_grid, take_picture
 from farfield.simulation.camera.lens import auto_gain, srgb_curve, window_cover
+from farfield.simulation.camera.mounts import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_BASELINE_M, ZED_2I, Mount, rig_cameras
 from farfield.simulation.camera.render import radiance, render
-from farfield.simulation.camera.rig import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_BASELINE_M, ZED_2I, Mount, rig_cameras
 from farfield.simulation.camera.sky import make_sky, visible_extinction
-from farfield.simulation.stage import on_asphalt, painted
 from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.world.scene import SceneWindow
 from farfield.vocabulary.conditions import WEATHERS

@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _stage import HERE, fleet
 
 from farfield.simulation.lidar.air import SURFACE, beam_of
-from farfield.simulation.lidar.laid import LIDARS, WindowEffect, empty_shots, overlay
 from farfield.simulation.lidar.model import HDL_64E, OS2_64, LidarModel, detection_probability
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import Scan
 from farfield.simulation.lidar.sweep import sweep
-from farfield.simulation.stage import HERE, fleet
+from farfield.simulation.overlay import LIDARS, OverlaidWeather, WindowEffect, empty_shots, overlay
+from farfield.simulation.weather.backscatter import rain_drops, snow_flakes, strongest_particle
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.laid import OverlaidWeather
-from farfield.simulation.weather.precipitation import rain_drops, snow_flakes, strongest_particle
 
 ICY = {"icing_age_s": float("inf"), "temperature_c": -3.0}
 

@@ -4,23 +4,26 @@ import dataclasses
 
 import numpy as np
 import pytest
+from _stage import HERE, body, frozen, plate, quiet
 
 from farfield.errors import ConfigError
 from farfield.simulation.bodies.materials import Material, reflectance_at
-from farfield.simulation.lidar.beams import OS1_128_BEAMS, OS2_64_BEAMS, OS2_128_BEAMS, line_elevations_deg
+from farfield.simulation.lidar.echoes import measure, reflectivity
 from farfield.simulation.lidar.model import (
     LUMINAR_H2,
     OS1_128,
+    OS1_128_BEAMS,
     OS2_64,
+    OS2_64_BEAMS,
+    OS2_128_BEAMS,
     LidarModel,
     detection_probability,
+    line_elevations_deg,
     range_spread_m,
     signal,
 )
-from farfield.simulation.lidar.returns import measure, reflectivity
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import Scan
 from farfield.simulation.lidar.sweep import sweep
-from farfield.simulation.stage import HERE, body, frozen, plate, quiet
 from farfield.vocabulary.patterns import PATTERNS
 
 QUIET = dataclasses.replace(LUMINAR_H2, texture=0.0, dropout=0.0)

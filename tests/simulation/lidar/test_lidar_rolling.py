@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from _stage import HERE, body, frozen, moving, plate, quiet
 
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.lidar.echoes import strongest
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import Scan
 from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
-from farfield.simulation.stage import HERE, body, frozen, moving, plate, quiet
 from farfield.simulation.trace import Body, Tracer
 
 KNOTS_S = np.linspace(-0.06, 0.06, 9)

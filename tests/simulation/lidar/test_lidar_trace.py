@@ -4,16 +4,15 @@ import sys
 
 import numpy as np
 import pytest
+from _stage import HERE, body, coloured, frozen, quiet
 
 from farfield.errors import MissingExtraError
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box, ellipsoid, quads
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64, LidarModel
-from farfield.simulation.lidar.rays import SensorPath, block_towards
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import Scan, SensorPath, block_towards
 from farfield.simulation.lidar.sweep import sweep
-from farfield.simulation.stage import HERE, body, coloured, frozen, quiet
 from farfield.simulation.trace import Tracer
 
 

@@ -4,17 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from _stage import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
 
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import quads
 from farfield.simulation.lidar.air import FOG, PRECIPITATION, SPRAY, SURFACE, spray
 from farfield.simulation.lidar.model import LUMINAR_H2, OS2_64
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import Scan
+from farfield.simulation.lidar.surfaces import snow_grades
 from farfield.simulation.lidar.sweep import SimulatedSweep, sweep
-from farfield.simulation.stage import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.ground import snow_grades
 from farfield.simulation.weather.optics import extinction_per_m
 from farfield.simulation.weather.spray import Plume
 from farfield.simulation.world.scene import SceneWindow

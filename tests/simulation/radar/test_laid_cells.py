@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.simulation.radar.laid import floor_power, overlay_cells
+from farfield.simulation.overlay import floor_power, overlay_cells
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.radar.propagation import rain_coefficients
 from farfield.simulation.weather.conditions import Weather

@@ -11,13 +11,11 @@ from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
 from farfield.simulation.radar.casting import cast_rays
-from farfield.simulation.radar.echoes import ScattererKind, Scatterers, cell_snr
 from farfield.simulation.radar.frame import measure
-from farfield.simulation.radar.mirrors import find_mirrors
 from farfield.simulation.radar.model import RadarModel, radar_mount
+from farfield.simulation.radar.points import ScattererKind, Scatterers, availability, cell_snr, masked_db, object_snr_db
 from farfield.simulation.radar.rcs import slow_db
-from farfield.simulation.radar.scatterers import radar_velocity_m_s, scatterers
-from farfield.simulation.radar.visibility import availability, masked_db, object_snr_db
+from farfield.simulation.radar.scatterers import find_mirrors, radar_velocity_m_s, scatterers
 from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import SceneWindow

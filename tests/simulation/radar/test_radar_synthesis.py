@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _radar_response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 
 from farfield.errors import ConfigError
 from farfield.radar.axes import RadarAxes
 from farfield.radar.products import moments
-from farfield.simulation.radar.echoes import Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel, beams, virtual_array
-from farfield.simulation.radar.response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
+from farfield.simulation.radar.points import Scatterers, cell_snr
 from farfield.simulation.radar.synthesis import Channels, draw_noise, form_moments, form_tensor, synthesise
 
 SMALL = RadarAxes(
@@ -191,7 +191,7 @@ def test_moments_are_those_of_the_tensor(frame):
 _BYTES = """
 import numpy as np, numba
 numba.set_num_threads({threads})
-from farfield.simulation.radar.echoes import Scatterers
+from farfield.simulation.radar.points import Scatterers
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, synthesise
 import hashlib

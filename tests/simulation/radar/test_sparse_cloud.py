@@ -14,7 +14,7 @@ from farfield.simulation.rigs.drive import drive_of
 def test_a_sparse_cloud_needs_no_velocities(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     power = rng.exponential(1e11, (3, *KRADAR_AXES.shape[1:])).astype(np.float32)
     drive = drive_of(find_preset("kradar-sim"), 0, 0)
-    whole, spare = (kradar.KRadarMoment(drive, 0) for _ in range(2))
+    whole, spare = (kradar.KRadarFrame(drive, 0) for _ in range(2))
     cube = zyx_cube(power[0])
     for moment in (whole, spare):
         moment.__dict__["cube"] = cube

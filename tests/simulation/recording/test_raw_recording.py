@@ -25,7 +25,7 @@ from farfield.files.bags import Bag
 from farfield.files.point_cloud2 import read_points
 from farfield.simulation import find_preset
 from farfield.simulation.recording.raw import record_streams
-from farfield.simulation.rigs.cirrus import CirrusMoment
+from farfield.simulation.rigs.cirrus import CirrusFrame
 from farfield.simulation.rigs.drive import drive_of
 from farfield.sync import PoseTrack, deskew
 
@@ -105,7 +105,7 @@ def test_raw_sweeps_deskewed_by_the_true_poses_are_the_simulators_own(raw: Path)
     done = deskew(points, begins + columns["t"].astype(np.int64), track, reference_ns=begins + 50_000_000)
     assert done.left == 0
     preset = replace(find_preset("cirrus-sim-mini"), stride_s=0.1)
-    own = CirrusMoment(drive_of(preset, 0, 0), 6).cloud("gaussian").points_m
+    own = CirrusFrame(drive_of(preset, 0, 0), 6).cloud("gaussian").points_m
     assert np.linalg.norm(points - own, axis=1).max() > 0.3
     assert np.linalg.norm(done.points_m - own, axis=1).max() < 0.02
 

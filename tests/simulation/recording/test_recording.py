@@ -9,9 +9,9 @@ import pytest
 pytest.importorskip("embreex")
 
 from farfield.errors import ConfigError, DatasetError
-from farfield.simulation import find_preset
+from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.recording import RecordingSummary, SimulationConfig, ensure, record
-from farfield.simulation.recording.rigs import RIGS, files_of, writer_for
+from farfield.simulation.rig import RIGS, FrameWriter
 
 WANTED = SimulationConfig(preset="cirrus-sim-mini", sequences=1, frames=2, seed=4)
 
@@ -76,7 +76,7 @@ def test_every_rig_has_a_writer_and_an_unknown_one_is_named(tmp_path: Path) -> N
     for rig in ("cirrus", "kradar", "kitti"):
         preset = find_preset(f"{rig}-sim-mini")
         assert preset.rig == rig
-        assert files_of(preset) is RIGS[rig]
-        assert writer_for(preset, tmp_path).root == tmp_path or rig == "cirrus"
+        assert isinstance(RIGS[rig].writer(tmp_path, preset), FrameWriter)
+        assert RIGS[rig].writer(tmp_path, preset).root == tmp_path or rig == "cirrus"
     with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti, radiate; got drone"):
-        files_of(replace(preset, rig="drone"))
+        simulate_frame(replace(preset, rig="drone"), sequence=0, index=0)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.ground import (
+from farfield.simulation.lidar.surfaces import (
     fresnel_reflectance,
     grade_factor,
     snow_grades,
     wet_factor,
     wet_reflectance,
 )
-from farfield.simulation.weather.icing import WindowField, kind_of, transmission
+from farfield.simulation.weather.conditions import Weather
+from farfield.simulation.weather.icing import WindowField, transmission, window_cover_kind
 
 OUSTER = {"azimuth_deg": 180.0, "elevation_deg": (-11.0, 10.8)}
 
@@ -58,8 +58,8 @@ def test_windows_differ_and_repeat() -> None:
     first, again, other = (WindowField.draw(np.random.SeedSequence(s), "ice", **OUSTER).rank for s in (1, 1, 2))
     assert (first == again).all()
     assert (first != other).mean() > 0.9
-    assert kind_of(Weather("rain", rain_mm_h=3.0)) == "drop"
-    assert kind_of(Weather("sleet", snow_mm_h=3.0)) == "ice"
+    assert window_cover_kind(Weather("rain", rain_mm_h=3.0)) == "drop"
+    assert window_cover_kind(Weather("sleet", snow_mm_h=3.0)) == "ice"
 
 
 def test_fresnel_of_water() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.simulation import find_preset
-from farfield.simulation.weather.laid import preset_bounds
+from farfield.simulation.overlay import preset_bounds
 
 
 def test_bounds_hold_what_the_conditions_are_written_with():

@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from farfield.simulation.weather.beam import Beam
+from farfield.simulation.weather.backscatter import (
+    Beam,
+    Particles,
+    rain_drops,
+    snow_flakes,
+    soft_echo,
+    strongest_particle,
+)
 from farfield.simulation.weather.conditions import draw_weather
-from farfield.simulation.weather.fog import soft_echo
 from farfield.simulation.weather.optics import (
     extinction_per_m,
     film_transmission,
@@ -15,7 +21,6 @@ from farfield.simulation.weather.optics import (
     rain_extinction_per_m,
     snow_extinction_per_m,
 )
-from farfield.simulation.weather.precipitation import Particles, rain_drops, snow_flakes, strongest_particle
 from farfield.vocabulary.conditions import WEATHERS
 
 OS2 = Beam(865.0, 72.0, float(np.radians(0.1)))

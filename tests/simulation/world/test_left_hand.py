@@ -98,5 +98,5 @@ def test_another_side_is_refused_and_the_right_says_nothing_new() -> None:
         find_preset("cirrus-sim", traffic="middle")
     with pytest.raises(ConfigError, match="middle"):
         WorldScene("urban", np.random.SeedSequence(1), duration_s=5.0, traffic="middle")
-    assert "traffic" not in find_preset("cirrus-sim").said()
-    assert find_preset("cirrus-sim", traffic="left").said()["traffic"] == "left"
+    assert "traffic" not in find_preset("cirrus-sim").as_json()
+    assert find_preset("cirrus-sim", traffic="left").as_json()["traffic"] == "left"

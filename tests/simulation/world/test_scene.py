@@ -9,8 +9,10 @@ import pytest
 from farfield.errors import ConfigError
 from farfield.frame import Boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.simulation.bodies.gait import PHASES
-from farfield.simulation.world.roads import alleyway, highway, mountain, parking_lot, suburban, university, urban
+from farfield.simulation.bodies.people import PHASES
+from farfield.simulation.world.roads.campus import CAMPUS_BENDS, PARKING_LOT_BENDS
+from farfield.simulation.world.roads.country import GRADE, HIGHWAY_BENDS
+from farfield.simulation.world.roads.town import ALLEY_BENDS, SUBURBAN_BENDS, URBAN_BENDS
 from farfield.simulation.world.scene import ROADS, WorldScene
 
 DURATION_S = 9.0
@@ -112,10 +114,10 @@ def test_curvature_and_grade_stay_within_bounds(road: str) -> None:
 
 
 def test_the_bounds_of_the_report_hold_for_the_modules() -> None:
-    assert highway.BENDS.curvature_per_m < 1 / 600
-    assert suburban.BENDS.curvature_per_m < 1 / 150
-    assert max(m.BENDS.curvature_per_m for m in (urban, university, alleyway, parking_lot)) < 1 / 40
-    assert mountain.GRADE == 0.06
+    assert HIGHWAY_BENDS.curvature_per_m < 1 / 600
+    assert SUBURBAN_BENDS.curvature_per_m < 1 / 150
+    assert max(bends.curvature_per_m for bends in (URBAN_BENDS, CAMPUS_BENDS, ALLEY_BENDS, PARKING_LOT_BENDS)) < 1 / 40
+    assert GRADE == 0.06
 
 
 @pytest.mark.parametrize("road", ROADS)

@@ -42,7 +42,7 @@ from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
 from farfield.pages.training_pages import HeldScores
 from farfield.simulation.recording.frames import bytes_needed
-from farfield.simulation.recording.wanted import planned
+from farfield.simulation.recording.recorder import planned_recording
 from farfield.training.report import TrainingReport
 
 WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
@@ -183,7 +183,7 @@ class AdaptationJob:
         lines = ["source: the labelled frames of " + str(self.given)] if self.given is not None else []
         if self.given is None:
             wanted = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
-            recording = planned(wanted, self.folder / FOLDER)
+            recording = planned_recording(wanted, self.folder / FOLDER)
             room = bytes_needed(recording, sum(recording.plan)) / 1e9
             lines.append(f"source: {sum(recording.plan)} frames of {wanted.preset}, simulated, at most {room:.2f} GB")
         searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"

@@ -19,6 +19,7 @@ from farfield.simulation.camera.cast import (
     sunlit,
     take_picture,
 )
+from farfield.simulation.camera.kernels import contact, fill_light, shade
 from farfield.simulation.camera.lens import Exposure, finish
 from farfield.simulation.camera.sky import Sky, make_sky
 from farfield.simulation.weather.conditions import Weather
@@ -98,7 +99,6 @@ def _shade(
     world_T_camera: Float[np.ndarray, "4 4"],
     sky: Sky,
 ) -> Float32[np.ndarray, "h w 3"]:
-    from farfield.simulation.camera import kernels
 
     speed = np.linalg.norm(window.velocity_m_s, axis=1)
     on = [body.actor < 0 or bool(speed[body.actor] > _MOVING_M_S) for body in placed]
@@ -110,7 +110,7 @@ def _shade(
     image = np.empty((len(picture.face), 3), dtype=np.float32)
     floor_m = float(picture.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
     pixel_rad = float(grid.column_reach[1, -1] - grid.column_reach[0, 0]) / grid.width
-    kernels.shade(
+    shade(
         picture.directions, picture.range_m, picture.face, lit, dimmed, mirrored, grid.width, picture.origin_m,
         np.float32(pixel_rad),
         table.normal, table.albedo, table.glow, table.material, table.moving_from, lamps, own, floor_m, sky, image,
@@ -122,8 +122,6 @@ def _sunlight(
     placed: list[PlacedBody], picture: RayImage, table: FaceTable, grid: RayGrid, sky: Sky
 ) -> Float32[np.ndarray, " n"]:
     """Whether the sun reaches what each ray hit, cast at one pixel in four and spread from there."""
-    from farfield.simulation.camera import shadow_kernels
-
     lit = np.ones(len(picture.face), dtype=np.float32)
     if not sky.sun_rgb.any():
         return lit
@@ -141,7 +139,7 @@ def _sunlight(
     known = np.zeros(len(lit), dtype=np.bool_)
     known[chosen] = True
     out = np.empty_like(lit)
-    shadow_kernels.fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
+    fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
     return out
 
 
@@ -181,8 +179,6 @@ def _contact_shadows(
     world_T_camera: Float[np.ndarray, "4 4"],
 ) -> Float32[np.ndarray, " n"]:
     """Share of the sky's light that reaches each place: less on the ground under and beside road users."""
-    from farfield.simulation.camera import shadow_kernels
-
     dimmed = np.ones(len(picture.face), dtype=np.float32)
     camera_T_world = invert(world_T_camera)
     for body in placed:
@@ -196,7 +192,7 @@ def _contact_shadows(
         if rows.stop > rows.start and least < 120.0:
             body_T_world = invert(body.world_T_body)
             shift = picture.origin_m - body.world_T_body[:3, 3]
-            shadow_kernels.contact(
+            contact(
                 dimmed, picture.range_m, picture.directions, picture.face, table.moving_from,
                 (rows.start, rows.stop), (columns.start, columns.stop), grid.width, body_T_world[:3, :3], shift, half,
             )  # fmt: skip

@@ -8,17 +8,15 @@ from jaxtyping import Float, Float32, UInt8
 
 from farfield.simulation.lidar.echoes import LidarEchoes
 from farfield.simulation.lidar.model import LidarModel
-from farfield.simulation.lidar.scan import Scan
-from farfield.simulation.weather.beam import Beam
+from farfield.simulation.lidar.rays import Scan
+from farfield.simulation.weather.backscatter import FOG_MOR_M, Beam, falling, soft_echo, strongest_particle
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.fog import FOG_MOR_M, soft_echo
-from farfield.simulation.weather.icing import WindowField, kind_of, transmission
+from farfield.simulation.weather.icing import WindowField, transmission, window_cover_kind
 from farfield.simulation.weather.optics import (
     FOG_BACKSCATTER_PER_EXTINCTION,
     extinction_per_m,
     haze_extinction_per_m,
 )
-from farfield.simulation.weather.precipitation import falling, strongest_particle
 from farfield.simulation.weather.spray import Plume
 
 SURFACE, PRECIPITATION, FOG, SPRAY = range(4)
@@ -49,7 +47,7 @@ def window_gain(
     """
     low, high = float(np.degrees(scan.elevation_rad.min())), float(np.degrees(scan.elevation_rad.max()))
     half = 180.0 if model.spinning else model.azimuth_deg
-    field = WindowField.draw(seed, kind_of(weather), azimuth_deg=half, elevation_deg=(low, high))
+    field = WindowField.draw(seed, window_cover_kind(weather), azimuth_deg=half, elevation_deg=(low, high))
     azimuth, elevation = np.meshgrid(np.degrees(scan.azimuth_rad), np.degrees(scan.elevation_rad))
     once = transmission(field, weather, time_s, model.wavelength_nm, azimuth, elevation)
     return (once**2).astype(np.float32).reshape(-1)
@@ -103,7 +101,7 @@ def spray(
     return out
 
 
-def compete(
+def select_returns(
     model: LidarModel,
     weather: Weather,
     echoes: LidarEchoes,

@@ -7,12 +7,18 @@ from jaxtyping import Float, Float32, Int, Shaped, UInt8
 
 from farfield.frame import Cloud
 from farfield.geometry.poses import invert
-from farfield.simulation.lidar.air import SURFACE, compete, spray, window_gain
-from farfield.simulation.lidar.echoes import LidarEchoes, surface_echoes
+from farfield.simulation.lidar.air import SURFACE, select_returns, spray, window_gain
+from farfield.simulation.lidar.echoes import (
+    LidarEchoes,
+    Returns,
+    ambient_counts,
+    measure,
+    reflectivity,
+    signal_counts,
+    surface_echoes,
+)
 from farfield.simulation.lidar.model import LidarModel
-from farfield.simulation.lidar.rays import NearestHits, SensorPath, turned
-from farfield.simulation.lidar.returns import Returns, ambient_counts, measure, reflectivity, signal_counts
-from farfield.simulation.lidar.scan import Scan
+from farfield.simulation.lidar.rays import NearestHits, Scan, SensorPath, turned
 from farfield.simulation.lidar.surfaces import Surfaces
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.optics import extinction_per_m
@@ -119,7 +125,7 @@ def _echoes(
     echoes = surface_echoes(model, surfaces.looks, scan.weights, *hits, extinction_per_m=alpha, gain=gain)
     if weather is None:
         return echoes, np.zeros(len(echoes.range_m), dtype=np.uint8)
-    range_m, strength, kind = compete(model, weather, echoes, casting.range_m[0], dirt, sprayed, rng)
+    range_m, strength, kind = select_returns(model, weather, echoes, casting.range_m[0], dirt, sprayed, rng)
     return LidarEchoes(range_m, strength, echoes.ray), kind
 
 

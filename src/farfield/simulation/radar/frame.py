@@ -8,11 +8,10 @@ from jaxtyping import Float, Float32
 
 from farfield.errors import ConfigError
 from farfield.radar.products import Moments
-from farfield.simulation.radar.echoes import Scatterers
 from farfield.simulation.radar.model import RadarModel
+from farfield.simulation.radar.points import Scatterers, masked_db, object_snr_db
 from farfield.simulation.radar.scatterers import scatterers
 from farfield.simulation.radar.synthesis import draw_noise, form_moments, form_tensor, synthesise
-from farfield.simulation.radar.visibility import masked_db, object_snr_db
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import SceneWindow
 
@@ -29,7 +28,7 @@ class RadarFrame:
         scatterers: What was seen.
         snr_db: Signal over noise of each road user in its best cell, shape (n,); -inf for those never hit.
         masked_db: How far another echo at the same range outshines it, shape (n,); see
-            :func:`farfield.simulation.radar.visibility.availability`.
+            :func:`farfield.simulation.radar.points.availability`.
     """
 
     tensor: Float32[np.ndarray, "d r e a"] | None

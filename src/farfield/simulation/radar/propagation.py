@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.radar.echoes import ScattererKind, Scatterers
 from farfield.simulation.radar.model import LIGHT_M_S, RadarModel
+from farfield.simulation.radar.points import ScattererKind, Scatterers
 from farfield.simulation.weather.conditions import Weather
 
 # ITU-R P.838-3, tables 1 to 4: a, b, c of each Gaussian term, then slope and intercept over log10 of the frequency.

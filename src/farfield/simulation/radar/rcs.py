@@ -32,7 +32,7 @@ _CAR_FACE_M2 = 4.6 * 1.5
 # the specular part. Asphalt: -30 dB at 2 and -20 dB at 10 degrees; vegetation -12 dB; snow -17 dB (customary
 # figures, not checked against measurements). The others are defaults.
 _DEFAULT = (-15.0, 1.0, 0.1, 0.1)
-_SURFACE = {
+_SURFACE_FIGURES = {
     Material.ASPHALT: (-20.0, 1.43, 0.15, 0.10),
     Material.LANE_PAINT: (-20.0, 1.43, 0.15, 0.10),
     Material.CONCRETE: (-20.0, 1.43, 0.20, 0.06),
@@ -140,7 +140,7 @@ def surface_rcs_m2_m2(
         cosine: Cosine of the angle of incidence, shape (n,).
         weather: Wet or snow-covered ground.
     """
-    table = np.array([_SURFACE.get(Material(m), _DEFAULT) for m in Material])
+    table = np.array([_SURFACE_FIGURES.get(Material(m), _DEFAULT) for m in Material])
     known = np.clip(material, 0, len(table) - 1)
     ground = np.isin(material, _GROUND)
     dry = _rough(table[known], cosine)

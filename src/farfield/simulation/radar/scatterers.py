@@ -1,18 +1,22 @@
-"""The scene as the radar sees it: point scatterers of surfaces, road users, limbs, detours, mirror images and rain."""
+"""The scene as the radar sees it: point scatterers of surfaces, road users, limbs, detours, mirror images and rain.
 
-from dataclasses import replace
+A walker's foot stands still while it bears weight, so relative to the body it swings by a quarter of the stride to each
+side; knees, hands and elbows follow at 0.5, 0.6 and 0.35 of that, arms against legs. A cyclist's feet turn at 170 mm
+cranks, 5 m for each turn; the wheels' rims run at the riding speed.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.bodies.actors import Actor
+from farfield.simulation.bodies.materials import Material
 from farfield.simulation.radar.casting import CastRays, cast_rays
-from farfield.simulation.radar.echoes import ScattererKind, Scatterers, cell_snr
-from farfield.simulation.radar.limbs import limb_points
-from farfield.simulation.radar.mirrors import find_mirrors, ghosts, posts
 from farfield.simulation.radar.model import RadarModel
-from farfield.simulation.radar.points import ScatterPoints
+from farfield.simulation.radar.points import ScattererKind, Scatterers, ScatterPoints, cell_snr
 from farfield.simulation.radar.propagation import rain_clutter, two_way_loss_db
 from farfield.simulation.radar.rcs import mean_rcs_dbsm, part_share, slow_db, surface_rcs_m2_m2
 from farfield.simulation.weather.conditions import Weather
@@ -203,3 +207,209 @@ def _strongest(seen: Scatterers, model: RadarModel) -> Scatterers:
         return seen
     order = np.argsort(-cell_snr(seen, model), kind="stable")[: model.max_scatterers]
     return seen.take(np.sort(order))
+
+
+# Mirrors: planes of rails and walls among the rays' hits, the images in them, and the posts of rails
+
+_FLAT = (Material.METAL, Material.CONCRETE, Material.BRICK, Material.GLASS)
+_MAX_MIRRORS, _LEAST_RAYS = 8, 10
+_ANGLE_DEG, _OFFSET_M = 6.0, 0.75
+_MARGIN_M = 1.0
+_POST_STEP_M, _POST_GAP_M = 4.0, 3.0
+_POST_DB = (0.0, 5.0)
+_RAIL_TALL_M, _RAIL_LONG_M = 1.2, 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror:
+    """A standing plane n x + d = 0 in the radar's frame, the radar on its positive side.
+
+    Args:
+        normal: Unit normal, shape (3,).
+        distance_m: d, the radar's distance from it.
+        hits_m: Points that were hit on it, shape (k, 3).
+        metal: Whether most of them are metal.
+    """
+
+    normal: Float[np.ndarray, " 3"]
+    distance_m: float
+    hits_m: Float[np.ndarray, "k 3"]
+    metal: bool
+
+    @property
+    def along(self) -> Float[np.ndarray, " 3"]:
+        """Unit vector along the plane, level."""
+        along = np.cross([0.0, 0.0, 1.0], self.normal)
+        return np.asarray(along / np.linalg.norm(along))
+
+
+def find_mirrors(cast: CastRays) -> list[Mirror]:
+    """Planes that many rays of the fan hit: same direction within 6 degrees, same distance within 0.75 m."""
+    rows = np.flatnonzero(
+        (cast.owner < 0) & (cast.actor < 0) & np.isfinite(cast.range_m)
+        & np.isin(cast.material, _FLAT) & (np.abs(cast.normal[:, 2]) < 0.35)
+    )  # fmt: skip
+    if rows.size < _LEAST_RAYS:
+        return []
+    level = cast.normal[rows] * [1.0, 1.0, 0.0]
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    hits = cast.direction[rows] * cast.range_m[rows, None]
+    distance = -np.einsum("ij,ij->i", level, hits)
+    angle = np.floor(np.degrees(np.arctan2(level[:, 1], level[:, 0])) / _ANGLE_DEG)
+    keys = np.stack([angle, np.floor(distance / _OFFSET_M)]).astype(np.int64)
+    _, which, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
+    which = which.reshape(-1)
+    mirrors = []
+    for plane in np.argsort(-count, kind="stable")[:_MAX_MIRRORS]:
+        if count[plane] < _LEAST_RAYS:
+            break
+        mine = which == plane
+        normal = level[mine].mean(axis=0)
+        normal /= np.linalg.norm(normal)
+        offset = -float(np.mean(hits[mine] @ normal))
+        metal = float(np.mean(cast.material[rows[mine]] == Material.METAL)) > 0.5
+        if offset > 0:
+            mirrors.append(Mirror(normal, offset, hits[mine], metal))
+    return mirrors
+
+
+def _gap_m(mirror: Mirror, along_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Distance along a mirror from places on it to the nearest hit."""
+    hit = np.sort(mirror.hits_m @ mirror.along)
+    right = np.clip(np.searchsorted(hit, along_m), 1, len(hit) - 1)
+    return np.asarray(np.minimum(np.abs(hit[right] - along_m), np.abs(hit[right - 1] - along_m)))
+
+
+def ghosts(points: ScatterPoints, mirrors: list[Mirror], level_db: float) -> ScatterPoints:
+    """Images of road users in mirrors, where the straight way to the image crosses what was hit of the mirror.
+
+    Both ways go by the mirror: the image stands in the mirror's direction at the whole way's length and moves as the
+    mirror image of its original.
+
+    Args:
+        points: Road users' scattering points.
+        mirrors: From :func:`find_mirrors`.
+        level_db: Power relative to the original.
+    """
+    parts = []
+    solid = points.take(np.flatnonzero((points.kind == ScattererKind.OBJECT) | (points.kind == ScattererKind.LIMB)))
+    for mirror in mirrors:
+        side = solid.position_m @ mirror.normal + mirror.distance_m
+        image = solid.position_m - 2 * side[:, None] * mirror.normal
+        towards = image @ mirror.normal
+        step = np.divide(-mirror.distance_m, towards, out=np.full(len(side), np.inf), where=towards < -1e-6)
+        crossing = image * np.where(np.isfinite(step), step, 0.0)[:, None]
+        up, height = mirror.hits_m[:, 2], crossing[:, 2]
+        inside = _gap_m(mirror, crossing @ mirror.along) < _MARGIN_M
+        inside &= (height > up.min() - _MARGIN_M) & (height < up.max() + _MARGIN_M)
+        rows = np.flatnonzero(inside & (side > 0.3) & (step > 0) & (step < 1))
+        velocity = solid.velocity_m_s - 2 * (solid.velocity_m_s @ mirror.normal)[:, None] * mirror.normal
+        level = solid.rcs_m2[rows] * 10 ** (level_db / 10)
+        kind = np.full(len(rows), int(ScattererKind.GHOST))
+        parts.append(ScatterPoints(image[rows], velocity[rows], level, solid.actor[rows], kind))
+    return ScatterPoints.join(parts)
+
+
+def posts(mirrors: list[Mirror], world_T_radar: Float[np.ndarray, "4 4"], rng: np.random.Generator) -> ScatterPoints:
+    """Posts of guard rails every 4 m, 0 to 5 dBsm, where rays hit the rail nearby; counted in the world's frame."""
+    parts = []
+    for mirror in mirrors:
+        hits = mirror.hits_m
+        along = hits @ mirror.along
+        if not mirror.metal or np.ptp(hits[:, 2]) > _RAIL_TALL_M or np.ptp(along) < _RAIL_LONG_M:
+            continue
+        shift = float((world_T_radar[:3, :3] @ mirror.along) @ world_T_radar[:3, 3])
+        first, last = np.ceil((along.min() + shift) / _POST_STEP_M), np.floor((along.max() + shift) / _POST_STEP_M)
+        at = np.arange(first, last + 1) * _POST_STEP_M - shift
+        near = _gap_m(mirror, at) < _POST_GAP_M
+        place = -mirror.distance_m * mirror.normal + at[near, None] * mirror.along
+        place[:, 2] = float(np.median(hits[:, 2]))
+        parts.append(ScatterPoints.fixed(place, 10 ** (rng.uniform(*_POST_DB, len(place)) / 10), ScattererKind.POST))
+    return ScatterPoints.join(parts)
+
+
+# Micro-Doppler of people: points of a walker's and a cyclist's body, swinging as sines
+
+_DEVELOPMENT_M, _CRANK_M, _WHEEL_M = 5.0, 0.17, 0.34
+
+
+class _LimbPart(NamedTuple):
+    height: float  # share of the body's height
+    side: float  # share of the body's width, from the middle to the left
+    swing: float  # of the foot's
+    phase: float  # turns
+    share: float  # of the cross section
+
+
+_WALKER = (
+    _LimbPart(0.93, 0.0, 0.0, 0.0, 0.08),
+    _LimbPart(0.78, 0.0, 0.0, 0.0, 0.25),
+    _LimbPart(0.60, 0.0, 0.0, 0.0, 0.22),
+    *(_LimbPart(0.62, side, 0.35, phase, 0.04) for side, phase in ((0.35, 0.5), (-0.35, 0.0))),
+    *(_LimbPart(0.46, side, 0.60, phase, 0.03) for side, phase in ((0.38, 0.5), (-0.38, 0.0))),
+    *(_LimbPart(0.28, side, 0.50, phase, 0.10) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
+    *(_LimbPart(0.05, side, 1.00, phase, 0.055) for side, phase in ((0.15, 0.0), (-0.15, 0.5))),
+)
+
+
+def limb_points(
+    actor: Actor,
+    base_m: Float[np.ndarray, " 3"],
+    heading: Float[np.ndarray, " 3"],
+    velocity_m_s: Float[np.ndarray, " 3"],
+    time_s: float,
+) -> ScatterPoints:
+    """Eleven points of a walker or a cyclist, whose cross sections add up to 1.
+
+    Args:
+        actor: Whose body.
+        base_m: Middle of its bottom, shape (3,).
+        heading: Unit vector ahead, shape (3,), same axes.
+        velocity_m_s: Its velocity, shape (3,), same axes.
+        time_s: The moment; the phase of an individual's gait comes from its seed.
+    """
+    seed = actor.seed
+    own = np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, 0x6A17))
+    start = float(np.random.default_rng(own).random())
+    speed = float(np.linalg.norm(velocity_m_s))
+    offset, swing, share = (_riding if actor.label == "bicycle" else _walking)(actor, speed, time_s, start)
+    up = np.array([0.0, 0.0, 1.0])
+    left = np.cross(up, heading)
+    axes = np.stack([heading, left / max(float(np.linalg.norm(left)), 1e-9), up])
+    still = ScatterPoints.fixed(base_m + offset @ axes, share, ScattererKind.LIMB)
+    return ScatterPoints(still.position_m, velocity_m_s + swing @ axes, share, still.actor, still.kind)
+
+
+_Swing = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]
+
+
+def _walking(actor: Actor, speed: float, time_s: float, start: float) -> _Swing:
+    parts = np.array(_WALKER)
+    height, side, swing, phase, share = parts.T
+    stride_m = max(actor.cycle_m, 0.7 * actor.size_m[2])
+    turn = 2 * np.pi * (speed * time_s / stride_m + start + phase)
+    reach = stride_m / 4 * swing if speed > 0.1 else np.zeros(len(parts))
+    offset = np.stack([reach * np.sin(turn), side * actor.size_m[1], height * actor.size_m[2]], axis=1)
+    ahead = reach * np.cos(turn) * 2 * np.pi * speed / stride_m
+    return offset, np.stack([ahead, 0 * ahead, 0 * ahead], axis=1), share
+
+
+def _riding(actor: Actor, speed: float, time_s: float, start: float) -> _Swing:
+    length, width, height = actor.size_m
+    body = np.array([[0.0, 0.0, 0.95], [-0.05, 0.0, 0.75], [-0.1, 0.0, 0.6], [0.1, 0.0, 0.45], [-0.1, 0.0, 0.4]])
+    crank = 2 * np.pi * (speed * time_s / _DEVELOPMENT_M + start + np.array([0.0, 0.5]))
+    feet = np.stack(
+        [_CRANK_M * np.sin(crank) - 0.08, 0.2 * width * np.array([1, -1]), 0.3 + _CRANK_M * np.cos(crank)], 1
+    )
+    pedal = 2 * np.pi * speed / _DEVELOPMENT_M * _CRANK_M
+    feet_speed = np.stack([pedal * np.cos(crank), 0 * crank, -pedal * np.sin(crank)], 1)
+    rim = speed * time_s / _WHEEL_M + 2 * np.pi * (start + np.array([0.0, 0.5, 0.25, 0.75]))
+    hub = length / 2 - _WHEEL_M
+    wheels = np.stack(
+        [np.array([hub, hub, -hub, -hub]) + _WHEEL_M * np.sin(rim), 0 * rim, _WHEEL_M * (1 + np.cos(rim))], 1
+    )
+    wheel_speed = np.stack([speed * np.cos(rim), 0 * rim, -speed * np.sin(rim)], 1)
+    offset = np.concatenate([body * [1.0, 1.0, height], feet, wheels])
+    swing = np.concatenate([np.zeros((5, 3)), feet_speed, wheel_speed])
+    share = np.array([0.08, 0.2, 0.2, 0.11, 0.11, 0.07, 0.07, 0.04, 0.04, 0.04, 0.04])
+    return offset, swing, share

@@ -11,8 +11,8 @@ from jaxtyping import Float, Float64, UInt8
 
 from farfield.radar.axes import RadarAxes
 from farfield.radar.turning import CELL_M, POLAR_SHAPE, TURN_S
-from farfield.simulation.radar.echoes import Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel
+from farfield.simulation.radar.points import Scatterers, cell_snr
 
 SECTORS = 4
 """Parts of a turn, each of which sees the world of its own middle; within one, echoes move by their radial velocity."""

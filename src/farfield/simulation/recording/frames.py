@@ -1,24 +1,27 @@
-"""The frames of a recording as units of work: which there are, how much room they need, simulating one."""
+"""A recording's folder and its frames as units of work: claim, journal, disk room, simulating and writing one."""
 
 import errno
 import json
+import os
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, plain
+from farfield.files.atomic import write_text
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.jobs import JobJournal, Unit, UnitResult
+from farfield.jobs.folders import STAGING
 from farfield.jobs.journal import mark_of, state_of
-from farfield.simulation.recording.rigs import writer_for
-from farfield.simulation.recording.settings import RecordingOptions
-from farfield.simulation.recording.writing import write_whole
+from farfield.simulation.recording.options import Recording
+from farfield.simulation.rig import RIGS
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
     from farfield.frame import Frame
+    from farfield.simulation import Preset
 
 JOURNAL_NAME = ".farfield_simulate.jsonl"
 
@@ -38,14 +41,75 @@ _BYTES = {
     "cartesian": 1_200_000,
 }
 _BYTES_PER_SHOT = {"gaussian": 70, "uniform": 70, "os2-64": 80, "os1-128": 80, "lidar": 20}
-_CACHED = 1.6  # bytes with the binary cache over bytes without
+_CACHE_FACTOR = 1.6  # bytes with the binary cache over bytes without
 
 
 _WORKER_BYTES, _RADAR_WORKER_BYTES = 600_000_000, 1_500_000_000
 _RADAR_SENSORS = {"cells", "sparse", "polar3d", "cube", "tesseract"}
 
 
-def units_of(recording: RecordingOptions) -> list[Unit]:
+def claim(recording: Recording) -> None:
+    """Claim the folder for these settings, or make sure that it was claimed for the same ones.
+
+    Sensors and frames may be added later: what a sensor measures does not depend on the others.
+
+    Raises:
+        DatasetError: If the folder holds something else.
+    """
+    out, sensors = recording.out, set(recording.sensors)
+    settings = json.loads(json.dumps({"seed": recording.seed, "preset": recording.preset.as_json()}))
+    settings |= {"raw": True} if recording.raw else {}
+    record = out / SIMULATION_FILE
+    before: set[str] = set()
+    if record.is_file():
+        sequences, before = _claimed(record, settings, recording)
+        if sequences >= len(recording.plan) and before >= sensors:
+            return
+    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise DatasetError(f"{out}: expected an empty or absent folder, or one that farfield simulate began")
+    out.mkdir(parents=True, exist_ok=True)
+    settings["sensors"] = sorted(before | sensors)
+    settings["sequences"] = [
+        _sequence_record(recording.preset, recording.seed, sequence) for sequence in range(len(recording.plan))
+    ]
+    write_text(record, json.dumps(settings, indent=1) + "\n")
+
+
+def _claimed(record: Path, settings: dict[str, Any], recording: Recording) -> tuple[int, set[str]]:
+    """Sequences and sensors for which a folder was claimed before, with the same settings."""
+    try:
+        claimed = json.loads(record.read_text("utf-8"))
+        count = len(claimed.pop("sequences", []))
+        before = set(claimed.pop("sensors", []))
+    except (ValueError, AttributeError, TypeError) as error:
+        raise DatasetError(f"{record}: expected the settings of a simulation, found: {plain(error)}") from error
+    if claimed != settings:
+        differ = sorted(key for key in settings | claimed if claimed.get(key) != settings.get(key))
+        raise DatasetError(
+            f"{recording.out}: expected a data set of preset {recording.preset.name}, seed {recording.seed}, with "
+            f"the same settings; {record.name} there differs in: {', '.join(differ) or 'its keys'}. "
+            "Name another folder, or remove this one."
+        )
+    return count, before
+
+
+def _sequence_record(preset: "Preset", seed: int, sequence: int) -> dict[str, Any]:
+    """What was drawn for a sequence: its weather with all rates and coverages, its sensors' offsets."""
+    from farfield.simulation.rigs.drive import drive_of
+
+    drive = drive_of(preset, seed, sequence)
+    mounting = drive.mounting
+    return {
+        "name": drive.segment.name,
+        "road": drive.segment.road,
+        "weather": {k: round(v, 6) if isinstance(v, float) else v for k, v in asdict(drive.weather).items()},
+        "lidar_height_m": round(float(mounting.ego_T_lidar[2, 3]), 6),
+        "uniform_offset_ms": round(1000 * mounting.uniform_offset_s, 6),
+        "radar_offset_ms": round(1000 * mounting.radar_offset_s, 6),
+    }
+
+
+def units_of(recording: Recording) -> list[Unit]:
     """One unit a frame; those of a sequence go together, for its road and traffic are made once."""
     return [
         Unit(f"{sequence}/{index}", parameters=(sequence, index), group=str(sequence))
@@ -54,9 +118,9 @@ def units_of(recording: RecordingOptions) -> list[Unit]:
     ]
 
 
-def journal_of(recording: RecordingOptions) -> JobJournal:
+def journal_of(recording: Recording) -> JobJournal:
     """What was written before with these very settings; frames of before there was a journal are entered."""
-    setting = json.dumps([recording.preset.said(), recording.seed, recording.sensors, recording.cache])
+    setting = json.dumps([recording.preset.as_json(), recording.seed, recording.sensors, recording.cache])
     path = recording.out / JOURNAL_NAME
     begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
     journal = JobJournal(path, setting)
@@ -68,14 +132,14 @@ def journal_of(recording: RecordingOptions) -> JobJournal:
     return journal
 
 
-def _complete(recording: RecordingOptions, sequence: int, index: int) -> list[Path]:
+def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
     """The files of a frame if all are there, each of which appeared whole or not at all; else none."""
     from farfield.simulation.sequence import planned_frame
 
     frame = planned_frame(
         recording.preset, seed=recording.seed, sequence=sequence, index=index, sensors=recording.sensors
     )
-    writer = writer_for(recording.preset, recording.out)
+    writer = RIGS[recording.preset.rig].writer(recording.out, recording.preset)
     paths = writer.paths(frame)
     if not all(path.is_file() for path in paths.values()):
         return []
@@ -83,21 +147,21 @@ def _complete(recording: RecordingOptions, sequence: int, index: int) -> list[Pa
         return [*paths.values()]
     from farfield.datasets.cloud_files import cache_path, is_fresh
 
-    cached = {paths[name]: cache_path(paths[name], writer.root) for name in frame.clouds if name in paths}
-    fresh = all(is_fresh(cache, path) for path, cache in cached.items())
-    return [*paths.values(), *cached.values()] if fresh else []
+    caches = {paths[name]: cache_path(paths[name], writer.root) for name in frame.clouds if name in paths}
+    fresh = all(is_fresh(cache, path) for path, cache in caches.items())
+    return [*paths.values(), *caches.values()] if fresh else []
 
 
-def bytes_needed(recording: RecordingOptions, count: int) -> float:
+def bytes_needed(recording: Recording, count: int) -> float:
     """How many bytes so many frames take at most."""
     preset = recording.preset
     lines = dict.fromkeys((*PATTERNS, "lidar"), preset.lines) | OUSTER_LINES
     shots = {name: count * preset.columns for name, count in lines.items()}
     sizes = [_BYTES[name] if name in _BYTES else shots[name] * _BYTES_PER_SHOT[name] for name in recording.sensors]
-    return count * (sum(sizes) + 20_000) * (_CACHED if recording.cache else 1.0)
+    return count * (sum(sizes) + 20_000) * (_CACHE_FACTOR if recording.cache else 1.0)
 
 
-def check_disk(recording: RecordingOptions, count: int) -> None:
+def check_disk(recording: Recording, count: int) -> None:
     """Refuse to begin what cannot be finished.
 
     Raises:
@@ -120,7 +184,7 @@ class Simulate:
         memory_bytes: What a worker needs at most.
     """
 
-    recording: RecordingOptions
+    recording: Recording
     memory_bytes: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -133,23 +197,65 @@ class Simulate:
         Raises:
             DatasetError: If the disk is full; what was written stays.
         """
+        from farfield.simulation.frozen import compare, frame_record, frozen_records
         from farfield.simulation.sequence import simulate_frame
 
-        wanted, (sequence, index) = self.recording, unit.parameters
-        frame = simulate_frame(wanted.preset, seed=wanted.seed, sequence=sequence, index=index, sensors=wanted.sensors)
+        recording = self.recording
+        sequence, index = unit.parameters
+        frame = simulate_frame(
+            recording.preset, seed=recording.seed, sequence=sequence, index=index, sensors=recording.sensors
+        )
         try:
-            files = write_whole(wanted.preset, frame, wanted.out, cache=wanted.cache)
+            files = write_whole(recording.preset, frame, recording.out, cache=recording.cache)
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):
                 raise
             raise DatasetError(
-                f"{wanted.out}: the disk is full. The frames written so far are whole and stay; make room and run the "
-                "same command again to go on."
+                f"{recording.out}: the disk is full. The frames written so far are whole and stay; make room and run "
+                "the same command again to go on."
             ) from error
-        return UnitResult(files=files, value=_verdict(wanted, frame, sequence, index) if wanted.frozen else None)
+        if not recording.frozen:
+            return UnitResult(files=files)
+        verdict = compare(frame_record(frame), frozen_records(recording.preset.name)[sequence, index])
+        return UnitResult(files=files, value=verdict)
 
 
-def _verdict(recording: RecordingOptions, frame: "Frame", sequence: int, index: int) -> str:
-    from farfield.simulation.frozen import compare, frame_record, frozen_records
+# Folders whose files are moved last, in this order.
+_LABELS = ("dataset1_annotation", "info_label", "KRadar_revised_visibility", "label_2", "frame_record")
 
-    return compare(frame_record(frame), frozen_records(recording.preset.name)[sequence, index])
+
+def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool = False) -> tuple[Path, ...]:
+    """Write a frame beside the data set, then move its files to their places, the labels last.
+
+    Args:
+        preset: What the frame was simulated with; its rig says which layout is written.
+        frame: The frame.
+        out: Folder of the data set.
+        cache: Also write the binary cache of its clouds.
+
+    Returns:
+        Its files.
+    """
+    staging = out / f"{STAGING}{os.getpid()}"
+    shutil.rmtree(staging, ignore_errors=True)
+    try:
+        writer = RIGS[preset.rig].writer(staging, preset)
+        paths = writer.write(frame)
+        written = [*paths.values()]
+        if cache:
+            from farfield.datasets.cloud_files import write_rows_cache
+
+            written += [write_rows_cache(paths[name], writer.root) for name in frame.clouds]
+        files = [path for path in sorted(staging.rglob("*")) if path.is_file()]
+        for path in sorted(files, key=_label_rank):
+            target = out / path.relative_to(staging)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
+        return tuple(out / path.relative_to(staging) for path in written)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _label_rank(path: Path) -> int:
+    """Order in which files are moved: labels, by which readers count frames, come last."""
+    return max((_LABELS.index(part) + 1 for part in path.parts if part in _LABELS), default=0)

@@ -1,1 +1,1 @@
-"""The two measuring cars: which sensors stand where, and the frame they give together."""
+"""The measuring cars, a file each; a new one is entered in :data:`farfield.simulation.rig.RIGS`."""

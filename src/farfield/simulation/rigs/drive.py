@@ -1,4 +1,4 @@
-"""One sequence at work: its world, its weather, how its sensors are mounted; drawn once, the same for every sensor."""
+"""One sequence at work: its world, its weather, its mounting; drawn once, the same for every sensor."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -6,10 +6,12 @@ from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from farfield.frame import Annotation, Cloud, Constant, Lazy
-from farfield.geometry.poses import pose_from_yaw
+from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Lazy
+from farfield.geometry.poses import invert, pose_from_yaw
+from farfield.simulation import labels
+from farfield.simulation.lidar.sweep import SimulatedSweep
 from farfield.simulation.presets import Mounting, Number, Preset, Segment
 from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.world.scene import SceneWindow, WorldScene
@@ -93,7 +95,7 @@ class SimulatedDrive:
         return draw_weather(self.segment.condition, self.segment.time, np.random.default_rng(self._seeds[1]))
 
     @cached_property
-    def mounted(self) -> DrawnMounting:
+    def mounting(self) -> DrawnMounting:
         """How its sensors are mounted."""
         return self._choices[1]
 
@@ -141,12 +143,12 @@ def _mount(mounting: Mounting, rng: np.random.Generator) -> DrawnMounting:
 
 @lru_cache(maxsize=2)
 def drive_of(preset: Preset, seed: int, sequence: int) -> SimulatedDrive:
-    """The sequence of a preset; building its world takes a fraction of a second, so the last ones are kept."""
+    """The sequence of a preset; building its world takes a fraction of a second, so the last ones stay in memory."""
     return SimulatedDrive(preset, seed, sequence)
 
 
 class SimulatedFrame(ABC):
-    """One frame of a sequence; everything is measured when it is first asked for.
+    """One frame of a sequence: everything is measured when it is first read, and pickled without what was measured.
 
     Args:
         drive: The sequence.
@@ -154,50 +156,65 @@ class SimulatedFrame(ABC):
     """
 
     def __init__(self, drive: SimulatedDrive, index: int) -> None:
-        self.drive, self.index = drive, index
+        self.drive = drive
+        self.index = index
         self.time_s = drive.time_s(index)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.drive, self.index)
 
     @cached_property
     @abstractmethod
     def window(self) -> SceneWindow:
-        """The scene while the reference LiDAR sweeps."""
+        """The scene while the reference sensor measures."""
 
     @cached_property
     def world_T_lidar(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the reference LiDAR."""
-        return self.window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
+        return self.window.world_T_ego_now @ self.drive.mounting.ego_T_lidar
 
-
-class PlannedFrame(ABC):
-    """One frame of a sequence before it is measured: it pickles without what was measured so far.
-
-    Args:
-        drive: The sequence.
-        index: Number of the frame.
-    """
-
-    def __init__(self, drive: SimulatedDrive, index: int) -> None:
-        self.drive, self.index = drive, index
-
-    @cached_property
     @abstractmethod
-    def moment(self) -> Any:
-        """What measures it, made at the first access."""
-
     def cloud(self, name: str) -> Cloud:
         """One cloud."""
-        return self.moment.cloud(name)
 
+    @cached_property
     @abstractmethod
     def annotation(self) -> Annotation:
         """What its annotators would draw."""
 
+    def load_annotation(self) -> Annotation:
+        """The annotation, as a function that pickles with the frame."""
+        return self.annotation
+
+    def camera_image(self, name: str, camera: Camera) -> UInt8[np.ndarray, "height width 3"]:
+        """What a camera sees at the reference moment; its name draws the noise, and the dirt on its window."""
+        from farfield.simulation.camera.render import render
+
+        rng = self.drive.rng(name, self.index)
+        window_seed = self.drive.window_seed(name)
+        return render(self.window, camera, self.world_T_lidar, self.drive.weather, rng, window_seed=window_seed)
+
+    def full_boxes(self) -> Boxes:
+        """Boxes of all road users of the scene at the reference moment, in the reference LiDAR's frame."""
+        window = self.window
+        return labels.full_boxes(
+            window.actors, window.bottom_m, window.yaw_rad, window.velocity_m_s, invert(self.world_T_lidar)
+        )
+
+    def swept_boxes(self, sweep: SimulatedSweep) -> Boxes:
+        """Full boxes where the sweep of a turning LiDAR, not corrected for the car's own motion, shows the bodies."""
+        boxes = self.full_boxes()
+        time_s = sweep.cloud.extra["time_ns"].astype(np.float64) * 1e-9
+        mean_s = labels.mean_times_s(time_s, sweep.actor, len(boxes))
+        velocity_m_s = (self.window.velocity_m_s - self.window.ego_velocity_m_s) @ self.world_T_lidar[:3, :3]
+        return boxes.replace(centre_m=boxes.centre_m + velocity_m_s * mean_s[:, None])
+
     def metadata(self) -> Lazy:
         """What was simulated, for people."""
-        known = {"preset": self.drive.preset.name, "seed": self.drive.seed}
         return Lazy(
             {
-                **{name: Constant(value) for name, value in known.items()},
+                "preset": Constant(self.drive.preset.name),
+                "seed": Constant(self.drive.seed),
                 "weather": partial(getattr, self.drive, "weather"),
             }
         )
@@ -207,6 +224,3 @@ class PlannedFrame(ABC):
         """Road, weather and time of the day."""
         segment = self.drive.segment
         return {"road": segment.road, "weather": segment.condition, "time": segment.time}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"drive": self.drive, "index": self.index}

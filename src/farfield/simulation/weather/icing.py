@@ -84,7 +84,7 @@ class WindowField:
         return front & (self.rank[row, np.clip(column, 0, columns - 1)] < share)
 
 
-def kind_of(weather: Weather) -> str:
+def window_cover_kind(weather: Weather) -> str:
     """What covers windows in a weather: "ice" where it snows, "drop" otherwise."""
     return "ice" if weather.snow_mm_h > 0 else "drop"
 

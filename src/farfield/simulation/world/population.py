@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.simulation.bodies.actors import Actor
-from farfield.simulation.bodies.sizes import draw_car, draw_size_m, draw_truck
+from farfield.simulation.bodies.actors import Actor, draw_car, draw_size_m, draw_truck
 from farfield.simulation.world.motion import STEP_S, Motion, in_conflict
 from farfield.simulation.world.road import RoadLine
 from farfield.simulation.world.traffic import DriverSet, LaneChange, Signal, drive

@@ -7,10 +7,9 @@ from jaxtyping import Float
 
 from farfield.errors import ConfigError
 from farfield.geometry.poses import pose
-from farfield.simulation.bodies.actors import Actor
-from farfield.simulation.bodies.gait import PHASES
+from farfield.simulation.bodies.actors import Actor, find_prior
 from farfield.simulation.bodies.mesh import Mesh
-from farfield.simulation.bodies.sizes import find_prior
+from farfield.simulation.bodies.people import PHASES
 from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.world.layout import CHUNK_M, RoadLayout
 from farfield.simulation.world.motion import STEP_S

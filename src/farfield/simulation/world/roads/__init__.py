@@ -2,15 +2,10 @@
 
 from collections.abc import Callable
 
-from farfield.simulation.world.layout import RoadLayout
-from farfield.simulation.world.roads.alleyway import build_alleyway
-from farfield.simulation.world.roads.common import RoadBuild
-from farfield.simulation.world.roads.highway import build_highway, build_shoulder
-from farfield.simulation.world.roads.mountain import build_mountain
-from farfield.simulation.world.roads.parking_lot import build_parking_lot
-from farfield.simulation.world.roads.suburban import build_suburban
-from farfield.simulation.world.roads.university import build_university
-from farfield.simulation.world.roads.urban import build_urban
+from farfield.simulation.world.layout import RoadBuild, RoadLayout
+from farfield.simulation.world.roads.campus import build_parking_lot, build_university
+from farfield.simulation.world.roads.country import build_highway, build_mountain, build_shoulder
+from farfield.simulation.world.roads.town import build_alleyway, build_suburban, build_urban
 
 __all__ = ["BUILDERS", "RoadBuild"]
 

@@ -8,10 +8,19 @@ from jaxtyping import Float, Int
 
 from farfield.simulation.bodies.mesh import Mesh, quads
 from farfield.simulation.world.land import FarLand, Land, Strip
+from farfield.simulation.world.layout import (
+    ASPHALT,
+    CONCRETE,
+    FIRST_M,
+    GRASS,
+    PAINT,
+    RoadBuild,
+    Roadside,
+    dashed_line,
+    solid_line,
+)
 from farfield.simulation.world.population import Lane, Population
 from farfield.simulation.world.road import RoadLine
-from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, GRASS, PAINT, RoadBuild
-from farfield.simulation.world.roadside import Roadside, dashed_line, solid_line
 from farfield.simulation.world.traffic import Signal
 
 _KERB_M = 0.02

@@ -1,6 +1,7 @@
-"""Rain drops and snow flakes in the beam as random echoes: only the strongest of each shot, drawn from its exact law.
+"""Echoes of what hangs and falls in the air, in a LiDAR's beam: rain drops and snow flakes, and the soft echo of fog.
 
-A particle of diameter D at range r fills the share f = min((D / beam width)^2, 1) of the beam and returns
+Of drops and flakes only the strongest of each shot counts; it is drawn from its exact law. A particle of diameter D at
+range r fills the share f = min((D / beam width)^2, 1) of the beam and returns
 
     S = (rho_p / rho_ref) f (R_ref / r)^2 xi(r) exp(-2 alpha r).
 
@@ -9,6 +10,13 @@ as spheres of the melted flake, whose cross-section gives the extinction of fall
 stronger than s is Poisson with mean L(s); hence the strongest is L^-1(-ln u) with u uniform, and its range follows the
 share that each range has in dL(s). Both are tabulated once for a rate: a frame costs two look-ups a shot. A particle's
 reflectance is rho_p = 2 pi beta / alpha, by which a volume of them has the backscatter beta and the extinction alpha.
+
+The soft echo of fog is tabulated once for an extinction and looked up for each shot:
+
+    S_soft(R) = (pi / rho_ref) R_ref^2 int beta xi(r) exp(-2 alpha r) / r^2 h(R - r) dr
+
+is on the scale of a solid target's signal (a target of reflectance rho has S = rho / rho_ref (R_ref / R)^2 ...). h is a
+sin^2 pulse of height 1, xi the overlap of beam and receiver, beta = alpha / 18.8 sr (Rasshofer et al., 2011).
 """
 
 from dataclasses import dataclass
@@ -17,9 +25,48 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.weather.beam import Beam
 from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.optics import is_short_wave, rain_backscatter_per_extinction
+from farfield.simulation.weather.optics import (
+    FOG_BACKSCATTER_PER_EXTINCTION,
+    is_short_wave,
+    rain_backscatter_per_extinction,
+)
+
+
+@dataclass(frozen=True)
+class Beam:
+    """What the echo of a scatterer in the air depends on.
+
+    Args:
+        wavelength_nm: Wavelength.
+        reference_range_m: Where a target of 10 % is at the threshold; see the LiDAR model.
+        divergence_rad: Full width of the beam at half intensity.
+        pulse_m: Half of the pulse's length, c tau / 2.
+        aperture_m: Width of the beam where it starts.
+        overlap_m: Between which distances the receiver's view grows from nothing to all of the beam. Near the sensor it
+            sees little: else each foggy frame would be a shell at 2 m. The far end is our choice.
+        overlap_power: Power of that growth; 2 because beam and view widen in two directions (our choice).
+    """
+
+    wavelength_nm: float
+    reference_range_m: float
+    divergence_rad: float
+    pulse_m: float = 0.75
+    aperture_m: float = 0.01
+    overlap_m: tuple[float, float] = (1.0, 10.0)
+    overlap_power: float = 2.0
+
+    def overlap(self, range_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Share of the beam that the receiver sees, 0 to 1."""
+        first, last = self.overlap_m
+        return np.clip((range_m - first) / (last - first), 0.0, 1.0) ** self.overlap_power
+
+    def width_m(self, range_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Width of the beam."""
+        return self.aperture_m + self.divergence_rad * range_m
+
+
+# Drops and flakes
 
 _REFERENCE_REFLECTANCE = 0.1
 _SMALLEST_M, _LARGEST_M = 0.05e-3, 6e-3
@@ -145,3 +192,53 @@ def falling(weather: Weather, wavelength_nm: float) -> list[Particles]:
     drops = [rain_drops(weather.rain_mm_h, wavelength_nm)] if weather.rain_mm_h > 0 else []
     flakes = [snow_flakes(weather.snow_mm_h, wavelength_nm)] if weather.snow_mm_h > 0 else []
     return drops + flakes
+
+
+# Fog
+
+FOG_MOR_M = 2000.0  # below this visibility (mist, fog) the soft echo is considered
+_STEP_M, _REACH_M = 0.02, 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class SoftEcho:
+    """The echo of fog alone, for a receiver that ignores what comes from nearer than a blanking distance.
+
+    Args:
+        range_m: Distances, rising, shape (k,).
+        strength: Signal over the threshold from each of them.
+        peak_strength: Strongest signal from there or beyond.
+        peak_range_m: Where that one lies.
+    """
+
+    range_m: Float[np.ndarray, " k"]
+    strength: Float[np.ndarray, " k"]
+    peak_strength: Float[np.ndarray, " k"]
+    peak_range_m: Float[np.ndarray, " k"]
+
+    def beyond(self, blank_m: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Distance and strength of the strongest echo from beyond each blanking distance."""
+        place = np.clip(np.ceil(blank_m / _STEP_M).astype(np.int64), 0, len(self.range_m) - 1)
+        return self.peak_range_m[place], self.peak_strength[place]
+
+
+@lru_cache(maxsize=16)
+def soft_echo(beam: Beam, extinction_per_m: float) -> SoftEcho:
+    """Tabulate the echo of fog.
+
+    Args:
+        beam: The sensor's beam.
+        extinction_per_m: Extinction of the fog at its wavelength.
+    """
+    range_m = np.arange(0.0, _REACH_M, _STEP_M)
+    r = np.maximum(range_m, _STEP_M)
+    source = beam.overlap(r) * np.exp(-2 * extinction_per_m * r) / r**2
+    source *= extinction_per_m * FOG_BACKSCATTER_PER_EXTINCTION
+    pulse = np.sin(np.pi * np.arange(0.0, 2 * beam.pulse_m, _STEP_M) / (2 * beam.pulse_m)) ** 2
+    heard = np.convolve(source, pulse)[len(pulse) // 2 :][: len(range_m)] * _STEP_M
+    strength = np.pi / _REFERENCE_REFLECTANCE * beam.reference_range_m**2 * heard
+    last = len(strength) - 1
+    backwards = np.maximum.accumulate(strength[::-1])[::-1]
+    new_peak = np.where(strength >= backwards, np.arange(last + 1), last)
+    place = np.minimum.accumulate(new_peak[::-1])[::-1]
+    return SoftEcho(range_m, strength, backwards, range_m[place])

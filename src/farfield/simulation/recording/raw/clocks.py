@@ -157,7 +157,7 @@ def schedule(drive: SimulatedDrive, sweeps: int, names: tuple[str, ...]) -> Sche
     epoch_ns = frame_time_ns(drive.preset, drive.seed, drive.sequence, 0) - round(HALF_SWEEP_S * _NS)
     rng = _rng(drive, _HOST)
     host = SensorClock(*(rng.uniform(-1, 1, 2) * (_OFFSET_MS, _DRIFT_PPM)).tolist())
-    phases = {"uniform": drive.mounted.uniform_offset_s, "gaussian": 0.0, "gps": 0.0, "tf": 0.0}
+    phases = {"uniform": drive.mounting.uniform_offset_s, "gaussian": 0.0, "gps": 0.0, "tf": 0.0}
     streams = {name: _run(name, drive, span_s, epoch_ns, host, phases.get(name)) for name in names}
     return Schedule(epoch_ns, span_s, host, streams)
 
@@ -179,15 +179,15 @@ def _run(
     time_s = phase + np.arange(count) * period_s
     noise = rng.standard_normal(count) * kind.jitter_ms * 1e-3
     arrived_s = time_s + kind.busy_s + way_ms * 1e-3 + rng.exponential(kind.rest_ms * 1e-3, count)
-    kept = np.flatnonzero(rng.random(count) >= kind.lost)
+    recorded = np.flatnonzero(rng.random(count) >= kind.lost)
     return SensorStream(
         name=name,
         clock=clock,
         phase_s=phase,
         least_delay_ms=kind.busy_s * 1e3 + way_ms,
-        number=kept,
-        time_s=time_s[kept],
-        stamp_ns=epoch_ns + np.rint((clock.read_s(time_s) + noise)[kept] * _NS).astype(np.int64),
-        log_ns=epoch_ns + np.rint(host.read_s(arrived_s)[kept] * _NS).astype(np.int64),
+        number=recorded,
+        time_s=time_s[recorded],
+        stamp_ns=epoch_ns + np.rint((clock.read_s(time_s) + noise)[recorded] * _NS).astype(np.int64),
+        log_ns=epoch_ns + np.rint(host.read_s(arrived_s)[recorded] * _NS).astype(np.int64),
         fired=count,
     )

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64, UInt8
@@ -9,15 +10,15 @@ from jaxtyping import Float, Int64, UInt8
 from farfield.frame import Cloud
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, pose
-from farfield.simulation.camera.rig import cirrus_camera
+from farfield.simulation.camera.mounts import cirrus_camera
 from farfield.simulation.lidar.model import LidarModel
-from farfield.simulation.rigs.cirrus import CirrusMoment
+from farfield.simulation.rigs.cirrus import CirrusFrame
 from farfield.simulation.rigs.drive import HALF_SWEEP_S, SimulatedDrive
 
 IMAGE_WIDTH_PX = 320
-IMU_PLACES_M = {"imu_front": (1.2, 0.1, 0.5), "imu_rear": (-1.1, -0.2, 0.6)}
+IMU_POSITION_M = {"imu_front": (1.2, 0.1, 0.5), "imu_rear": (-1.1, -0.2, 0.6)}
 """Where the IMUs sit, from the middle of the car's bottom, axes as the car's."""
-GPS_PLACE_M = (-0.6, 0.0, 1.7)
+GPS_POSITION_M = (-0.6, 0.0, 1.7)
 ORIGIN_DEG = (37.0, -122.0)
 """Latitude and longitude of the world's origin; x points east, y north."""
 GRAVITY_M_S2 = 9.80665
@@ -28,7 +29,7 @@ _STEP_S = 0.01
 _EARTH_M, _FLATTENED = 6_378_137.0, 0.00669437999014  # semi-major axis and squared eccentricity of WGS 84
 
 
-class RawMoment(CirrusMoment):
+class RawFrame(CirrusFrame):
     """The Cirrus car at any moment of a drive.
 
     Args:
@@ -41,6 +42,9 @@ class RawMoment(CirrusMoment):
         super().__init__(drive, number)
         self.time_s = time_s
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.drive, self.index, self.time_s)
+
     @cached_property
     def model(self) -> LidarModel:
         """The Luminars' model, each point in the sensor's frame of its own time."""
@@ -48,15 +52,15 @@ class RawMoment(CirrusMoment):
 
     def swept(self, pattern: str) -> Cloud:
         """One sensor's sweep in its own coordinates; ``time_ns`` is relative to the middle of the sweep."""
-        origin = self.drive.mounted.uniform_origin_m if pattern == "uniform" else (0.0, 0.0, 0.0)
-        return self._sweep(pattern, self.window, origin).cloud
+        origin = self.drive.mounting.uniform_origin_m if pattern == "uniform" else (0.0, 0.0, 0.0)
+        return self.sweep(pattern, self.window, origin).cloud
 
     def picture(self) -> UInt8[np.ndarray, "height width 3"]:
         """A small picture of the front camera."""
         from farfield.simulation.camera.render import render
 
         window, seed = self.drive.scene.window(self.time_s), self.drive.window_seed("camera")
-        world_T_lidar = window.world_T_ego_now @ self.drive.mounted.ego_T_lidar
+        world_T_lidar = window.world_T_ego_now @ self.drive.mounting.ego_T_lidar
         rng = self.drive.rng("camera", self.index)
         return render(window, small_camera(), world_T_lidar, self.drive.weather, rng, window_seed=seed)
 
@@ -71,23 +75,23 @@ def small_camera() -> Camera:
     )
 
 
-def cloud_of_sweep(drive: SimulatedDrive, pattern: str, number: int, begins_s: float) -> Cloud:
+def cloud_of_sweep(drive: SimulatedDrive, pattern: str, number: int, start_s: float) -> Cloud:
     """One raw sweep: its points with ``t``, nanoseconds since it began."""
-    cloud = RawMoment(drive, number, begins_s + HALF_SWEEP_S).swept(pattern)
+    cloud = RawFrame(drive, number, start_s + HALF_SWEEP_S).swept(pattern)
     since = cloud.extra["time_ns"].astype(np.int64) + round(HALF_SWEEP_S * 1e9)
     return Cloud(cloud.points_m, cloud.intensity, {"t": since.astype(np.uint32), "ring": cloud.extra["ring"]})
 
 
 def mounts(drive: SimulatedDrive) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Pose of each sensor in the car (x forward, y left, z up, from its bottom's middle); the camera looks along z."""
-    mounted = drive.mounted
-    origin = np.array(mounted.uniform_origin_m, dtype=np.float64)
-    places = {**IMU_PLACES_M, "gps": GPS_PLACE_M}
+    mounting = drive.mounting
+    origin = np.array(mounting.uniform_origin_m, dtype=np.float64)
+    positions_m = {**IMU_POSITION_M, "gps": GPS_POSITION_M}
     return {
-        "gaussian": mounted.ego_T_lidar,
-        "uniform": mounted.ego_T_lidar @ pose(np.eye(3), origin),
-        "camera": mounted.ego_T_lidar @ invert(small_camera().camera_T_lidar),
-        **{name: pose(np.eye(3), np.array(place)) for name, place in places.items()},
+        "gaussian": mounting.ego_T_lidar,
+        "uniform": mounting.ego_T_lidar @ pose(np.eye(3), origin),
+        "camera": mounting.ego_T_lidar @ invert(small_camera().camera_T_lidar),
+        **{name: pose(np.eye(3), np.array(position_m)) for name, position_m in positions_m.items()},
     }
 
 
@@ -155,14 +159,14 @@ def fixes(
     drive: SimulatedDrive, number: Int64[np.ndarray, " n"], time_s: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
     """What the GPS says, with noise of 1 cm: latitude and longitude in degrees, height in metres, shape (n, 3)."""
-    place = (ego_poses(drive, time_s) @ mounts(drive)["gps"])[:, :3, 3]
+    position_m = (ego_poses(drive, time_s) @ mounts(drive)["gps"])[:, :3, 3]
     noise = _streams(drive, "gps")[1].standard_normal((int(number.max(initial=-1)) + 1, 3))[number]
-    east, north, up = (place + noise * _GPS_M).T
+    east, north, up = (position_m + noise * _GPS_M).T
     return np.stack([*_degrees(east, north), up], axis=1)
 
 
 def _degrees(east_m: Float[np.ndarray, " n"], north_m: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " n"]]:
-    """Latitude and longitude of places near the origin, by the radii of curvature there."""
+    """Latitude and longitude of positions near the origin, by the radii of curvature there."""
     latitude = np.radians(ORIGIN_DEG[0])
     across = _EARTH_M / np.sqrt(1 - _FLATTENED * np.sin(latitude) ** 2)
     along = across * (1 - _FLATTENED) / (1 - _FLATTENED * np.sin(latitude) ** 2)

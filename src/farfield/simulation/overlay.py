@@ -1,18 +1,27 @@
-"""Weather laid over a sweep that was measured in other weather: what is lost of it, and what the air adds.
+"""Weather laid over what a sensor measured in other weather: what is lost of it, and what the air adds.
 
-Each point stands for a shot whose signal its intensity and distance tell, S = rho / rho_ref (R_ref / R)^2. The laid air
-takes exp(-2 alpha R) of it, the window its transmission twice; drops, flakes and fog compete with what is left, as in
-the simulator itself (:func:`farfield.simulation.lidar.air.compete`). The sweep was detected before: a point stays with
-the probability P(S') / P(S). Shots that brought nothing back meet drops and flakes too: their directions are those of
-the sensor's grid that no point has.
+Augmentation by simulated fog, rain and snow follows Hahner et al. (fog, ICCV 2021; snow, CVPR 2022) and LISA (Kilic et
+al., 2021); the physics is the simulator's own.
+
+LiDAR sweeps: Each point stands for a shot whose signal its intensity and distance tell, S = rho / rho_ref (R_ref /
+R)^2. The laid air takes exp(-2 alpha R) of it, the window its transmission twice; drops, flakes and fog compete with
+what is left, as in the simulator itself (:func:`farfield.simulation.lidar.air.select_returns`). The sweep was detected
+before: a point stays with the probability P(S') / P(S). Shots that brought nothing back meet drops and flakes too:
+their directions are those of the sensor's grid that no point has.
+
+Radar cells: A cell's power is the receiver's noise plus echoes. What air and radome take, twice, is taken from the
+echoes alone: what lies above the floor shrinks, the floor stays. Rain's own echoes are left out: in a cell they lie 25
+dB below the noise even at 20 mm/h. What the floor gains instead, as a wet radome's reflections may add, is a setting.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from farfield.simulation.lidar.air import BLANKING_M, SURFACE, beam_of, compete
+from farfield.radar.axes import POWER_UNIT
+from farfield.simulation.lidar.air import BLANKING_M, SURFACE, beam_of, select_returns
 from farfield.simulation.lidar.echoes import LidarEchoes
 from farfield.simulation.lidar.model import (
     HDL_64E,
@@ -23,12 +32,66 @@ from farfield.simulation.lidar.model import (
     detection_probability,
     range_spread_m,
 )
-from farfield.simulation.weather.conditions import Weather
-from farfield.simulation.weather.fog import FOG_MOR_M, soft_echo
+from farfield.simulation.radar.model import RadarModel
+from farfield.simulation.radar.propagation import two_way_loss_db
+from farfield.simulation.weather.backscatter import FOG_MOR_M, Strongest, falling, soft_echo, strongest_particle
+from farfield.simulation.weather.conditions import Weather, draw_weather
 from farfield.simulation.weather.icing import WindowField
-from farfield.simulation.weather.laid import CLEAR, OverlaidWeather
 from farfield.simulation.weather.optics import extinction_per_m, film_transmission, haze_extinction_per_m
-from farfield.simulation.weather.precipitation import Strongest, falling, strongest_particle
+from farfield.vocabulary.conditions import WEATHERS
+
+CLEAR_WEATHER = Weather()
+"""The air in which a sweep counts as measured: a visibility of 20 km."""
+
+_DRAWS = 200  # of each condition: its bounds are known to a hundredth of their width
+
+
+@dataclass(frozen=True, eq=False)
+class OverlaidWeather:
+    """What is laid over one frame.
+
+    Args:
+        weather: What is in the air and covers the window; its icing is the covered share of the window's front.
+        seed: Draws which parts of the window are covered.
+        kind: "ice" (wide patches) or "drop" (small spots).
+        patches_deg: Widths of the patches in azimuth and elevation: deviations of the smoothing.
+        transmission: One-way transmission of a covered part.
+        floor_rise_db: By how much a radar's noise rises.
+    """
+
+    weather: Weather
+    seed: np.random.SeedSequence
+    kind: str = "ice"
+    patches_deg: tuple[float, float] = (8.0, 4.0)
+    transmission: float = 0.05
+    floor_rise_db: float = 0.0
+
+
+@cache
+def preset_bounds() -> dict[str, dict[str, tuple[float, float]]]:
+    """Lowest and highest value of what draws of each condition hold: rates, visibility, film, covered shares.
+
+    Returns:
+        By figure and condition; a figure that a condition lacks (no rain, no fog, a clean window) is left out. Covered
+        shares reach from what covers a window when a sequence begins to what covers it in the end.
+    """
+    found: dict[str, dict[str, tuple[float, float]]] = {}
+    for condition in WEATHERS:
+        drawn = [draw_weather(condition, "day", np.random.default_rng(seed)) for seed in range(_DRAWS)]
+        values = {
+            "rain_mm_h": [each.rain_mm_h for each in drawn],
+            "snow_mm_h": [each.snow_mm_h for each in drawn],
+            "fog_m": [each.mor_m for each in drawn if condition == "fog"],
+            "film_mm": [each.film_mm for each in drawn],
+            "coverage": [share for each in drawn for share in (each.icing_at(0.0), each.icing) if share > 0],
+        }
+        for name, seen in values.items():
+            if seen and max(seen) > 0:
+                found.setdefault(name, {})[condition] = (min(seen), max(seen))
+    return found
+
+
+# LiDAR sweeps
 
 LIDARS = {model.name: model for model in (LidarModel(), OS2_64, OS1_128, HDL_64E)}
 """The sensors by name."""
@@ -124,10 +187,10 @@ def overlay(
     window = WindowEffect.draw(model, laid)
     through = window.gain(seen)
     before = np.maximum(intensity / REFERENCE_REFLECTANCE * (model.reference_range_m / range_m) ** 2, _LEAST_SIGNAL)
-    alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR, model.wavelength_nm)
+    alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR_WEATHER, model.wavelength_nm)
     left = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
     echoes = LidarEchoes(range_m, left, np.zeros(len(left), dtype=np.int64))
-    at_m, strength, kind = compete(model, laid.weather, echoes, range_m, through, None, rng)
+    at_m, strength, kind = select_returns(model, laid.weather, echoes, range_m, through, None, rng)
     lucky, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
     kept = surface & (lucky < detection_probability(model, strength) / detection_probability(model, before))
     gain = np.where(surface, np.minimum(strength / before, 1), 1).astype(np.float32)
@@ -257,3 +320,45 @@ def _returns(
     )
     points_m = (towards * measured[:, None]).astype(np.float32)
     return points_m, (np.rint(shown.clip(0, 1) * _LEVELS) / _LEVELS).astype(np.float32)
+
+
+# Radar cells
+
+_LOOKS = 3.0  # independent looks that a cell's power averages, as those of the floor
+
+
+def overlay_cells(
+    points_m: Float32[np.ndarray, "n 3"],
+    power: Float32[np.ndarray, " n"],
+    model: RadarModel,
+    weather: Weather,
+    rng: np.random.Generator,
+    *,
+    floor_rise_db: float | int = 0.0,
+) -> Float32[np.ndarray, " n"]:
+    """What weather makes of the power of radar cells.
+
+    Args:
+        points_m: The cells, in the radar's frame.
+        power: Mean power over Doppler, in ``POWER_UNIT``.
+        model: The radar.
+        weather: The weather, in addition to that in which the cells were measured.
+        rng: Draws the speckle of what the floor gains.
+        floor_rise_db: By how much the mean of the noise rises.
+
+    Returns:
+        Their power in that weather, shape (n,).
+    """
+    range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
+    floor = floor_power(range_m, model)
+    loss_db = two_way_loss_db(range_m, weather, model) - two_way_loss_db(range_m, CLEAR_WEATHER, model)
+    changed = power - np.maximum(power - floor, 0.0) * (1 - 10 ** (-loss_db / 10))
+    if floor_rise_db > 0:
+        changed += floor * (10 ** (floor_rise_db / 10) - 1) * rng.gamma(_LOOKS, 1 / _LOOKS, len(power))
+    return changed.astype(np.float32)
+
+
+def floor_power(range_m: Float[np.ndarray, " n"], model: RadarModel) -> Float[np.ndarray, " n"]:
+    """Mean power of noise in cells, in ``POWER_UNIT``, with the receiver's response by range."""
+    response_db = np.interp(range_m, model.response_range_m, model.response_db)
+    return model.noise_floor / POWER_UNIT * 10 ** (response_db / 10)

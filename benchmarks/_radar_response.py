@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.radar.echoes import Scatterers, cell_snr
 from farfield.simulation.radar.model import RadarModel, virtual_array
+from farfield.simulation.radar.points import Scatterers, cell_snr
 from farfield.simulation.radar.synthesis import synthesise
 
 

@@ -1,4 +1,4 @@
-"""Parking lots: rows of stalls of 2.5 by 5 m along aisles, 30 to 70 % taken, people on foot, a creeping ego vehicle."""
+"""Roads at slow pace: campus roads among lawns and people on foot, and parking lots with rows of stalls."""
 
 from functools import partial
 
@@ -8,13 +8,93 @@ from jaxtyping import Float
 from farfield.simulation.bodies import furniture
 from farfield.simulation.bodies.mesh import Mesh, quads
 from farfield.simulation.world.land import FarLand, Land, Strip
-from farfield.simulation.world.layout import RoadLayout
+from farfield.simulation.world.layout import (
+    ASPHALT,
+    CONCRETE,
+    FIRST_M,
+    FOLIAGE,
+    GRASS,
+    PAINT,
+    RoadBuild,
+    RoadLayout,
+    Roadside,
+)
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, RoadLine
-from farfield.simulation.world.roads.common import ASPHALT, CONCRETE, FIRST_M, FOLIAGE, GRASS, PAINT, RoadBuild
-from farfield.simulation.world.roadside import Roadside
+from farfield.simulation.world.roads.street import (
+    Street,
+    StreetLand,
+    add_kerbside,
+    add_walkers,
+    draw_junctions,
+    mark_street,
+    zebra,
+)
 
-BENDS = Bends(1 / 1500, (200.0, 500.0), (0.02, 0.06), grade=0.015)
+CAMPUS_BENDS = Bends(1 / 90, (60.0, 220.0), (0.1, 0.7), grade=0.03)
+
+
+def build_university(plot: RoadBuild) -> RoadLayout:
+    """Draw one campus sequence."""
+    rng, speed = plot.rng, float(plot.rng.uniform(4, 9))
+    angled = rng.random(2) < 0.55
+    street = Street(
+        lanes=1,
+        lane_m=float(rng.uniform(3.0, 3.5)),
+        parking_m=np.where(angled, 5.2, np.where(rng.random(2) < 0.4, 2.3, 0.0)),
+        walk_m=rng.uniform(2.0, 3.5, 2),
+        junctions_m=draw_junctions(rng, plot.travel_m(speed) + 460.0, 60.0, 160.0),
+        side_half_m=3.2,
+        angled=(bool(angled[0]), bool(angled[1])),
+        front=GRASS,
+    )
+    road = plot.line(CAMPUS_BENDS, speed)
+    land, population = StreetLand(road, street, plot.around, 0.3), plot.population(road)
+    offset, gap = street.lane_offset_m(0), float(rng.uniform(25, 90))
+    lanes = [plot.lane(-offset, 1, gap, speed, street.lane_m, speed, trucks=0.05)]
+    lanes.append(plot.lane(offset, -1, float(rng.uniform(25, 120)), max(speed, 5.0), street.lane_m, speed, trucks=0.05))
+    population.drive(lanes, ego_lane=0, ego_speed_m_s=speed)
+    last = plot.travel_m(speed) + 350.0
+    add_kerbside(population, street, last, (0.4, 0.85))
+    add_walkers(plot, population, street, last, float(rng.uniform(8, 25)), cyclists=4.0)
+    for s in population.rng.uniform(-250, last, population.rng.poisson(8.0 * (last + 250) / 250)):
+        d = float(population.rng.uniform(8, 26)) + float(street.front_m.max())
+        far_side = int(population.rng.choice([-1, 1]))
+        population.add_along(
+            "pedestrian", float(s), far_side * d, int(population.rng.choice([-1, 1])), 1.2, raise_m=street.kerb_m
+        )
+    layout, side = plot.layout(land, population, speed, breaks_m=street.breaks())
+    mark_street(side, road, street)
+    around = plot.around
+    for sign, index in ((-1, 0), (1, 1)):
+        front = float(street.front_m[index])
+        s = side.first_m
+        while s < side.last_m:
+            length = float(around.uniform(25, 70))
+            if around.random() < 0.7 and street.clear(s + length / 2, length / 2 + 2.0):
+                set_back, height = front + float(around.uniform(12, 34)), float(around.uniform(8, 26))
+                side.block(s + length / 2, sign, set_back, length - 6.0, float(around.uniform(14, 28)), height)
+            s += length
+        for s in side.stations(float(around.uniform(9, 16)), jitter_m=2.0):
+            if street.clear(float(s), 3.0):
+                side.put(
+                    side.trees[int(around.integers(6))],
+                    float(s),
+                    sign * (front + 1.8),
+                    turn_rad=float(around.uniform(0, 6)),
+                )
+        side.plants(sign, front + 3.0, front + 11.0, 0.05, bushes=0.5)
+        side.lamps(sign, float(street.kerb_at_m[index]) + 0.4, float(around.uniform(22, 34)), 5.0, 0.8)
+        side.signs(sign, float(street.kerb_at_m[index]) + 0.35, 80.0)
+    for junction in street.junctions_m:
+        place = float(junction) - street.side_half_m
+        side.place(partial(zebra, road, street, place), place)
+    return layout
+
+
+# Parking lots: rows of stalls of 2.5 by 5 m along aisles, 30 to 70 % occupied, people on foot, a creeping ego vehicle
+
+PARKING_LOT_BENDS = Bends(1 / 1500, (200.0, 500.0), (0.02, 0.06), grade=0.015)
 STALL_M, DEPTH_M, AISLE_M = 2.5, 5.0, 6.5
 _MODULE_M = 2 * DEPTH_M + AISLE_M
 
@@ -83,7 +163,7 @@ def build_parking_lot(plot: RoadBuild) -> RoadLayout:
     """Draw one sequence in a parking lot."""
     rng, speed = plot.rng, float(plot.rng.uniform(1.0, 3.2))
     modules, pitch = int(rng.choice([1, 2])), STALL_M * int(rng.integers(22, 36))
-    road, rows = plot.line(BENDS, speed), _rows(modules)
+    road, rows = plot.line(PARKING_LOT_BENDS, speed), _rows(modules)
     edge = modules * _MODULE_M + AISLE_M / 2 + DEPTH_M
     half = [
         Strip(edge, ASPHALT),

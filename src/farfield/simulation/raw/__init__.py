@@ -1,1 +1,0 @@
-"""What a car's sensors measure as they run: each at its own moments, by a clock of its own."""
