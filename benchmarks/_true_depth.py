@@ -5,7 +5,7 @@ from jaxtyping import Float, Float32
 
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
-from farfield.simulation.camera.cast import place, ray_grid, take_picture
+from farfield.simulation.camera.cast import cast_image, place_bodies, ray_grid
 from farfield.simulation.world.scene import SceneWindow
 
 
@@ -26,7 +26,7 @@ def true_depth(
         MissingExtraError: If embreex is not installed.
     """
     grid = ray_grid(camera)
-    picture = take_picture(place(window), grid, world_T_lidar @ invert(camera.camera_T_lidar))
+    picture = cast_image(place_bodies(window), grid, world_T_lidar @ invert(camera.camera_T_lidar))
     depth = picture.range_m * grid.directions[:, 2]
     depth[~np.isfinite(picture.range_m) | (grid.directions[:, 2] <= 0)] = np.nan
     return depth.reshape(grid.height, grid.width)

@@ -56,8 +56,8 @@ def frame_record(frame: Frame) -> FrozenFrame:
     if annotation is None or annotation.full_boxes is None:
         raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which the digest holds")
     boxes = annotation.boxes
-    for each in (boxes, annotation.full_boxes):
-        content.update(_boxes_bytes(each))
+    for annotated in (boxes, annotation.full_boxes):
+        content.update(_boxes_bytes(annotated))
     return FrozenFrame(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
 
 
@@ -102,7 +102,7 @@ def compare(record: FrozenFrame, expected: FrozenFrame) -> str:
     if record == expected:
         return "identical"
     close = all(
-        abs(got - want) <= max(3, _COUNT_TOLERANCE * want)
-        for got, want in zip(record.points, expected.points, strict=True)
+        abs(count - expected_count) <= max(3, _COUNT_TOLERANCE * expected_count)
+        for count, expected_count in zip(record.points, expected.points, strict=True)
     )
     return "equivalent" if close and abs(record.boxes - expected.boxes) <= 1 else "different"

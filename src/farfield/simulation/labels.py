@@ -116,17 +116,17 @@ def visible_boxes(full: Boxes, points_m: Float[np.ndarray, "p 3"], actor: Int[np
     )
     first = np.searchsorted(owner, np.arange(len(full)))
     bound = full.size_m / 2 + MARGIN_M
-    low = np.clip(np.minimum.reduceat(local, first) - MARGIN_M, -bound, bound)
-    high = np.clip(np.maximum.reduceat(local, first) + MARGIN_M, -bound, bound)
-    low, high = _thicken(low, high, full)
-    middle = (low + high) / 2
+    lower = np.clip(np.minimum.reduceat(local, first) - MARGIN_M, -bound, bound)
+    upper = np.clip(np.maximum.reduceat(local, first) + MARGIN_M, -bound, bound)
+    lower, upper = _thicken(lower, upper, full)
+    middle = (lower + upper) / 2
     cos, sin = np.cos(full.yaw_rad), np.sin(full.yaw_rad)
     x, y = middle[:, 0] * cos - middle[:, 1] * sin, middle[:, 0] * sin + middle[:, 1] * cos
-    return full.replace(centre_m=full.centre_m + np.stack([x, y, middle[:, 2]], axis=1), size_m=high - low)
+    return full.replace(centre_m=full.centre_m + np.stack([x, y, middle[:, 2]], axis=1), size_m=upper - lower)
 
 
 def _thicken(
-    low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"], full: Boxes
+    lower: Float[np.ndarray, "n 3"], upper: Float[np.ndarray, "n 3"], full: Boxes
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Give each side its least thickness, growing away from the sensor first and staying within the full body."""
     bound = full.size_m / 2 + MARGIN_M
@@ -136,7 +136,7 @@ def _thicken(
     x, y = full.centre_m[:, 0], full.centre_m[:, 1]
     away = np.stack([x * cos + y * sin, y * cos - x * sin, full.centre_m[:, 2]], axis=1) > 0
     away[:, 2] = False  # heights grow downwards: the lower part is what gets hidden
-    lack = np.maximum(least - (high - low), 0.0)
-    grow_high = np.where(away, np.minimum(lack, bound - high), np.maximum(lack - (low + bound), 0.0))
+    lack = np.maximum(least - (upper - lower), 0.0)
+    grow_high = np.where(away, np.minimum(lack, bound - upper), np.maximum(lack - (lower + bound), 0.0))
     grow_low = lack - grow_high
-    return low - grow_low, high + grow_high
+    return lower - grow_low, upper + grow_high

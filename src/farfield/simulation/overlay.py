@@ -75,20 +75,20 @@ def preset_bounds() -> dict[str, dict[str, tuple[float, float]]]:
         By figure and condition; a figure that a condition lacks (no rain, no fog, a clean window) is left out. Covered
         shares reach from what covers a window when a sequence begins to what covers it in the end.
     """
-    found: dict[str, dict[str, tuple[float, float]]] = {}
+    bounds: dict[str, dict[str, tuple[float, float]]] = {}
     for condition in WEATHERS:
-        drawn = [draw_weather(condition, "day", np.random.default_rng(seed)) for seed in range(_DRAWS)]
+        draws = [draw_weather(condition, "day", np.random.default_rng(seed)) for seed in range(_DRAWS)]
         values = {
-            "rain_mm_h": [each.rain_mm_h for each in drawn],
-            "snow_mm_h": [each.snow_mm_h for each in drawn],
-            "fog_m": [each.mor_m for each in drawn if condition == "fog"],
-            "film_mm": [each.film_mm for each in drawn],
-            "coverage": [share for each in drawn for share in (each.icing_at(0.0), each.icing) if share > 0],
+            "rain_mm_h": [weather.rain_mm_h for weather in draws],
+            "snow_mm_h": [weather.snow_mm_h for weather in draws],
+            "fog_m": [weather.mor_m for weather in draws if condition == "fog"],
+            "film_mm": [weather.film_mm for weather in draws],
+            "coverage": [share for weather in draws for share in (weather.icing_at(0.0), weather.icing) if share > 0],
         }
-        for name, seen in values.items():
-            if seen and max(seen) > 0:
-                found.setdefault(name, {})[condition] = (min(seen), max(seen))
-    return found
+        for name, samples in values.items():
+            if samples and max(samples) > 0:
+                bounds.setdefault(name, {})[condition] = (min(samples), max(samples))
+    return bounds
 
 
 # LiDAR sweeps
@@ -106,13 +106,13 @@ class WeatheredSweep:
     """What weather makes of a sweep.
 
     Args:
-        kept: Which points are still there, shape (n,).
+        survives: Which points are still there, shape (n,).
         gain: What their intensity is to be multiplied with, shape (n,).
         points_m: Returns of drops, flakes and fog, shape (m, 3).
         intensity: Theirs, shape (m,).
     """
 
-    kept: Bool[np.ndarray, " n"]
+    survives: Bool[np.ndarray, " n"]
     gain: Float32[np.ndarray, " n"]
     points_m: Float32[np.ndarray, "m 3"]
     intensity: Float32[np.ndarray, " m"]
@@ -180,29 +180,29 @@ def overlay(
         origin_m: Where the sensor stands in the points' coordinates.
     """
     offset = points_m - np.array(origin_m, dtype=np.float32)
-    flat = np.hypot(offset[:, 0], offset[:, 1])
-    range_m = np.maximum(np.hypot(flat, offset[:, 2]), np.float32(0.1))
-    azimuth, elevation = np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(offset[:, 2], flat)
-    seen = np.column_stack([azimuth, elevation]).astype(np.float32)
+    level_m = np.hypot(offset[:, 0], offset[:, 1])
+    range_m = np.maximum(np.hypot(level_m, offset[:, 2]), np.float32(0.1))
+    azimuth, elevation = np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(offset[:, 2], level_m)
+    direction_rad = np.column_stack([azimuth, elevation]).astype(np.float32)
     window = WindowEffect.draw(model, laid)
-    through = window.gain(seen)
+    through = window.gain(direction_rad)
     before = np.maximum(intensity / REFERENCE_REFLECTANCE * (model.reference_range_m / range_m) ** 2, _LEAST_SIGNAL)
     alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR_WEATHER, model.wavelength_nm)
-    left = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
-    echoes = LidarEchoes(range_m, left, np.zeros(len(left), dtype=np.int64))
+    attenuated = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
+    echoes = LidarEchoes(range_m, attenuated, np.zeros(len(attenuated), dtype=np.int64))
     at_m, strength, kind = select_returns(model, laid.weather, echoes, range_m, through, None, rng)
-    lucky, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
-    kept = surface & (lucky < detection_probability(model, strength) / detection_probability(model, before))
+    uniform, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
+    survives = surface & (uniform < detection_probability(model, strength) / detection_probability(model, before))
     gain = np.where(surface, np.minimum(strength / before, 1), 1).astype(np.float32)
-    heard = np.flatnonzero(~surface & (lucky < detection_probability(model, strength) * (1 - model.dropout)))
-    own = _returns((offset / range_m[:, None])[heard], at_m[heard], strength[heard], model, rng)
-    sky = _open_sky(seen, model, laid.weather, window, rng)
-    points_m, shown = (np.concatenate(pair) for pair in zip(own, sky, strict=True))
-    return WeatheredSweep(kept, gain, points_m + np.array(origin_m, dtype=np.float32), shown)
+    detected = np.flatnonzero(~surface & (uniform < detection_probability(model, strength) * (1 - model.dropout)))
+    from_points = _returns((offset / range_m[:, None])[detected], at_m[detected], strength[detected], model, rng)
+    from_sky = _open_sky(direction_rad, model, laid.weather, window, rng)
+    points_m, air_intensity = (np.concatenate(pair) for pair in zip(from_points, from_sky, strict=True))
+    return WeatheredSweep(survives, gain, points_m + np.array(origin_m, dtype=np.float32), air_intensity)
 
 
 def _open_sky(
-    seen_rad: Float32[np.ndarray, "n 2"],
+    direction_rad: Float32[np.ndarray, "n 2"],
     model: LidarModel,
     weather: Weather,
     window: "WindowEffect",
@@ -211,17 +211,17 @@ def _open_sky(
     """What the shots that met no surface bring back, of the sensor: points and intensities."""
     if not falling(weather, model.wavelength_nm) and weather.mor_m >= FOG_MOR_M:
         return np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.float32)
-    empty = empty_shots(seen_rad, model, rng)
+    empty = empty_shots(direction_rad, model, rng)
     laws, source, power, at_m = _loudest(len(empty), model, weather, rng)
     met = np.flatnonzero(power > _FAINT)
     chance = detection_probability(model, power[met] * window.gain(empty[met])) * (1 - model.dropout)
     shots = met[rng.random(len(met), dtype=np.float32) < chance]
     for number, law in enumerate(laws):
-        own = shots[source[shots] == number]
-        at_m[own], _ = law.place(power[own], rng.random(len(own)))
+        from_law = shots[source[shots] == number]
+        at_m[from_law], _ = law.locate(power[from_law], rng.random(len(from_law)))
     shots = shots[at_m[shots] > model.min_range_m]
-    left = (power[shots] * window.gain(empty[shots])).astype(np.float32)
-    return _returns(_directions(empty[shots]), at_m[shots], left, model, rng)
+    attenuated = (power[shots] * window.gain(empty[shots])).astype(np.float32)
+    return _returns(_directions(empty[shots]), at_m[shots], attenuated, model, rng)
 
 
 def _loudest(
@@ -239,11 +239,11 @@ def _loudest(
         low, high = BLANKING_M
         at, power = soft.beyond(low + (high - low) * rng.random(count))
         at_m[:] = at
-    laws = [strongest_particle(each, beam, extinction) for each in falling(weather, model.wavelength_nm)]
+    laws = [strongest_particle(particles, beam, extinction) for particles in falling(weather, model.wavelength_nm)]
     for number, law in enumerate(laws):
-        drawn = law.strength(rng.random(count), least=_FAINT)
-        louder = np.flatnonzero(drawn > power)
-        source[louder], power[louder] = number, drawn[louder]
+        strength = law.strength(rng.random(count), least=_FAINT)
+        louder = np.flatnonzero(strength > power)
+        source[louder], power[louder] = number, strength[louder]
     return laws, source, power, at_m
 
 
@@ -254,14 +254,14 @@ def _elevations_deg(model: LidarModel) -> tuple[float, float]:
 
 
 def empty_shots(
-    seen_rad: Float32[np.ndarray, "n 2"], model: LidarModel, rng: np.random.Generator
+    direction_rad: Float32[np.ndarray, "n 2"], model: LidarModel, rng: np.random.Generator
 ) -> Float32[np.ndarray, "m 2"]:
     """Directions of the shots of a frame that brought nothing back.
 
     Those of a sensor that draws lines stand evenly over its field of view: its pattern is not told by a cloud.
 
     Args:
-        seen_rad: Azimuth and elevation of the points, shape (n, 2).
+        direction_rad: Azimuth and elevation of the points, shape (n, 2).
         model: The sensor.
         rng: Chooses among the directions without a point, if there are more of them than shots are missing.
 
@@ -270,16 +270,16 @@ def empty_shots(
     """
     azimuth, elevation = _grid(model)
     rising = elevation[::-1] if elevation[0] > elevation[-1] else elevation
-    row = np.rint(np.interp(seen_rad[:, 1], rising, np.arange(len(rising)))).astype(np.int64)
+    row = np.rint(np.interp(direction_rad[:, 1], rising, np.arange(len(rising)))).astype(np.int64)
     row = len(rising) - 1 - row if elevation[0] > elevation[-1] else row
     step = azimuth[0, 1] - azimuth[0, 0]
-    column = np.rint((seen_rad[:, 0] - azimuth[row, 0]) / step).astype(np.int64)
+    column = np.rint((direction_rad[:, 0] - azimuth[row, 0]) / step).astype(np.int64)
     columns = azimuth.shape[1]
     column = column % columns if model.spinning else np.clip(column, 0, columns - 1)
-    taken = np.zeros(azimuth.size, dtype=np.bool_)
-    taken[row * columns + column] = True
-    free = np.flatnonzero(~taken)
-    missing = max(azimuth.size - len(seen_rad), 0)
+    has_point = np.zeros(azimuth.size, dtype=np.bool_)
+    has_point[row * columns + column] = True
+    free = np.flatnonzero(~has_point)
+    missing = max(azimuth.size - len(direction_rad), 0)
     if missing < len(free):
         free = rng.permutation(free)[:missing]
     row, column = np.divmod(free, columns)
@@ -315,11 +315,11 @@ def _returns(
     """Points and intensities of echoes of the air that were heard; as the simulator measures them."""
     noise, texture = rng.standard_normal((2, len(at_m)), dtype=np.float32)
     measured = at_m + range_spread_m(model, strength).astype(np.float32) * noise
-    shown = (
+    intensity = (
         REFERENCE_REFLECTANCE / model.reference_range_m**2 * strength * measured**2 * np.exp(model.texture * texture)
     )
     points_m = (towards * measured[:, None]).astype(np.float32)
-    return points_m, (np.rint(shown.clip(0, 1) * _LEVELS) / _LEVELS).astype(np.float32)
+    return points_m, (np.rint(intensity.clip(0, 1) * _LEVELS) / _LEVELS).astype(np.float32)
 
 
 # Radar cells

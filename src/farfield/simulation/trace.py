@@ -65,8 +65,8 @@ class Tracer:
         self.mesh = mesh
         self.anchor_m = np.zeros(3) if anchor_m is None else anchor_m
         self.scene = _embree_scene()
-        low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-        self.corners_m: Float[np.ndarray, "8 3"] = np.where(_CORNERS, high, low)
+        lower, upper = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+        self.corners_m: Float[np.ndarray, "8 3"] = np.where(_CORNERS, upper, lower)
         vertices = (mesh.vertices_m - self.anchor_m).astype(np.float32)
         from embreex.mesh_construction import TriangleMesh
 

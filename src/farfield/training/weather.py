@@ -134,13 +134,13 @@ def lay_over(
     place = list(columns).index(INTENSITY) if INTENSITY in columns else None
     shown = np.full(len(points), config.reflectance, points.dtype) if place is None else points[:, place]
     over = overlay(points[:, :3], shown, LIDARS[config.sensor or ""], laid, rng, origin_m=config.origin_m)
-    left = points[over.kept]
+    left = points[over.survives]
     added = np.zeros((len(over.points_m), points.shape[1]), dtype=points.dtype)
     added[:, :3] = over.points_m
     if place is not None:
-        left[:, place] *= over.gain[over.kept]
+        left[:, place] *= over.gain[over.survives]
         added[:, place] = over.intensity
-    return np.concatenate([left, added]), over.kept
+    return np.concatenate([left, added]), over.survives
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from farfield.geometry.poses import invert, pose_from_yaw, transform_points
 from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import box
-from farfield.simulation.camera.cast import place, ray_grid, take_picture
+from farfield.simulation.camera.cast import cast_image, place_bodies, ray_grid
 from farfield.simulation.camera.lens import auto_gain, srgb_curve, window_cover
 from farfield.simulation.camera.mounts import CIRRUS_FRONT, KRADAR_MOUNTS, STEREO_BASELINE_M, ZED_2I, Mount, rig_cameras
 from farfield.simulation.camera.render import radiance, render
@@ -34,8 +34,8 @@ def at(x_m: float, y_m: float, yaw_rad: float = 0.0) -> np.ndarray:
 
 def pixels_of(window: SceneWindow, camera: Camera, body: int) -> np.ndarray:
     """Pixels (u, v) that see a body."""
-    placed = place(window)
-    picture = take_picture(placed, ray_grid(camera), invert(camera.camera_T_lidar))
+    placed = place_bodies(window)
+    picture = cast_image(placed, ray_grid(camera), invert(camera.camera_T_lidar))
     first = placed[body].first_face
     seen = (picture.face >= first) & (picture.face < first + len(placed[body].tracer.mesh.faces))
     v, u = np.divmod(np.flatnonzero(seen), camera.width_px)

@@ -33,15 +33,15 @@ def test_a_wall_behind_fog_fades_by_beer_and_lambert(rng, distance_m):
     points, intensity = wall_at(distance_m), np.full(4000, 0.9, dtype=np.float32)
     over = overlay(points, intensity, OS2_64, laid_of(condition="fog", mor_m=200.0), rng)
     clear = -np.log(0.05) / 20_000 * (865 / 550) ** -1.3
-    assert over.kept.mean() > 0.999
+    assert over.survives.mean() > 0.999
     expected = np.exp(-2 * (-np.log(0.05) / 200 - clear) * distance_m)
-    np.testing.assert_allclose(over.gain[over.kept], expected, rtol=1e-4)
+    np.testing.assert_allclose(over.gain[over.survives], expected, rtol=1e-4)
 
 
 def test_a_faint_wall_behind_fog_is_lost_and_fog_is_seen_in_its_place(rng):
     points = wall_at(150.0)
     over = overlay(points, np.full(4000, 0.5, dtype=np.float32), OS2_64, laid_of(condition="fog", mor_m=200.0), rng)
-    assert not over.kept.any()
+    assert not over.survives.any()
     assert len(over.points_m) > 0
     assert np.linalg.norm(over.points_m, axis=1).max() < 20
 
@@ -73,7 +73,7 @@ def test_rain_in_the_way_of_a_wall_takes_points_and_leaves_drops(rng):
         laid = laid_of(condition="rain", rain_mm_h=rate)
         over = overlay(wall_at(60.0), np.full(4000, 0.1, dtype=np.float32), replace(OS2_64, columns=8), laid, rng)
         assert (np.linalg.norm(over.points_m, axis=1) < 60).all()
-        counts.append((over.kept.mean(), len(over.points_m)))
+        counts.append((over.survives.mean(), len(over.points_m)))
     assert counts[1][0] < counts[0][0] < 1
     assert counts[1][1] > counts[0][1] > 0
 
@@ -101,7 +101,7 @@ def test_opaque_ice_takes_what_is_behind_it_and_nothing_else(rng):
     offset = np.column_stack([np.arctan2(points[:, 1], points[:, 0]), np.zeros(4000)]).astype(np.float32)
     blocked = WindowEffect.draw(OS2_64, laid).gain(offset) < 1
     assert 0 < blocked.mean() < 1
-    np.testing.assert_array_equal(over.kept, ~blocked)
+    np.testing.assert_array_equal(over.survives, ~blocked)
     np.testing.assert_allclose(over.gain[~blocked], 1, rtol=1e-6)
     assert not len(over.points_m)
 
@@ -113,7 +113,7 @@ def test_the_sensors_place_is_where_directions_start(rng):
     moved = overlay(
         wall_at(30.0) + np.array(high, np.float32), bright, OS2_64, laid, np.random.default_rng(1), origin_m=high
     )
-    assert np.mean(here.kept == moved.kept) > 0.995  # but for rounding at the edges of patches
+    assert np.mean(here.survives == moved.survives) > 0.995  # but for rounding at the edges of patches
     wet = laid_of(condition="rain", rain_mm_h=20.0)
     drops = overlay(np.zeros((0, 3), np.float32), bright[:0], OS2_64, wet, rng, origin_m=(100.0, 0.0, 0.0)).points_m
     assert np.linalg.norm(drops - [100.0, 0, 0], axis=1).max() < 60
@@ -121,7 +121,7 @@ def test_the_sensors_place_is_where_directions_start(rng):
 
 def test_clear_air_changes_nothing(rng):
     over = overlay(wall_at(80.0), np.full(4000, 0.02, dtype=np.float32), OS2_64, laid_of(), rng)
-    assert over.kept.all()
+    assert over.survives.all()
     assert (over.gain == 1).all()
     assert not len(over.points_m)
 
@@ -172,11 +172,11 @@ def test_a_clear_sweep_in_laid_weather_is_like_one_that_was_simulated_in_it(rng,
     )
     laid = OverlaidWeather(weather, seed, "ice" if weather.snow_mm_h else "drop", (8.0, 4.0), 0.05)
     over = overlay(clear.cloud.points_m, clear.cloud.intensity, OS2_64, laid, rng)
-    assert (clear.actor[over.kept] >= 0).sum() == pytest.approx((there.actor >= 0).sum(), rel=0.03)
+    assert (clear.actor[over.survives] >= 0).sum() == pytest.approx((there.actor >= 0).sum(), rel=0.03)
     assert len(over.points_m) == pytest.approx((there.kind != SURFACE).sum(), rel=0.03)
-    assert over.kept.sum() == pytest.approx((there.kind == SURFACE).sum(), rel=0.03)
+    assert over.survives.sum() == pytest.approx((there.kind == SURFACE).sum(), rel=0.03)
     own = there.cloud.intensity[there.kind == SURFACE].mean()
-    assert (clear.cloud.intensity * over.gain)[over.kept].mean() == pytest.approx(own, rel=0.05)
+    assert (clear.cloud.intensity * over.gain)[over.survives].mean() == pytest.approx(own, rel=0.05)
     air = np.linalg.norm(there.cloud.points_m[there.kind != SURFACE], axis=1)
     assert np.median(np.linalg.norm(over.points_m, axis=1)) == pytest.approx(np.median(air), rel=0.05)
 

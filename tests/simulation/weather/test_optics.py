@@ -133,7 +133,7 @@ def test_strongest_particle_follows_brute_force() -> None:
     for level in (0.5, 1.0, 2.0):
         assert np.mean(drawn > level) == pytest.approx(np.mean(best > level), rel=0.12, abs=0.003)
     strong = drawn[drawn > 1.0]
-    range_m, filled = law.place(strong, rng.random(len(strong)))
+    range_m, filled = law.locate(strong, rng.random(len(strong)))
     loudest = (power == best[shot]) & (power > 1.0)
     assert np.median(range_m) == pytest.approx(np.median(r[loudest]), abs=0.7)
     assert (filled <= 1).all()

@@ -159,14 +159,14 @@ def find_prior(name: str) -> SizePrior:
 @cache
 def mean_size_m(kind: str, prior: str = "us") -> _Triple:
     """Median length, width and height of a kind of body under a prior."""
-    chosen = find_prior(prior)
-    if chosen.changed_m and kind in chosen.changed_m:
-        return chosen.changed_m[kind]
+    size_prior = find_prior(prior)
+    if size_prior.changed_m and kind in size_prior.changed_m:
+        return size_prior.changed_m[kind]
     mean = np.array(_US[kind][0])
-    if chosen.car_m is not None and kind in _CARS:
-        share = np.array([chosen.cars[name] for name in _CARS])
+    if size_prior.car_m is not None and kind in _CARS:
+        share = np.array([size_prior.cars[name] for name in _CARS])
         styles = np.array([_US[name][0] for name in _CARS])
-        mean = mean * np.array(chosen.car_m) / (share @ styles / share.sum())
+        mean = mean * np.array(size_prior.car_m) / (share @ styles / share.sum())
     return float(mean[0]), float(mean[1]), float(mean[2])
 
 
@@ -175,8 +175,8 @@ def draw_size_m(kind: str, rng: np.random.Generator, prior: str = "us") -> Float
     mean, own = np.array(mean_size_m(kind, prior)), _US[kind]
     ratio = np.array(own[1]) / np.array(own[0])
     factor = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.3, 0.0, np.sqrt(1 - 0.09)]])
-    drawn = np.clip(factor @ np.clip(rng.standard_normal(3), -2, 2), -2, 2)
-    size: Float[np.ndarray, " 3"] = mean * np.exp(ratio * drawn)
+    deviation = np.clip(factor @ np.clip(rng.standard_normal(3), -2, 2), -2, 2)
+    size: Float[np.ndarray, " 3"] = mean * np.exp(ratio * deviation)
     return size
 
 
@@ -188,8 +188,8 @@ def draw_car(rng: np.random.Generator, prior: str = "us") -> str:
 
 def draw_truck(rng: np.random.Generator, *, long_haul: bool, prior: str = "us") -> str:
     """A large vehicle's kind; long-haul roads see more semi-trailers, towns more buses."""
-    chosen = find_prior(prior)
-    shares = chosen.long_haul if long_haul else chosen.trucks
+    size_prior = find_prior(prior)
+    shares = size_prior.long_haul if long_haul else size_prior.trucks
     return str(rng.choice(list(shares), p=list(shares.values())))
 
 

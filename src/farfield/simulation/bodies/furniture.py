@@ -63,8 +63,8 @@ def tree(height_m: float, rng: np.random.Generator, *, conifer: bool = False) ->
     )
     if conifer:
         z = height_m * rng.uniform(0.12, 1.0, 140)
-        angle, reach = rng.uniform(0, 2 * np.pi, 140), 0.2 * (height_m - z) * rng.uniform(0.4, 1.0, 140)
-        centre = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], axis=1)
+        angle, radius_m = rng.uniform(0, 2 * np.pi, 140), 0.2 * (height_m - z) * rng.uniform(0.4, 1.0, 140)
+        centre = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), z], axis=1)
         size = np.full((140, 1, 1), 0.07 * height_m)
     else:
         blobs, spread = int(rng.integers(3, 6)), 0.16 * height_m

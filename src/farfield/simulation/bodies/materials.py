@@ -128,7 +128,7 @@ def draw_reflectance(material: Int[np.ndarray, " f"], rng: np.random.Generator) 
     Returns:
         Reflectances, shape (f,); diffuse ones are clipped to [0.03, 1].
     """
-    drawn = _MEDIAN * np.exp(_SPREAD * rng.standard_normal(len(_MEDIAN)))
+    reflectance = _MEDIAN * np.exp(_SPREAD * rng.standard_normal(len(_MEDIAN)))
     diffuse = _MEDIAN <= 1.0
-    drawn[diffuse] = np.clip(drawn[diffuse], 0.03, 1.0)
-    return drawn[material]
+    reflectance[diffuse] = np.clip(reflectance[diffuse], 0.03, 1.0)
+    return reflectance[material]

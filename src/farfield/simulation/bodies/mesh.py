@@ -51,8 +51,8 @@ class Mesh:
         material: Int[np.ndarray, " f"] | int,
     ) -> "Mesh":
         """Make a mesh without reflectances; one material may stand for all faces."""
-        each = np.broadcast_to(np.asarray(material, dtype=np.int64), (len(faces),)).copy()
-        return cls(np.asarray(vertices_m, dtype=np.float64), faces, each, np.full(len(faces), np.nan))
+        materials = np.broadcast_to(np.asarray(material, dtype=np.int64), (len(faces),)).copy()
+        return cls(np.asarray(vertices_m, dtype=np.float64), faces, materials, np.full(len(faces), np.nan))
 
     @classmethod
     def merge(cls, parts: Sequence["Mesh"]) -> "Mesh":
@@ -93,9 +93,9 @@ class Mesh:
             like: Move and scale as this mesh would be, such as the same body in its widest pose.
         """
         frame = (self if like is None else like).vertices_m
-        low, high = frame.min(axis=0), frame.max(axis=0)
-        middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-        vertices = (self.vertices_m - middle) * (size_m / (high - low))
+        lower, upper = frame.min(axis=0), frame.max(axis=0)
+        middle = np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, lower[2]])
+        vertices = (self.vertices_m - middle) * (size_m / (upper - lower))
         return replace(self, vertices_m=vertices)
 
 
@@ -108,8 +108,8 @@ def quads(corners_m: Float[np.ndarray, "q 4 3"], material: Int[np.ndarray, " q"]
     """Separate quadrilaterals, two triangles each; corners in order around each of them."""
     first = 4 * np.arange(len(corners_m))[:, None]
     faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
-    each = np.broadcast_to(np.asarray(material, dtype=np.int64), (len(corners_m),))
-    return Mesh.of(corners_m.reshape(-1, 3), faces, np.repeat(each, 2))
+    materials = np.broadcast_to(np.asarray(material, dtype=np.int64), (len(corners_m),))
+    return Mesh.of(corners_m.reshape(-1, 3), faces, np.repeat(materials, 2))
 
 
 def grid(
@@ -123,8 +123,8 @@ def grid(
         closed: Whether the rows are rings.
     """
     k, n = points_m.shape[:2]
-    each = np.broadcast_to(np.asarray(material, dtype=np.int64), (k - 1, n if closed else n - 1))
-    return Mesh.of(points_m.reshape(-1, 3), _grid_faces(k, n, closed), np.repeat(each.reshape(-1), 2))
+    materials = np.broadcast_to(np.asarray(material, dtype=np.int64), (k - 1, n if closed else n - 1))
+    return Mesh.of(points_m.reshape(-1, 3), _grid_faces(k, n, closed), np.repeat(materials.reshape(-1), 2))
 
 
 @cache

@@ -48,13 +48,13 @@ def build_pedestrian(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator, 
     return _person(phase, 0.33, load, stoop).fitted(size_m, like=widest).painted(rng)
 
 
-def _upper_body(hip: Triple, lean: float, reach: Triple) -> list[Mesh]:
+def _upper_body(hip: Triple, lean: float, grip: Triple) -> list[Mesh]:
     """Trunk, head with a helmet, and arms that reach for a handlebar."""
     shoulder = [hip[0] + lean, 0.0, hip[2] + 0.52]
     head = [shoulder[0] + 0.06, 0.0, shoulder[2] + 0.24]
     parts = [limb(hip, shoulder, 0.15), ellipsoid(head, [0.12, 0.10, 0.14], _TRIM, sides=8, rows=3)]
     for side in (1, -1):
-        hand = [reach[0], side * reach[1], reach[2]]
+        hand = [grip[0], side * grip[1], grip[2]]
         elbow = [(shoulder[0] + hand[0]) / 2 - 0.03, side * 0.28, (shoulder[2] + hand[2]) / 2 - 0.05]
         parts += [limb([shoulder[0], side * 0.19, shoulder[2]], elbow, 0.05), limb(elbow, hand, 0.04)]
     return parts
@@ -138,8 +138,8 @@ def _with_pram(phase: float, half_step: float) -> Mesh:
 def build_stroller(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator, phase: float | None = None) -> Mesh:
     """Build a person who pushes a pram."""
     widest = _with_pram(_WIDEST, 0.06 if phase is None else 0.33)
-    whole = widest if phase is None else _with_pram(phase, 0.33)
-    return whole.fitted(size_m, like=widest).painted(rng)
+    mesh = widest if phase is None else _with_pram(phase, 0.33)
+    return mesh.fitted(size_m, like=widest).painted(rng)
 
 
 def _four_legs(phase: float, half_step: float, thick: float, neck: float) -> Mesh:
@@ -160,8 +160,8 @@ def build_animal(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator, phas
     """Build a four-legged animal the size of a dog or a deer, standing or trotting."""
     thick, neck = float(rng.uniform(0.8, 1.2)), float(rng.uniform(0.05, 0.3))
     widest = _four_legs(_WIDEST, 0.03 if phase is None else 0.2, thick, neck)
-    whole = widest if phase is None else _four_legs(phase, 0.2, thick, neck)
-    return whole.fitted(size_m, like=widest).painted(rng)
+    mesh = widest if phase is None else _four_legs(phase, 0.2, thick, neck)
+    return mesh.fitted(size_m, like=widest).painted(rng)
 
 
 def build_object(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh:
@@ -171,8 +171,8 @@ def build_object(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> M
         tube([x, 0.3 * s - 0.04, 0.1], [x, 0.3 * s + 0.04, 0.1], 0.1, _TYRE) for x in (-0.4, 0.4) for s in (1, -1)
     ]
     for _ in range(4):
-        size, place = rng.uniform(0.25, 0.5, 3), rng.uniform(-0.2, 0.2, 2)
-        parts.append(box(size.tolist(), [place[0], place[1], 0.3 + size[2] / 2], _CARGO))
+        size, centre = rng.uniform(0.25, 0.5, 3), rng.uniform(-0.2, 0.2, 2)
+        parts.append(box(size.tolist(), [centre[0], centre[1], 0.3 + size[2] / 2], _CARGO))
     parts.append(tube([-0.5, 0, 0.3], [-0.62, 0, 0.95], 0.03, _METAL, sides=5))
     return Mesh.merge(parts).fitted(size_m).painted(rng)
 
@@ -213,10 +213,10 @@ def bent(
         forward: To which side of the line the joint bends.
     """
     line = end_m - start_m
-    reach = float(np.linalg.norm(line))
-    along = float(np.clip((upper_m**2 - lower_m**2 + reach**2) / (2 * reach), 0.0, upper_m))
-    aside = np.sqrt(max(upper_m**2 - along**2, 0.0)) * (reach < upper_m + lower_m)
-    unit = line / reach
+    distance_m = float(np.linalg.norm(line))
+    along = float(np.clip((upper_m**2 - lower_m**2 + distance_m**2) / (2 * distance_m), 0.0, upper_m))
+    aside = np.sqrt(max(upper_m**2 - along**2, 0.0)) * (distance_m < upper_m + lower_m)
+    unit = line / distance_m
     joint: Float[np.ndarray, " 3"] = start_m + along * unit + forward * aside * np.array([-unit[2], 0.0, unit[0]])
     return joint
 

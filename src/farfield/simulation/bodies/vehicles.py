@@ -248,9 +248,9 @@ def build_car(style_name: str, size_m: Float[np.ndarray, " 3"], rng: np.random.G
         A painted mesh of about 650 triangles, x forward, standing on z = 0, exactly as large as ``size_m``.
     """
     style = BODY_STYLES[style_name]
-    length, width, whole = (float(value) for value in size_m)
-    box_m = 0.30 if style_name in ("estate", "suv", "mpv") and whole > 1.78 and rng.random() < 0.15 else 0.0
-    height = whole - box_m
+    length, width, total_height = (float(value) for value in size_m)
+    box_m = 0.30 if style_name in ("estate", "suv", "mpv") and total_height > 1.78 and rng.random() < 0.15 else 0.0
+    height = total_height - box_m
     u, top = _profile(style, rng)
     body = loft(_rings(style, u, top, rng) * [length, width, height], _skin(style), int(Material.CAR_PAINT))
     radius = float(np.clip(0.205 * height, 0.28, 0.40) * rng.uniform(0.96, 1.06))

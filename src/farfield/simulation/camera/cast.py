@@ -108,7 +108,7 @@ _KNOWN: WeakKeyDictionary[Tracer, Appearance] = WeakKeyDictionary()
 
 
 def appearance_of(tracer: Tracer, *, moving: bool) -> Appearance:
-    """Looks of a tracer's triangles; worked out once a tracer.
+    """Appearance of a tracer's triangles; computed once a tracer.
 
     Args:
         tracer: What is seen.
@@ -133,12 +133,12 @@ def albedo_of(mesh: Mesh, *, moving: bool = False) -> Float32[np.ndarray, "f 3"]
     """Linear RGB of each triangle by its material and tint."""
     colours = np.empty((len(mesh.faces), 3), dtype=np.float32)
     for value in np.unique(mesh.material):
-        name, chosen = Material(int(value)).name, mesh.material == value
+        name, faces = Material(int(value)).name, mesh.material == value
         if name in _RANGES:
-            colours[chosen] = _pick(_RANGES[name], mesh.tint[chosen])
+            colours[faces] = _pick(_RANGES[name], mesh.tint[faces])
         else:
-            shade = 0.85 + 0.3 * mesh.tint[chosen, None] if name != "LAMP" else 1.0
-            colours[chosen] = np.array(_SINGLE.get(name, _OTHER)) * shade
+            shade = 0.85 + 0.3 * mesh.tint[faces, None] if name != "LAMP" else 1.0
+            colours[faces] = np.array(_SINGLE.get(name, _OTHER)) * shade
     if moving:
         tail = (mesh.material == Material.LAMP) & (_middle_x(mesh) < 0)
         colours[tail] = (0.28, 0.012, 0.012)
@@ -247,8 +247,8 @@ def _ray_grid(matrix: bytes, distortion: bytes, width_px: int, height_px: int, s
         pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         directions[row : row + len(v)] = lens.rays(pixels).reshape(len(v), width, 3)
     np.nan_to_num(directions, copy=False)
-    flat = directions[..., :2] / np.maximum(directions[..., 2:], 1e-3)
-    columns, rows = flat[..., 0], flat[..., 1]
+    slopes = directions[..., :2] / np.maximum(directions[..., 2:], 1e-3)
+    columns, rows = slopes[..., 0], slopes[..., 1]
     return RayGrid(
         directions.reshape(-1, 3),
         height,
@@ -258,15 +258,15 @@ def _ray_grid(matrix: bytes, distortion: bytes, width_px: int, height_px: int, s
     )
 
 
-def place(window: SceneWindow) -> list[PlacedBody]:
+def place_bodies(window: SceneWindow) -> list[PlacedBody]:
     """All bodies of a window at its reference moment, their triangles counted in this order."""
-    placed, first = [], 0
+    bodies, first = [], 0
     for body in window.bodies:
-        placed.append(
+        bodies.append(
             PlacedBody(body.tracer, at_knots(body.world_T_body, window.knots_s, np.zeros(1))[0], body.actor, first)
         )
         first += len(body.tracer.mesh.faces)
-    return placed
+    return bodies
 
 
 def pixels_towards(grid: RayGrid, corners_m: Float[np.ndarray, "8 3"]) -> tuple[slice, slice, float]:
@@ -287,10 +287,10 @@ def pixels_towards(grid: RayGrid, corners_m: Float[np.ndarray, "8 3"]) -> tuple[
     a, b = a[crossing], b[crossing]
     cut = a + (b - a) * ((_NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None]
     points = np.concatenate([corners_m[ahead], cut])
-    flat = points[:, :2] / points[:, 2:]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    columns = np.flatnonzero((grid.column_reach[1] >= low[0]) & (grid.column_reach[0] <= high[0]))
-    rows = np.flatnonzero((grid.row_reach[1] >= low[1]) & (grid.row_reach[0] <= high[1]))
+    slopes = points[:, :2] / points[:, 2:]
+    lower, upper = slopes.min(axis=0), slopes.max(axis=0)
+    columns = np.flatnonzero((grid.column_reach[1] >= lower[0]) & (grid.column_reach[0] <= upper[0]))
+    rows = np.flatnonzero((grid.row_reach[1] >= lower[1]) & (grid.row_reach[0] <= upper[1]))
     if columns.size == 0 or rows.size == 0:
         return slice(0, 0), slice(0, 0), np.inf
     middle = corners_m.mean(axis=0)
@@ -298,10 +298,10 @@ def pixels_towards(grid: RayGrid, corners_m: Float[np.ndarray, "8 3"]) -> tuple[
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1), least
 
 
-def take_picture(placed: list[PlacedBody], grid: RayGrid, world_T_camera: Float[np.ndarray, "4 4"]) -> RayImage:
+def cast_image(bodies: list[PlacedBody], grid: RayGrid, world_T_camera: Float[np.ndarray, "4 4"]) -> RayImage:
     """Cast one ray a pixel: every ray at what is fixed, then at each road user within its bounds, nearest first."""
     directions = grid.directions @ world_T_camera[:3, :3].astype(np.float32).T
-    picture = RayImage(
+    image = RayImage(
         np.full(len(directions), np.inf, dtype=np.float32),
         np.full(len(directions), -1, dtype=np.int32),
         directions,
@@ -309,67 +309,67 @@ def take_picture(placed: list[PlacedBody], grid: RayGrid, world_T_camera: Float[
     )
     numbers = np.arange(len(directions), dtype=np.int32).reshape(grid.height, grid.width)
     camera_T_world = invert(world_T_camera)
-    waiting = []
-    for body in placed:
+    road_users = []
+    for body in bodies:
         if body.actor < 0:
-            _cast_one(picture, body, None)
+            _cast_one(image, body, None)
             continue
         corners = transform_points(camera_T_world @ body.world_T_body, body.tracer.corners_m)
         rows, columns, least = pixels_towards(grid, corners)
         if rows.stop > rows.start:
-            waiting.append((least, body, rows, columns))
-    for least, body, rows, columns in sorted(waiting, key=lambda item: item[0]):
-        chosen = numbers[rows, columns].reshape(-1)
-        _cast_one(picture, body, chosen[picture.range_m[chosen] > least])
-    return picture
+            road_users.append((least, body, rows, columns))
+    for least, body, rows, columns in sorted(road_users, key=lambda item: item[0]):
+        rays = numbers[rows, columns].reshape(-1)
+        _cast_one(image, body, rays[image.range_m[rays] > least])
+    return image
 
 
-def _cast_one(picture: RayImage, body: PlacedBody, chosen: Int32[np.ndarray, " k"] | None) -> None:
+def _cast_one(image: RayImage, body: PlacedBody, subset: Int32[np.ndarray, " k"] | None) -> None:
     """Cast the chosen rays, or all, at one body and keep what is nearer than before."""
-    if chosen is not None and chosen.size == 0:
+    if subset is not None and subset.size == 0:
         return
     body_T_world = invert(body.world_T_body)
-    start = transform_points(body_T_world, picture.origin_m[None])[0]
-    rays, turn = picture.directions if chosen is None else picture.directions[chosen], body_T_world[:3, :3]
+    start = transform_points(body_T_world, image.origin_m[None])[0]
+    rays, turn = image.directions if subset is None else image.directions[subset], body_T_world[:3, :3]
     if not np.array_equal(turn, np.eye(3)):
         rays = rays @ turn.astype(np.float32).T
     starts = np.empty_like(rays)
     starts[:] = start - body.tracer.anchor_m
     hits = body.tracer.cast_anchored(starts, rays)
-    if chosen is None:
-        nearer = hits.range_m < picture.range_m
-        np.copyto(picture.range_m, hits.range_m, where=nearer)
-        np.copyto(picture.face, hits.face + body.first_face, where=nearer, casting="same_kind")
+    if subset is None:
+        nearer = hits.range_m < image.range_m
+        np.copyto(image.range_m, hits.range_m, where=nearer)
+        np.copyto(image.face, hits.face + body.first_face, where=nearer, casting="same_kind")
         return
-    near = np.flatnonzero(hits.range_m < picture.range_m[chosen])
-    picture.range_m[chosen[near]] = hits.range_m[near]
-    picture.face[chosen[near]] = hits.face[near] + body.first_face
+    closer = np.flatnonzero(hits.range_m < image.range_m[subset])
+    image.range_m[subset[closer]] = hits.range_m[closer]
+    image.face[subset[closer]] = hits.face[closer] + body.first_face
 
 
 def sunlit(
-    placed: list[PlacedBody],
-    picture: RayImage,
-    chosen: Int[np.ndarray, " k"],
+    bodies: list[PlacedBody],
+    image: RayImage,
+    index: Int[np.ndarray, " k"],
     sun: Float32[np.ndarray, " 3"],
     normal: Float32[np.ndarray, "k 3"],
 ) -> Float32[np.ndarray, " k"]:
     """Whether the sun reaches the places that the chosen rays hit: 1 lit, 0 in shadow.
 
     Args:
-        placed: All bodies.
-        picture: What the rays hit.
-        chosen: Rays that hit something.
+        bodies: All bodies.
+        image: What the rays hit.
+        index: Rays that hit something.
         sun: Unit vector towards the sun.
         normal: Normals there, towards the camera.
     """
-    away = picture.directions[chosen] * (picture.range_m[chosen] * np.float32(0.9998))[:, None]
+    away = image.directions[index] * (image.range_m[index] * np.float32(0.9998))[:, None]
     away += normal * np.float32(0.01)
-    lit = np.ones(len(chosen), dtype=np.float32)
+    lit = np.ones(len(index), dtype=np.float32)
     along = away @ sun
     square = np.einsum("ij,ij->i", away, away) - along * along
-    for body in placed:
+    for body in bodies:
         body_T_world = invert(body.world_T_body)
-        corners = transform_points(body.world_T_body, body.tracer.corners_m) - picture.origin_m
+        corners = transform_points(body.world_T_body, body.tracer.corners_m) - image.origin_m
         if body.actor < 0:
             near = np.flatnonzero(lit > 0)
         else:
@@ -379,16 +379,16 @@ def sunlit(
             apart = square - 2 * (away @ (middle - sun * (middle @ sun))) + middle @ middle - (middle @ sun) ** 2
             near = np.flatnonzero((apart < radius * radius) & (depth < radius) & (lit > 0))
         if near.size:
-            start = transform_points(body_T_world, away[near] + picture.origin_m)
+            start = transform_points(body_T_world, away[near] + image.origin_m)
             ray = np.broadcast_to(body_T_world[:3, :3].astype(np.float32) @ sun, (len(near), 3))
             lit[near[body.tracer.cast_from(start, ray).face >= 0]] = 0.0
     return lit
 
 
 def mirror_images(
-    placed: list[PlacedBody],
-    picture: RayImage,
-    chosen: Int[np.ndarray, " k"],
+    bodies: list[PlacedBody],
+    image: RayImage,
+    index: Int[np.ndarray, " k"],
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
 ) -> Int32[np.ndarray, " n"]:
@@ -400,20 +400,20 @@ def mirror_images(
     Returns:
         Triangles counted over all bodies, -1 where nothing was hit or the ray was not chosen, shape (n,).
     """
-    ray = picture.directions[chosen]
-    tilt = np.float32(0.06) * (((chosen * 40503) & 0xFFFF).astype(np.float32) / np.float32(65536) - np.float32(0.5))
+    ray = image.directions[index]
+    tilt = np.float32(0.06) * (((index * 40503) & 0xFFFF).astype(np.float32) / np.float32(65536) - np.float32(0.5))
     bounced = ray + np.float32(2) * np.abs(ray[:, 2:]) * np.stack([ray[:, 0] * tilt, ray[:, 1] * tilt, 1 + 0 * tilt], 1)
     bounced[:, 2] = np.abs(bounced[:, 2]) + np.float32(2) * tilt
     bounced /= np.linalg.norm(bounced, axis=1, keepdims=True)
-    start = ray * picture.range_m[chosen][:, None] + np.array([0, 0, 0.02], dtype=np.float32)
-    nearest = np.full(len(chosen), np.inf, dtype=np.float32)
-    face = np.full(len(picture.face), -1, dtype=np.int32)
-    row, column = np.divmod(chosen, grid.width)
+    start = ray * image.range_m[index][:, None] + np.array([0, 0, 0.02], dtype=np.float32)
+    nearest = np.full(len(index), np.inf, dtype=np.float32)
+    face = np.full(len(image.face), -1, dtype=np.int32)
+    row, column = np.divmod(index, grid.width)
     camera_T_world = invert(world_T_camera)
     margin = grid.height // 16
-    for body in placed:
+    for body in bodies:
         if body.actor < 0:
-            near = np.arange(len(chosen))
+            near = np.arange(len(index))
         else:  # its image stands on its head below it
             corners = transform_points(camera_T_world @ body.world_T_body, body.tracer.corners_m * [1.0, 1.0, -1.0])
             rows, columns, _ = pixels_towards(grid, corners)
@@ -423,17 +423,17 @@ def mirror_images(
             continue
         body_T_world = invert(body.world_T_body)
         turn = body_T_world[:3, :3].astype(np.float32)
-        offset = transform_points(body_T_world, picture.origin_m[None])[0] - body.tracer.anchor_m
+        offset = transform_points(body_T_world, image.origin_m[None])[0] - body.tracer.anchor_m
         hits = body.tracer.cast_anchored(start[near] @ turn.T + offset.astype(np.float32), bounced[near] @ turn.T)
         nearer = np.flatnonzero(hits.range_m < nearest[near])
         nearest[near[nearer]] = hits.range_m[nearer]
-        face[chosen[near[nearer]]] = hits.face[nearer] + body.first_face
+        face[index[near[nearer]]] = hits.face[nearer] + body.first_face
     return face
 
 
 @dataclass(frozen=True, eq=False)
 class FaceTable:
-    """Looks of all triangles of all bodies, normals in the world; triangles from ``moving_from`` on are road users'."""
+    """Appearance of all triangles of all bodies, normals in the world; from ``moving_from`` on they are road users'."""
 
     normal: Float32[np.ndarray, "f 3"]
     albedo: Float32[np.ndarray, "f 3"]
@@ -442,22 +442,26 @@ class FaceTable:
     moving_from: int
 
 
-def face_table(placed: list[PlacedBody], lit: list[bool]) -> FaceTable:
-    """Collect the looks of all bodies.
+def face_table(bodies: list[PlacedBody], lit: list[bool]) -> FaceTable:
+    """Collect the appearances of all bodies.
 
     Args:
-        placed: The bodies, fixed ones first.
+        bodies: The bodies, fixed ones first.
         lit: Whether each one's lamps are on.
     """
-    looks = [appearance_of(body.tracer, moving=body.actor >= 0) for body in placed]
+    appearances = [appearance_of(body.tracer, moving=body.actor >= 0) for body in bodies]
     normal = [
-        look.normal @ body.world_T_body[:3, :3].T.astype(np.float32) for look, body in zip(looks, placed, strict=True)
+        look.normal @ body.world_T_body[:3, :3].T.astype(np.float32)
+        for look, body in zip(appearances, bodies, strict=True)
     ]
-    glow = [look.glow if on else np.zeros_like(look.glow) for look, on in zip(looks, lit, strict=True)]
+    glow = [
+        appearance.glow if on else np.zeros_like(appearance.glow)
+        for appearance, on in zip(appearances, lit, strict=True)
+    ]
     return FaceTable(
         np.concatenate(normal),
-        np.concatenate([look.albedo for look in looks]),
+        np.concatenate([appearance.albedo for appearance in appearances]),
         np.concatenate(glow),
-        np.concatenate([look.material for look in looks]),
-        sum(len(look.material) for look, body in zip(looks, placed, strict=True) if body.actor < 0),
+        np.concatenate([appearance.material for appearance in appearances]),
+        sum(len(body.tracer.mesh.faces) for body in bodies if body.actor < 0),
     )

@@ -264,8 +264,8 @@ def shade(directions, range_m, face, lit, dimmed, mirrored, width, origin, pixel
                 low = min(one, max(np.float32(0), half + rz * np.float32(6)))
                 shine = max(np.float32(0), rx * sky.sun[0] + ry * sky.sun[1] + rz * sky.sun[2]) ** 60 * lit[i]
                 for c in range(3):
-                    seen = mirror[c] * low * dimmed[i] + sky.bounce_rgb[c] * (one - low)
-                    colour[c] += share * (seen - colour[c] * half) + gloss * np.float32(8) * shine * sky.sun_rgb[c]
+                    reflected = mirror[c] * low * dimmed[i] + sky.bounce_rgb[c] * (one - low)
+                    colour[c] += share * (reflected - colour[c] * half) + gloss * np.float32(8) * shine * sky.sun_rgb[c]
             if sky.night > 0:
                 straight = one if not fixed or kind != _LAMP else np.float32(0.6)
                 for c in range(3):
@@ -363,7 +363,7 @@ def half_of(value):
 
 @njit(cache=True)
 @no_type_check
-def fill_light(lit, known, range_m, face, height, width, out):
+def fill_light(lit, is_sampled, range_m, face, height, width, out):
     """Spread shadows known at one pixel in four to all.
 
     Each pixel takes the mean of the known pixels about it that lie at much the same distance, near ones first: those of
@@ -375,12 +375,12 @@ def fill_light(lit, known, range_m, face, height, width, out):
             if face[i] < 0:
                 out[i] = np.float32(1)
                 continue
-            weight = np.float32(1.5) if known[i] else np.float32(0)
+            weight = np.float32(1.5) if is_sampled[i] else np.float32(0)
             total = weight * lit[i]
             for r in range(max(0, v - 1), min(height, v + 2)):
                 for q in range(max(0, u - 3), min(width, u + 4)):
                     j = r * width + q
-                    if j != i and known[j] and abs(range_m[j] - range_m[i]) < np.float32(0.05) * range_m[i]:
+                    if j != i and is_sampled[j] and abs(range_m[j] - range_m[i]) < np.float32(0.05) * range_m[i]:
                         w = np.float32(1) / np.float32((q - u) ** 2 + 6 * (r - v) ** 2)
                         if face[j] != face[i]:
                             w *= np.float32(0.25)
@@ -391,14 +391,14 @@ def fill_light(lit, known, range_m, face, height, width, out):
 
 @njit(cache=True)
 @no_type_check
-def contact(dimmed, picture_range, directions, face, moving_from, rows, columns, width, body_T_world, shift, half_m):
+def contact(dimmed, range_m, directions, face, moving_from, rows, columns, width, body_T_world, shift, half_m):
     """Dim the sky's light on the ground under and beside a road user, by the distance from its outline."""
     for v in range(rows[0], rows[1]):
         for u in range(columns[0], columns[1]):
             i = v * width + u
             if face[i] < 0 or face[i] >= moving_from:
                 continue
-            far = picture_range[i]
+            far = range_m[i]
             px, py, pz = (
                 directions[i, 0] * far + shift[0],
                 directions[i, 1] * far + shift[1],
@@ -410,7 +410,7 @@ def contact(dimmed, picture_range, directions, face, moving_from, rows, columns,
             if bz > 0.5 or bx > 1.5 or by > 1.5:
                 continue
             outside = np.sqrt(max(bx, 0.0) ** 2 + max(by, 0.0) ** 2) + min(max(bx, by), 0.0)
-            reach = np.float32(0.28)
+            fade_m = np.float32(0.28)
             dimmed[i] *= np.float32(1) - np.float32(0.85) / (
-                np.float32(1) + np.exp(np.float32(outside) / reach * np.float32(2))
+                np.float32(1) + np.exp(np.float32(outside) / fade_m * np.float32(2))
             )

@@ -59,10 +59,10 @@ def spread(image):
         below = min(v + 1, height - 1)
         for u in range(width):
             for c in range(3):
-                here = out[v, u, c]
-                before = above[u, c] if v > 0 else here
-                above[u, c] = here
-                out[v, u, c] = middle * here + side * (before + out[below, u, c])
+                centre = out[v, u, c]
+                before = above[u, c] if v > 0 else centre
+                above[u, c] = centre
+                out[v, u, c] = middle * centre + side * (before + out[below, u, c])
     return out
 
 
@@ -132,8 +132,8 @@ def draw_drops(image, low, factor, drops):
                 row = (v0 - dv * radius * np.float32(5)) * step
                 column = (u0 - du * radius * np.float32(5)) * step
                 for c in range(3):
-                    seen = _between(low, row, column, c) * (np.float32(0.72) + np.float32(0.28) * edge)
-                    image[v, u, c] += share * (seen - image[v, u, c])
+                    refracted = _between(low, row, column, c) * (np.float32(0.72) + np.float32(0.28) * edge)
+                    image[v, u, c] += share * (refracted - image[v, u, c])
 
 
 @njit(cache=True)
@@ -146,15 +146,15 @@ def draw_streaks(image, range_m, streaks, colours):
         radius, opacity, far = streaks[k, 4], streaks[k, 5], streaks[k, 6]
         au, av = u1 - u0, v1 - v0
         square = au * au + av * av + np.float32(1e-6)
-        reach = radius + np.float32(0.7)
-        for v in range(max(0, int(min(v0, v1) - reach)), min(height, int(max(v0, v1) + reach) + 2)):
-            for u in range(max(0, int(min(u0, u1) - reach)), min(width, int(max(u0, u1) + reach) + 2)):
+        half_width = radius + np.float32(0.7)
+        for v in range(max(0, int(min(v0, v1) - half_width)), min(height, int(max(v0, v1) + half_width) + 2)):
+            for u in range(max(0, int(min(u0, u1) - half_width)), min(width, int(max(u0, u1) + half_width) + 2)):
                 if range_m[v, u] < far:
                     continue
                 pu, pv = np.float32(u) - u0, np.float32(v) - v0
                 t = min(np.float32(1), max(np.float32(0), (pu * au + pv * av) / square))
                 away = np.sqrt((pu - t * au) ** 2 + (pv - t * av) ** 2)
-                share = opacity * min(np.float32(1), max(np.float32(0), (reach - away) / np.float32(1.2)))
+                share = opacity * min(np.float32(1), max(np.float32(0), (half_width - away) / np.float32(1.2)))
                 for c in range(3):
                     image[v, u, c] += share * (colours[k, c] - image[v, u, c])
 

@@ -11,13 +11,13 @@ from farfield.simulation.camera.cast import (
     PlacedBody,
     RayGrid,
     RayImage,
+    cast_image,
     face_table,
     mirror_images,
     pixels_towards,
-    place,
+    place_bodies,
     ray_grid,
     sunlit,
-    take_picture,
 )
 from farfield.simulation.camera.kernels import contact, fill_light, shade
 from farfield.simulation.camera.lens import Exposure, finish
@@ -81,10 +81,10 @@ def radiance(
     sky = make_sky(weather)
     grid = ray_grid(camera, supersample)
     world_T_camera = world_T_lidar @ invert(camera.camera_T_lidar)
-    placed = place(window)
-    picture = take_picture(placed, grid, world_T_camera)
-    image = _shade(window, placed, picture, grid, world_T_camera, sky)
-    range_m = picture.range_m.reshape(grid.height, grid.width)
+    bodies = place_bodies(window)
+    ray_image = cast_image(bodies, grid, world_T_camera)
+    image = _shade(window, bodies, ray_image, grid, world_T_camera, sky)
+    range_m = ray_image.range_m.reshape(grid.height, grid.width)
     if supersample > 1:
         shape = (camera.height_px, supersample, camera.width_px, supersample)
         return image.reshape(*shape, 3).mean(axis=(1, 3)), range_m.reshape(shape).min(axis=(1, 3))
@@ -93,53 +93,54 @@ def radiance(
 
 def _shade(
     window: SceneWindow,
-    placed: list[PlacedBody],
-    picture: RayImage,
+    bodies: list[PlacedBody],
+    ray_image: RayImage,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
     sky: Sky,
 ) -> Float32[np.ndarray, "h w 3"]:
 
     speed = np.linalg.norm(window.velocity_m_s, axis=1)
-    on = [body.actor < 0 or bool(speed[body.actor] > _MOVING_M_S) for body in placed]
-    table = face_table(placed, on)
-    lit = _sunlight(placed, picture, table, grid, sky)
-    dimmed = _contact_shadows(placed, picture, table, grid, world_T_camera)
-    mirrored = _mirrored(placed, picture, table, grid, world_T_camera, sky)
-    lamps, own = _lamps(window, placed, on, picture) if sky.night else (np.zeros((0, 12), np.float32), 0)
-    image = np.empty((len(picture.face), 3), dtype=np.float32)
-    floor_m = float(picture.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
+    on = [body.actor < 0 or bool(speed[body.actor] > _MOVING_M_S) for body in bodies]
+    table = face_table(bodies, on)
+    lit = _sunlight(bodies, ray_image, table, grid, sky)
+    dimmed = _contact_shadows(bodies, ray_image, table, grid, world_T_camera)
+    mirrored = _mirrored(bodies, ray_image, table, grid, world_T_camera, sky)
+    lamps, ego_lamps = _lamps(window, bodies, on, ray_image) if sky.night else (np.zeros((0, 12), np.float32), 0)
+    image = np.empty((len(ray_image.face), 3), dtype=np.float32)
+    floor_m = float(ray_image.origin_m[2] - window.world_T_ego_now[2, 3]) + 0.5
     pixel_rad = float(grid.column_reach[1, -1] - grid.column_reach[0, 0]) / grid.width
     shade(
-        picture.directions, picture.range_m, picture.face, lit, dimmed, mirrored, grid.width, picture.origin_m,
+        ray_image.directions, ray_image.range_m, ray_image.face, lit, dimmed, mirrored, grid.width, ray_image.origin_m,
         np.float32(pixel_rad),
-        table.normal, table.albedo, table.glow, table.material, table.moving_from, lamps, own, floor_m, sky, image,
+        table.normal, table.albedo, table.glow, table.material, table.moving_from, lamps, ego_lamps, floor_m, sky,
+        image,
     )  # fmt: skip
     return image.reshape(grid.height, grid.width, 3)
 
 
 def _sunlight(
-    placed: list[PlacedBody], picture: RayImage, table: FaceTable, grid: RayGrid, sky: Sky
+    bodies: list[PlacedBody], ray_image: RayImage, table: FaceTable, grid: RayGrid, sky: Sky
 ) -> Float32[np.ndarray, " n"]:
     """Whether the sun reaches what each ray hit, cast at one pixel in four and spread from there."""
-    lit = np.ones(len(picture.face), dtype=np.float32)
+    lit = np.ones(len(ray_image.face), dtype=np.float32)
     if not sky.sun_rgb.any():
         return lit
     first = np.array([0, 2, 1, 3])[np.arange(grid.height) % 4]
-    chosen = (first[:, None] + np.arange(0, grid.width - 3, 4) + np.arange(grid.height)[:, None] * grid.width).reshape(
+    index = (first[:, None] + np.arange(0, grid.width - 3, 4) + np.arange(grid.height)[:, None] * grid.width).reshape(
         -1
     )
-    chosen = chosen[(picture.face[chosen] >= 0) & (picture.range_m[chosen] < _SHADOW_M)]
-    normal = table.normal[picture.face[chosen]]
-    facing = np.einsum("ij,ij->i", normal, picture.directions[chosen])
+    index = index[(ray_image.face[index] >= 0) & (ray_image.range_m[index] < _SHADOW_M)]
+    normal = table.normal[ray_image.face[index]]
+    facing = np.einsum("ij,ij->i", normal, ray_image.directions[index])
     normal = np.where(facing[:, None] > 0, -normal, normal)
-    facing_sun = (normal @ sky.sun > 0) | (table.material[picture.face[chosen]] == Material.FOLIAGE)
-    cast = chosen[facing_sun]
-    lit[cast] = sunlit(placed, picture, cast, sky.sun, normal[facing_sun])
-    known = np.zeros(len(lit), dtype=np.bool_)
-    known[chosen] = True
+    facing_sun = (normal @ sky.sun > 0) | (table.material[ray_image.face[index]] == Material.FOLIAGE)
+    cast = index[facing_sun]
+    lit[cast] = sunlit(bodies, ray_image, cast, sky.sun, normal[facing_sun])
+    is_sampled = np.zeros(len(lit), dtype=np.bool_)
+    is_sampled[index] = True
     out = np.empty_like(lit)
-    fill_light(lit, known, picture.range_m, picture.face, grid.height, grid.width, out)
+    fill_light(lit, is_sampled, ray_image.range_m, ray_image.face, grid.height, grid.width, out)
     return out
 
 
@@ -154,8 +155,8 @@ def _one_in_four(grid: RayGrid) -> Int[np.ndarray, " k"]:
 
 
 def _mirrored(
-    placed: list[PlacedBody],
-    picture: RayImage,
+    bodies: list[PlacedBody],
+    ray_image: RayImage,
     table: FaceTable,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
@@ -164,24 +165,24 @@ def _mirrored(
     """Triangles that a wet road mirrors, at one pixel in four, -1 elsewhere; empty where the road is dry."""
     if sky.water < 0.05:
         return np.zeros(0, dtype=np.int32)
-    chosen = _one_in_four(grid)
-    chosen = chosen[(picture.face[chosen] >= 0) & (picture.range_m[chosen] < _MIRROR_M)]
-    faces = picture.face[chosen]
+    index = _one_in_four(grid)
+    index = index[(ray_image.face[index] >= 0) & (ray_image.range_m[index] < _MIRROR_M)]
+    faces = ray_image.face[index]
     paved = np.isin(table.material[faces], (Material.ASPHALT, Material.CONCRETE, Material.LANE_PAINT))
-    return mirror_images(placed, picture, chosen[paved & (np.abs(table.normal[faces, 2]) > 0.9)], grid, world_T_camera)
+    return mirror_images(bodies, ray_image, index[paved & (np.abs(table.normal[faces, 2]) > 0.9)], grid, world_T_camera)
 
 
 def _contact_shadows(
-    placed: list[PlacedBody],
-    picture: RayImage,
+    bodies: list[PlacedBody],
+    ray_image: RayImage,
     table: FaceTable,
     grid: RayGrid,
     world_T_camera: Float[np.ndarray, "4 4"],
 ) -> Float32[np.ndarray, " n"]:
     """Share of the sky's light that reaches each place: less on the ground under and beside road users."""
-    dimmed = np.ones(len(picture.face), dtype=np.float32)
+    dimmed = np.ones(len(ray_image.face), dtype=np.float32)
     camera_T_world = invert(world_T_camera)
-    for body in placed:
+    for body in bodies:
         if body.actor < 0:
             continue
         corners = body.tracer.corners_m
@@ -191,16 +192,16 @@ def _contact_shadows(
         rows, columns, least = pixels_towards(grid, transform_points(camera_T_world @ body.world_T_body, skirt))
         if rows.stop > rows.start and least < 120.0:
             body_T_world = invert(body.world_T_body)
-            shift = picture.origin_m - body.world_T_body[:3, 3]
+            shift = ray_image.origin_m - body.world_T_body[:3, 3]
             contact(
-                dimmed, picture.range_m, picture.directions, picture.face, table.moving_from,
+                dimmed, ray_image.range_m, ray_image.directions, ray_image.face, table.moving_from,
                 (rows.start, rows.stop), (columns.start, columns.stop), grid.width, body_T_world[:3, :3], shift, half,
             )  # fmt: skip
     return dimmed
 
 
 def _lamps(
-    window: SceneWindow, placed: list[PlacedBody], on: list[bool], picture: RayImage
+    window: SceneWindow, bodies: list[PlacedBody], on: list[bool], ray_image: RayImage
 ) -> tuple[Float32[np.ndarray, "m 12"], int]:
     """Lamps that light the scene at night: the ego vehicle's own two first, then others' and the street's nearest.
 
@@ -211,11 +212,11 @@ def _lamps(
     rows = []
     ahead = ego[:3, 0] - 0.02 * ego[:3, 2]
     for side in (0.7, -0.7):
-        spot = ego[:3, 3] + ego[:3, :3] @ np.array([2.2, side, 0.7]) - picture.origin_m
+        spot = ego[:3, 3] + ego[:3, :3] @ np.array([2.2, side, 0.7]) - ray_image.origin_m
         rows.append(_lamp(spot, ahead, _CONE_COS, _HEAD_LIGHT, (1.0, 0.93, 0.82), 150.0, 1.0))
-    others = []
-    for body, lit in zip(placed, on, strict=True):
-        away = body.world_T_body[:3, 3] - picture.origin_m
+    other_lamps = []
+    for body, lit in zip(bodies, on, strict=True):
+        away = body.world_T_body[:3, 3] - ray_image.origin_m
         if body.actor >= 0 and lit and np.linalg.norm(away) < _OTHERS_M:
             lamp = body.tracer.mesh.material == Material.LAMP
             corners = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[lamp, 0]]
@@ -223,9 +224,9 @@ def _lamps(
             if len(front):
                 spot = away + body.world_T_body[:3, :3] @ (front.mean(axis=0) + np.array([0.1, 0.0, 0.0]))
                 direction = body.world_T_body[:3, 0] - 0.02 * body.world_T_body[:3, 2]
-                others.append(_lamp(spot, direction, _CONE_COS, 2 * _HEAD_LIGHT, (1.0, 0.93, 0.82), 50.0, 1.0))
-    rows += sorted(others, key=lambda row: float(row[:3] @ row[:3]))[:8]
-    rows += _street_lamps(placed, picture)
+                other_lamps.append(_lamp(spot, direction, _CONE_COS, 2 * _HEAD_LIGHT, (1.0, 0.93, 0.82), 50.0, 1.0))
+    rows += sorted(other_lamps, key=lambda row: float(row[:3] @ row[:3]))[:8]
+    rows += _street_lamps(bodies, ray_image)
     return np.stack(rows).astype(np.float32), 2
 
 
@@ -242,18 +243,18 @@ def _lamp(
     return np.concatenate([place_m, unit, [cone_cos], power * np.array(rgb), [reach_m**2, head]])
 
 
-def _street_lamps(placed: list[PlacedBody], picture: RayImage) -> list[Float[np.ndarray, " 12"]]:
+def _street_lamps(bodies: list[PlacedBody], ray_image: RayImage) -> list[Float[np.ndarray, " 12"]]:
     """The nearest lamps of the fixed world, one for all lamp triangles within the same 2 m."""
-    found = []
-    for body in placed:
+    lamps = []
+    for body in bodies:
         lamp = np.flatnonzero(body.tracer.mesh.material == Material.LAMP)
         if body.actor >= 0 or lamp.size == 0:
             continue
         middle = body.tracer.mesh.vertices_m[body.tracer.mesh.faces[lamp]].mean(axis=1)
-        away = transform_points(body.world_T_body, middle) - picture.origin_m
+        away = transform_points(body.world_T_body, middle) - ray_image.origin_m
         away = away[np.linalg.norm(away, axis=1) < _STREET_M]
         _, first = np.unique(np.round(away / 2.0), axis=0, return_index=True)
-        found += [
+        lamps += [
             _lamp(away[i], np.array([0.0, 0.0, -1.0]), 0.25, _STREET_LIGHT, (1.0, 0.72, 0.38), 40.0, 0.0) for i in first
         ]
-    return sorted(found, key=lambda row: float(row[:3] @ row[:3]))[:8]
+    return sorted(lamps, key=lambda row: float(row[:3] @ row[:3]))[:8]

@@ -77,8 +77,8 @@ def make_sky(weather: Weather) -> Sky:
     elevation = np.radians(weather.sun_elevation_deg)
     azimuth = np.radians(weather.sun_azimuth_deg)
     up = float(np.sin(elevation))
-    flat = float(np.cos(elevation))
-    sun = _f32(flat * float(np.cos(azimuth)), flat * float(np.sin(azimuth)), up)
+    level = float(np.cos(elevation))
+    sun = _f32(level * float(np.cos(azimuth)), level * float(np.sin(azimuth)), up)
     night = weather.time == "night"
     cover = float(np.clip(weather.cloud_cover, 0.0, 1.0))
     height = float(np.clip(up / 0.7, 0.08, 1.0))

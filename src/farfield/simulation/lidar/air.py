@@ -87,17 +87,17 @@ def spray(
         distance = float(np.linalg.norm(offset))
         if distance > model.max_range_m:
             continue
-        reach = np.arctan2(3 * max(plume.spread_m), distance) if distance > 1 else np.pi
-        near = np.flatnonzero(offset.astype(np.float32) @ middle > distance * np.cos(min(reach, np.pi)))
-        directions = middle[:, near].T.astype(np.float64) @ world_T_sensor[:3, :3].T
-        ends = range_m[near].astype(np.float64)
-        depth, at, there = plume.depth(world_T_sensor[:3, 3], directions, ends)
-        out.gain[near] *= np.exp(-2 * depth).astype(np.float32)
+        half_angle = np.arctan2(3 * max(plume.spread_m), distance) if distance > 1 else np.pi
+        shots = np.flatnonzero(offset.astype(np.float32) @ middle > distance * np.cos(min(half_angle, np.pi)))
+        directions = middle[:, shots].T.astype(np.float64) @ world_T_sensor[:3, :3].T
+        ends = range_m[shots].astype(np.float64)
+        depth, at, density = plume.depth(world_T_sensor[:3, 3], directions, ends)
+        out.gain[shots] *= np.exp(-2 * depth).astype(np.float32)
         at = np.maximum(np.minimum(at, ends), model.min_range_m)
         strength = np.pi / 0.1 * (beam.reference_range_m / at) ** 2 * beam.overlap(at) * np.exp(-depth)
-        strength *= there * FOG_BACKSCATTER_PER_EXTINCTION * beam.pulse_m * (at < ends - 1.0)
-        louder = strength > out.strength[near]
-        out.range_m[near[louder]], out.strength[near[louder]] = at[louder], strength[louder]
+        strength *= density * FOG_BACKSCATTER_PER_EXTINCTION * beam.pulse_m * (at < ends - 1.0)
+        louder = strength > out.strength[shots]
+        out.range_m[shots[louder]], out.strength[shots[louder]] = at[louder], strength[louder]
     return out
 
 
@@ -134,7 +134,7 @@ def select_returns(
         law = strongest_particle(particles, beam, extinction)
         power, where = law.strength(rng.random(len(range_m)), least=_WORTH), rng.random(len(range_m))
         shots = np.flatnonzero(power > _WORTH)
-        at, fill = law.place(power[shots], where[shots])
+        at, fill = law.locate(power[shots], where[shots])
         in_way = (at < open_m[shots]) & (kind[shots] == SURFACE)
         strength[shots] *= np.where(in_way, 1 - fill, 1.0).astype(np.float32)
         usable = at > model.min_range_m
@@ -161,8 +161,8 @@ def _offer(
 ) -> None:
     """Put echoes of the air in place of the shots' own (the first three arrays) where they are stronger."""
     wins = (power > strength[shots]) & (at_m < open_m[shots])
-    chosen = shots[wins]
-    range_m[chosen], strength[chosen], kind[chosen] = at_m[wins], power[wins], what
+    replaced = shots[wins]
+    range_m[replaced], strength[replaced], kind[replaced] = at_m[wins], power[wins], what
 
 
 def _heard(sprayed: SprayEffect, through: Float32[np.ndarray, " shots"]) -> tuple[np.ndarray, np.ndarray]:

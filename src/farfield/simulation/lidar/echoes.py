@@ -29,7 +29,7 @@ class SurfaceReflectance:
         gloss = np.where(material >= 0, GLOSS[material], 0.0).astype(np.float32)
         return cls(reflectance * (1 - rough), reflectance * rough, gloss)
 
-    def seen(
+    def effective(
         self, face: Int32[np.ndarray, "rays n"], cosine: Float32[np.ndarray, "rays n"]
     ) -> Float32[np.ndarray, "rays n"]:
         """Effective reflectance of hits."""
@@ -72,11 +72,11 @@ def strongest(
         range_m: Distance of each ray's hit, shape (rays, n).
         power: Its signal over the threshold, the ray's weight included; 0 for none.
     """
-    heard = power > 0
-    at = np.where(heard, range_m, np.float32(0))
+    has_power = power > 0
+    at = np.where(has_power, range_m, np.float32(0))
     total = power.sum(axis=0)
     mean = (power * at).sum(axis=0) / np.maximum(total, np.float32(1e-30))
-    near = np.where(heard, range_m, np.float32(np.inf)).min(axis=0)
+    near = np.where(has_power, range_m, np.float32(np.inf)).min(axis=0)
     ray = np.zeros(len(total), dtype=np.int64)
     best = power[0].copy()
     for other in range(1, len(power)):
@@ -112,7 +112,7 @@ def _apart(
 
 def surface_echoes(
     model: LidarModel,
-    looks: SurfaceReflectance,
+    surfaces: SurfaceReflectance,
     weights: Float32[np.ndarray, " rays"],
     range_m: Float32[np.ndarray, "rays n"],
     cosine: Float32[np.ndarray, "rays n"],
@@ -125,7 +125,7 @@ def surface_echoes(
 
     Args:
         model: The sensor.
-        looks: What every triangle sends back.
+        surfaces: What every triangle sends back.
         weights: Share of the power in each ray, shape (rays,).
         range_m: Distance of each ray's hit, inf for none, shape (rays, n).
         cosine: Cosine of the angle of incidence.
@@ -139,7 +139,7 @@ def surface_echoes(
     for first in range(0, n, _CHUNK):
         part = slice(first, min(first + _CHUNK, n))
         distance = range_m[:, part]
-        power = looks.seen(face[:, part], cosine[:, part])
+        power = surfaces.effective(face[:, part], cosine[:, part])
         power *= scale
         power /= distance * distance
         if extinction_per_m:
@@ -190,16 +190,16 @@ def measure(
         rng: Draws the same count of numbers whatever came back.
     """
     n = len(range_m)
-    lucky, texture = rng.random(n, dtype=np.float32), rng.standard_normal(n, dtype=np.float32)
+    uniform, texture = rng.random(n, dtype=np.float32), rng.standard_normal(n, dtype=np.float32)
     noise = rng.standard_normal(n, dtype=np.float32)
-    heard = np.flatnonzero(strength > 1e-3)
-    chance = detection_probability(model, strength[heard]) * (1 - model.dropout)
-    shot = heard[lucky[heard] < chance]
+    candidates = np.flatnonzero(strength > 1e-3)
+    chance = detection_probability(model, strength[candidates]) * (1 - model.dropout)
+    shot = candidates[uniform[candidates] < chance]
     power, distance = strength[shot], range_m[shot]
     noisy = distance + range_spread_m(model, power).astype(np.float32) * noise[shot]
-    seen = np.float32(REFERENCE_REFLECTANCE / model.reference_range_m**2) * power * distance * distance
-    seen *= np.exp(np.float32(model.texture) * texture[shot])
-    return Returns(shot, noisy.astype(np.float32), seen.astype(np.float32), power)
+    reflectance = np.float32(REFERENCE_REFLECTANCE / model.reference_range_m**2) * power * distance * distance
+    reflectance *= np.exp(np.float32(model.texture) * texture[shot])
+    return Returns(shot, noisy.astype(np.float32), reflectance.astype(np.float32), power)
 
 
 def reflectivity(reflectance: Float32[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:

@@ -231,9 +231,9 @@ def signal(
         window: One-way transmission of the sensor's window.
     """
     rough, gloss = BACKSCATTER[material], GLOSS[material]
-    seen = reflectance * (cosine * (1 - rough) + rough) + gloss * cosine**20
-    clear = seen / REFERENCE_REFLECTANCE * (model.reference_range_m / np.maximum(range_m, 0.1)) ** 2
-    return clear * window**2 * np.exp(-2 * extinction_per_m * range_m), seen
+    reflected = reflectance * (cosine * (1 - rough) + rough) + gloss * cosine**20
+    clear = reflected / REFERENCE_REFLECTANCE * (model.reference_range_m / np.maximum(range_m, 0.1)) ** 2
+    return clear * window**2 * np.exp(-2 * extinction_per_m * range_m), reflected
 
 
 def detection_probability(model: LidarModel, strength: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

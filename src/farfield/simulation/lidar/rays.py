@@ -90,9 +90,9 @@ def _fan(
     rays = np.empty((3, model.sub_rays, *azimuth_rad.shape), dtype=np.float32)
     for index, (across, up) in enumerate(offsets):
         scale = np.float32(1 / np.sqrt(1 + across**2 + up**2))
-        flat = (cos_el - up * sin_el) * scale
-        rays[0, index] = flat * cos_az - (across * scale) * sin_az
-        rays[1, index] = flat * sin_az + (across * scale) * cos_az
+        level = (cos_el - up * sin_el) * scale
+        rays[0, index] = level * cos_az - (across * scale) * sin_az
+        rays[1, index] = level * sin_az + (across * scale) * cos_az
         rays[2, index] = (sin_el + up * cos_el) * scale
     return rays
 
@@ -234,7 +234,7 @@ class ShotBlock:
     nearest_m: float
 
     @property
-    def whole(self) -> bool:
+    def is_full(self) -> bool:
         """Whether every shot may hit."""
         return bool(self.rings.all() and self.columns.all())
 
@@ -260,23 +260,25 @@ def block_towards(scan: Scan, body: Body, path: SensorPath) -> ShotBlock:
     low, high = body.tracer.corners_m[0], body.tracer.corners_m[-1]
     sensor = path.poses[:, :, 3] + body.tracer.anchor_m
     gap = np.maximum(np.maximum(low - sensor, sensor - high), 0.0)
-    nearest, flat = float(np.linalg.norm(gap, axis=1).min()) - 0.3, float(np.hypot(gap[:, 0], gap[:, 1]).min())
-    every = ShotBlock(np.ones(rings, dtype=bool), np.ones(columns, dtype=bool), max(nearest, 0.0))
-    if flat < 0.5:
-        return every
+    nearest_m, level_gap_m = float(np.linalg.norm(gap, axis=1).min()) - 0.3, float(np.hypot(gap[:, 0], gap[:, 1]).min())
+    all_shots = ShotBlock(np.ones(rings, dtype=bool), np.ones(columns, dtype=bool), max(nearest_m, 0.0))
+    if level_gap_m < 0.5:
+        return all_shots
     offset = body.tracer.corners_m[None] - sensor[:, None]
     x, y, z = (offset @ path.poses[:, :, :3]).reshape(-1, 3).T
     middle = float(np.arctan2(y.mean(), x.mean()))
     side = _wrap(np.arctan2(y, x) - middle)
     if np.ptp(side) > 3.0:
-        return every
+        return all_shots
     half, centre = float(np.ptp(side)) / 2, middle + float(side.max() + side.min()) / 2
-    far, near = float(np.hypot(x, y).max()), 0.9 * flat
+    far, near = float(np.hypot(x, y).max()), 0.9 * level_gap_m
     top = np.arctan2(z.max(), near if z.max() > 0 else far)
     bottom = np.arctan2(z.min(), near if z.min() < 0 else far)
     across, up = scan.margin_rad
-    chosen = np.abs(_wrap(scan.azimuth_rad - centre)) <= half + across
-    return ShotBlock((scan.elevation_rad >= bottom - up) & (scan.elevation_rad <= top + up), chosen, max(nearest, 0.0))
+    columns_hit = np.abs(_wrap(scan.azimuth_rad - centre)) <= half + across
+    return ShotBlock(
+        (scan.elevation_rad >= bottom - up) & (scan.elevation_rad <= top + up), columns_hit, max(nearest_m, 0.0)
+    )
 
 
 class NearestHits:
@@ -315,7 +317,7 @@ class NearestHits:
         self.first_face = np.cumsum([0] + [len(body.tracer.mesh.faces) for body in self.bodies])
         self._scan, self._paths, self._blocks = scan, [paths[i] for i in order], [blocks[i] for i in order]
         for index in range(len(self.bodies)):
-            self._cast_all(index) if index == 0 and self._blocks[0].whole else self._cast_block(index)
+            self._cast_all(index) if index == 0 and self._blocks[0].is_full else self._cast_block(index)
 
     def _cast_all(self, index: int) -> None:
         """Cast every ray at the first body."""
@@ -366,9 +368,9 @@ class NearestHits:
         """Keep the hits that are nearer than what the rays have hit so far."""
         distance = hits.range_m + beyond_m
         nearer = np.flatnonzero(distance < self.range_m[ray, shots])
-        place = ray[nearer], shots[nearer]
-        self.range_m[place], self.cosine[place] = distance[nearer], hits.cosine[nearer]
-        self.face[place] = hits.face[nearer] + np.int32(self.first_face[index])
+        cells = ray[nearer], shots[nearer]
+        self.range_m[cells], self.cosine[cells] = distance[nearer], hits.cosine[nearer]
+        self.face[cells] = hits.face[nearer] + np.int32(self.first_face[index])
 
     def see_through(self, passes: Bool[np.ndarray, " shots"]) -> None:
         """Let the rays of some shots go on through glass to what lies behind it.
@@ -385,10 +387,10 @@ class NearestHits:
             self.range_m[ray, shots], self.face[ray, shots] = np.inf, -1
             ring, column = np.divmod(shots, self._scan.shape[1])
             for index, block in enumerate(self._blocks):
-                going = np.flatnonzero(block.rings[ring] & block.columns[column])
-                going = going[self.range_m[ray[going], shots[going]] > block.nearest_m]
-                if going.size:
-                    self._go_on(index, ray[going], shots[going], begin[going])
+                passing = np.flatnonzero(block.rings[ring] & block.columns[column])
+                passing = passing[self.range_m[ray[passing], shots[passing]] > block.nearest_m]
+                if passing.size:
+                    self._go_on(index, ray[passing], shots[passing], begin[passing])
 
     def _go_on(
         self, index: int, ray: Int[np.ndarray, " m"], shots: Int[np.ndarray, " m"], begin_m: Float32[np.ndarray, " m"]

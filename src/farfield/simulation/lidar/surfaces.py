@@ -121,13 +121,13 @@ class Surfaces:
 
     Args:
         face: Triangle of each ray's hit, an index of the tables, shape (rays, shots); -1 for none.
-        looks: What every triangle sends back.
+        reflectance: What every triangle sends back.
         actor: Road user that it belongs to, or -1.
         wet: Factor of each ray's signal by water on the road, shape (rays, shots); None where all is dry.
     """
 
     face: Int32[np.ndarray, "rays shots"]
-    looks: SurfaceReflectance
+    reflectance: SurfaceReflectance
     actor: Int[np.ndarray, " faces"]
     wet: Float32[np.ndarray, "rays shots"] | None
 
@@ -141,9 +141,9 @@ class Surfaces:
             weather: What lies on the ground.
         """
         material = _with_snow(casting.table(lambda body: body.tracer.mesh.material, -1), int(Material.SNOW))
-        drawn = _with_snow(casting.table(lambda body: body.tracer.mesh.reflectance, 0.0), 0.0)
-        drawn[-1 - SNOW_GRADES : -1] = SURFACES[Material.SNOW].reflectance * grade_factor()
-        bright = reflectance_at(material, drawn, model.wavelength_nm).astype(np.float32)
+        reflectance = _with_snow(casting.table(lambda body: body.tracer.mesh.reflectance, 0.0), 0.0)
+        reflectance[-1 - SNOW_GRADES : -1] = SURFACES[Material.SNOW].reflectance * grade_factor()
+        bright = reflectance_at(material, reflectance, model.wavelength_nm).astype(np.float32)
         actor = _with_snow(casting.table(lambda body: np.full(len(body.tracer.mesh.faces), body.actor), -1), -1)
         face, wet = casting.face, None
         if weather.snow_cover > 0 or weather.water_mm > _LEAST_WATER_MM:
@@ -175,9 +175,9 @@ def _snowed(
     """Faces with those replaced by snow on which it lies; on roads it lies less, for traffic wears it."""
     face = casting.face.copy()
     shots = np.flatnonzero(ground[face[0]])
-    places = casting.places_m(shots)
+    places_m = casting.places_m(shots)
     road = np.isin(material[face[0, shots]], [int(item) for item in ROAD])
-    grade = snow_grades(places[:, 0], places[:, 1], np.where(road, cover**1.5, cover))
+    grade = snow_grades(places_m[:, 0], places_m[:, 1], np.where(road, cover**1.5, cover))
     snowy = grade >= 0
     shots, snow = shots[snowy], (len(material) - 1 - SNOW_GRADES + grade[snowy]).astype(np.int32)
     for ray in range(len(face)):

@@ -82,16 +82,18 @@ def sweep(
     echoes, kind = _echoes(scan, model, window, casting, surfaces, now, weather, window_seed, air_rng)
     returns = measure(model, echoes.range_m, echoes.strength, surface_rng)
     face = surfaces.face[echoes.ray[returns.shot], returns.shot]
-    solid = kind[returns.shot] == SURFACE
+    on_surface = kind[returns.shot] == SURFACE
     points = _points(scan, model, returns, now, world_T_sensor, window.knots_s)
     extra = _columns(scan, model, returns)
     if model.spinning:
-        diffuse = np.where(solid, surfaces.looks.diffuse[face], np.float32(0.3))
+        diffuse = np.where(on_surface, surfaces.reflectance.diffuse[face], np.float32(0.3))
         extra["ambient"] = ambient_counts(diffuse, _daylight(weather or DRY), air_rng)
     intensity = (np.round(returns.reflectance.clip(0, 1) * 255) / 255).astype(np.float32)
-    seen = surfaces.actor[casting.face[0]]
-    aimed = np.bincount(seen[(seen >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors))
-    actor = np.where(solid, surfaces.actor[face], -1)
+    aimed_at = surfaces.actor[casting.face[0]]
+    aimed = np.bincount(
+        aimed_at[(aimed_at >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors)
+    )
+    actor = np.where(on_surface, surfaces.actor[face], -1)
     return SimulatedSweep(Cloud(points, intensity, extra), actor, kind[returns.shot], aimed)
 
 
@@ -114,15 +116,15 @@ def _echoes(
     if weather is not None:
         size = np.array([actor.size_m for actor in window.actors]).reshape(-1, 3)
         label = [actor.label for actor in window.actors]
-        found = plumes(weather, window.bottom_m, window.yaw_rad, window.velocity_m_s, size, label)
-        sprayed = spray(scan, model, found, world_T_sensor, casting.range_m[0]) if found else None
+        spray_plumes = plumes(weather, window.bottom_m, window.yaw_rad, window.velocity_m_s, size, label)
+        sprayed = spray(scan, model, spray_plumes, world_T_sensor, casting.range_m[0]) if spray_plumes else None
     gain = surfaces.wet
     for factor in (dirt, sprayed.gain if sprayed else None):
         if factor is not None:
             gain = factor if gain is None else gain * factor
     alpha = extinction_per_m(weather, model.wavelength_nm) if weather else 0.0
     hits = casting.range_m, casting.cosine, surfaces.face
-    echoes = surface_echoes(model, surfaces.looks, scan.weights, *hits, extinction_per_m=alpha, gain=gain)
+    echoes = surface_echoes(model, surfaces.reflectance, scan.weights, *hits, extinction_per_m=alpha, gain=gain)
     if weather is None:
         return echoes, np.zeros(len(echoes.range_m), dtype=np.uint8)
     range_m, strength, kind = select_returns(model, weather, echoes, casting.range_m[0], dirt, sprayed, rng)

@@ -65,13 +65,13 @@ def cast_rays(
     corners = [
         transform_points(pose, body.tracer.corners_m) for pose, body in zip(radar_T_body, window.bodies, strict=True)
     ]
-    azimuth, elevation, solid, owner = _rays(window, corners, reach_m, rng)
+    azimuth, elevation, solid_angle_sr, owner = _rays(window, corners, reach_m, rng)
     direction = np.stack(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
     )
     n = len(direction)
     cast = CastRays(
-        direction, solid, owner, np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), -direction,
+        direction, solid_angle_sr, owner, np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), -direction,
         np.full(n, -1), np.full(n, -1), np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), np.full(n, -1),
     )  # fmt: skip
     for row, body in enumerate(window.bodies):
@@ -104,10 +104,10 @@ def _spread(low: float, high: float, step: float) -> tuple[Float[np.ndarray, " k
 def _angles(corners_m: Float[np.ndarray, "k 3"]) -> tuple[float, float, float, float]:
     """Least and greatest azimuth and elevation of points of a bounding box that lie ahead."""
     x, y, z = corners_m.T
-    flat = np.hypot(x, y)
+    level_m = np.hypot(x, y)
     azimuth = np.arctan2(y, x)
-    tilt = np.concatenate([np.arctan2(z, flat), np.arctan2(z, np.maximum(0.5 * flat.min(), _NEAREST_M))])
-    elevation = tilt if flat.min() < 5.0 else tilt[: len(z)]
+    tilt = np.concatenate([np.arctan2(z, level_m), np.arctan2(z, np.maximum(0.5 * level_m.min(), _NEAREST_M))])
+    elevation = tilt if level_m.min() < 5.0 else tilt[: len(z)]
     return float(azimuth.min()), float(azimuth.max()), float(elevation.min()), float(elevation.max())
 
 
@@ -134,8 +134,8 @@ def _rays(
         up, each_el = _spread(bottom, top, step_el)
         rays = [axis.reshape(-1) for axis in np.meshgrid(across, up)]
         parts.append((*rays, each_az * each_el * np.cos(rays[1]), np.full(rays[0].shape, body.actor)))
-    azimuth, elevation, solid, owner = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return azimuth, elevation, solid, owner
+    azimuth, elevation, solid_angle_sr, owner = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return azimuth, elevation, solid_angle_sr, owner
 
 
 def _towards(
@@ -165,16 +165,16 @@ def _cast_body(
     range_m = hits.range_m.astype(np.float64)
     material = body.tracer.mesh.material[hits.face]
     nearer = range_m < cast.range_m[rays]
-    chosen = rays[nearer]
-    cast.range_m[chosen], cast.cosine[chosen] = range_m[nearer], hits.cosine[nearer]
-    cast.material[chosen] = material[nearer]
-    cast.body[chosen], cast.actor[chosen] = row, body.actor
-    cast.normal[chosen] = _normals(body, hits.face[nearer], radar_T_body, cast.direction[chosen])
+    hit_rays = rays[nearer]
+    cast.range_m[hit_rays], cast.cosine[hit_rays] = range_m[nearer], hits.cosine[nearer]
+    cast.material[hit_rays] = material[nearer]
+    cast.body[hit_rays], cast.actor[hit_rays] = row, body.actor
+    cast.normal[hit_rays] = _normals(body, hits.face[nearer], radar_T_body, cast.direction[hit_rays])
     if body.actor >= 0:
-        own = (cast.owner[rays] == body.actor) & (range_m < cast.own_range_m[rays])
-        mine = rays[own]
-        cast.own_range_m[mine], cast.own_cosine[mine] = range_m[own], hits.cosine[own]
-        cast.own_material[mine], cast.own_body[mine] = material[own], row
+        own_nearer = (cast.owner[rays] == body.actor) & (range_m < cast.own_range_m[rays])
+        own_rays = rays[own_nearer]
+        cast.own_range_m[own_rays], cast.own_cosine[own_rays] = range_m[own_nearer], hits.cosine[own_nearer]
+        cast.own_material[own_rays], cast.own_body[own_rays] = material[own_nearer], row
 
 
 def _normals(

@@ -80,12 +80,12 @@ def measure(
         np.random.default_rng(np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, stream)))
         for stream in range(3)
     ]
-    seen = scatterers(window, model, world_T_radar, weather, streams[0])
+    echoes = scatterers(window, model, world_T_radar, weather, streams[0])
     tensor = reduced = None
     if outputs:
-        phase = streams[1].uniform(0.0, 2 * np.pi, len(seen))
-        channels = synthesise(seen, model, phase, draw_noise(model, streams[2]))
+        phase = streams[1].uniform(0.0, 2 * np.pi, len(echoes))
+        channels = synthesise(echoes, model, phase, draw_noise(model, streams[2]))
         tensor = form_tensor(channels, model) if "tensor" in outputs else None
         reduced = form_moments(channels, model) if "mean" in outputs else None
     count = len(window.actors)
-    return RadarFrame(tensor, reduced, seen, object_snr_db(seen, model, count), masked_db(seen, model, count))
+    return RadarFrame(tensor, reduced, echoes, object_snr_db(echoes, model, count), masked_db(echoes, model, count))

@@ -90,8 +90,8 @@ class Scatterers:
     @property
     def elevation_rad(self) -> Float[np.ndarray, " n"]:
         """Elevation, positive upwards."""
-        flat = np.hypot(self.position_m[:, 0], self.position_m[:, 1])
-        return np.asarray(np.arctan2(self.position_m[:, 2], flat))
+        level_m = np.hypot(self.position_m[:, 0], self.position_m[:, 1])
+        return np.asarray(np.arctan2(self.position_m[:, 2], level_m))
 
 
 def cell_snr(scatterers: Scatterers, model: RadarModel) -> Float[np.ndarray, " n"]:
@@ -133,19 +133,20 @@ def object_snr_db(scatterers: Scatterers, model: RadarModel, actors: int) -> Flo
         actors: Number n of road users.
     """
     best = np.zeros(actors)
-    mine = (scatterers.actor >= 0) & (scatterers.kind != ScattererKind.GHOST)
-    own = scatterers.take(np.flatnonzero(mine))
-    if len(own):
+    on_object = (scatterers.actor >= 0) & (scatterers.kind != ScattererKind.GHOST)
+    object_echoes = scatterers.take(np.flatnonzero(on_object))
+    if len(object_echoes):
         cells = np.stack(
             [
-                own.actor,
-                np.round(own.range_m / model.axes.range_step_m).astype(np.int64),
-                np.round(model.axes.doppler_bin(own.velocity_m_s)).astype(np.int64) % len(model.axes.doppler_m_s),
-                np.round(np.degrees(own.azimuth_rad) / SHARPEST_DEG).astype(np.int64),
+                object_echoes.actor,
+                np.round(object_echoes.range_m / model.axes.range_step_m).astype(np.int64),
+                np.round(model.axes.doppler_bin(object_echoes.velocity_m_s)).astype(np.int64)
+                % len(model.axes.doppler_m_s),
+                np.round(np.degrees(object_echoes.azimuth_rad) / SHARPEST_DEG).astype(np.int64),
             ]
         )
         cell, which = np.unique(cells, axis=1, return_inverse=True)
-        power = np.bincount(which.reshape(-1), cell_snr(own, model), minlength=cell.shape[1])
+        power = np.bincount(which.reshape(-1), cell_snr(object_echoes, model), minlength=cell.shape[1])
         np.maximum.at(best, cell[0], power)
     with np.errstate(divide="ignore"):
         return np.asarray(10 * np.log10(best))
@@ -160,10 +161,10 @@ def masked_db(scatterers: Scatterers, model: RadarModel, actors: int) -> Float[n
     snr = cell_snr(scatterers, model)
     bins = np.round(scatterers.range_m / model.axes.range_step_m).astype(np.int64)
     excess = np.full(actors, -np.inf)
-    solid = scatterers.kind != ScattererKind.GHOST
-    for actor in np.unique(scatterers.actor[(scatterers.actor >= 0) & solid]):
-        own = np.flatnonzero((scatterers.actor == actor) & solid)
-        peak = own[np.argmax(snr[own])]
+    is_direct = scatterers.kind != ScattererKind.GHOST
+    for actor in np.unique(scatterers.actor[(scatterers.actor >= 0) & is_direct]):
+        actor_echoes = np.flatnonzero((scatterers.actor == actor) & is_direct)
+        peak = actor_echoes[np.argmax(snr[actor_echoes])]
         rivals = (bins == bins[peak]) & (scatterers.actor != actor)
         if rivals.any():
             excess[actor] = 10 * np.log10(max(float(snr[rivals].max()), 1e-30) / max(float(snr[peak]), 1e-30))
@@ -188,10 +189,10 @@ def availability(
         threshold_db: Least signal over noise; see :data:`VISIBLE_SNR_DB`.
         masked_by_db: From :func:`masked_db`: those outshone by more than :data:`MASKING_DB` are not seen.
     """
-    seen = snr_db >= threshold_db
+    radar_visible = snr_db >= threshold_db
     if masked_by_db is not None:
-        seen &= masked_by_db < MASKING_DB
-    return ["R" if radar else "L" if lidar else "L1" for radar, lidar in zip(seen, lidar_visible, strict=True)]
+        radar_visible &= masked_by_db < MASKING_DB
+    return ["R" if radar else "L" if lidar else "L1" for radar, lidar in zip(radar_visible, lidar_visible, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -173,7 +173,9 @@ def rain_clutter(
     azimuth, elevation = rng.uniform(low, high, count), rng.uniform(bottom, top, count)
     towards = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], 1)
     volume_m3 = range_m**2 * np.cos(elevation) * (high - low) * (top - bottom) * (model.clutter_reach_m - near_m)
-    drawn = (_INVERSE_GAMMA_SHAPE - 1.0) / rng.gamma(_INVERSE_GAMMA_SHAPE, 1.0, count)
+    fluctuation = (_INVERSE_GAMMA_SHAPE - 1.0) / rng.gamma(_INVERSE_GAMMA_SHAPE, 1.0, count)
     spread = np.hypot(model.clutter_spread_m_s, 0.3 * weather.wind_m_s)
     speed = -towards @ velocity_m_s + rng.normal(0.0, spread, count)
-    return Scatterers.of(towards * range_m[:, None], speed, eta * volume_m3 / count * drawn, kind=ScattererKind.RAIN)
+    return Scatterers.of(
+        towards * range_m[:, None], speed, eta * volume_m3 / count * fluctuation, kind=ScattererKind.RAIN
+    )

@@ -114,8 +114,8 @@ def rcs_std_db(label: str) -> float:
 def slow_db(actor: Actor) -> float:
     """How far one individual stands off its class's mean, in dB: log-normal, kept all through a sequence."""
     seed = actor.seed
-    own = np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, 0x5241))
-    return float(np.random.default_rng(own).normal(0.0, rcs_std_db(actor.label)))
+    seed_of_level = np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, 0x5241))
+    return float(np.random.default_rng(seed_of_level).normal(0.0, rcs_std_db(actor.label)))
 
 
 def part_share(material: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -141,13 +141,13 @@ def surface_rcs_m2_m2(
         weather: Wet or snow-covered ground.
     """
     table = np.array([_SURFACE_FIGURES.get(Material(m), _DEFAULT) for m in Material])
-    known = np.clip(material, 0, len(table) - 1)
+    row = np.clip(material, 0, len(table) - 1)
     ground = np.isin(material, _GROUND)
-    dry = _rough(table[known], cosine)
+    dry = _rough(table[row], cosine)
     if weather.water_mm > 0:
         wet = table.copy()
         wet[:, 0] += _WET_DB
-        dry = np.where(ground & (material != Material.GRASS), _rough(wet[known], cosine), dry)
+        dry = np.where(ground & (material != Material.GRASS), _rough(wet[row], cosine), dry)
     snow = np.where(ground, weather.snow_cover, 0.0)
     return np.asarray((1 - snow) * dry + snow * _rough(np.array([_SNOW]), cosine))
 

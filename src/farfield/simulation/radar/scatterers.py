@@ -58,12 +58,12 @@ def scatterers(
     users = _road_users(window, model, world_T_radar, cast)
     parts = [_surfaces(cast, weather), users, posts(mirrors, world_T_radar, streams[1])]
     parts.append(ghosts(users, mirrors, model.ghost_db))
-    speed = radar_velocity_m_s(window, world_T_radar) @ world_T_radar[:3, :3]
-    seen = _merged(ScatterPoints.join(parts).seen_from(speed), model)
-    seen = replace(seen, rcs_m2=seen.rcs_m2 * streams[2].exponential(1.0, len(seen)))
-    everything = Scatterers.join([seen, rain_clutter(weather, model, speed, streams[3])])
-    everything = replace(everything, loss_db=two_way_loss_db(everything.range_m, weather, model, window.time_s))
-    return _strongest(everything, model)
+    velocity_m_s = radar_velocity_m_s(window, world_T_radar) @ world_T_radar[:3, :3]
+    echoes = _merged(ScatterPoints.join(parts).seen_from(velocity_m_s), model)
+    echoes = replace(echoes, rcs_m2=echoes.rcs_m2 * streams[2].exponential(1.0, len(echoes)))
+    all_echoes = Scatterers.join([echoes, rain_clutter(weather, model, velocity_m_s, streams[3])])
+    all_echoes = replace(all_echoes, loss_db=two_way_loss_db(all_echoes.range_m, weather, model, window.time_s))
+    return _strongest(all_echoes, model)
 
 
 def radar_velocity_m_s(window: SceneWindow, world_T_radar: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 3"]:
@@ -97,12 +97,14 @@ def _road_users(
         bottom = transform_points(radar_T_world, window.bottom_m[row][None])[0]
         aspect = float(np.arctan2(*(world_T_radar[:3, 3] - window.bottom_m[row])[[1, 0]]) - window.yaw_rad[row])
         level_db = mean_rcs_dbsm(actor, aspect, float(np.linalg.norm(bottom))) + slow_db(actor)
-        whole = ScatterPoints.fixed(
+        body = ScatterPoints.fixed(
             cast.direction[rays] * cast.own_range_m[rays, None], _weights(cast, rays), ScattererKind.OBJECT
         )
-        whole = replace(whole, rcs_m2=whole.rcs_m2 * 10 ** (level_db / 10), actor=np.full(len(rays), row))
-        moving = replace(whole, velocity_m_s=_body_velocity(window, cast.own_body[rays], whole, world_T_radar))
-        parts += _seen_and_hidden(window, model, cast, rays, moving, actor, int(row), float(bottom[2]), radar_T_world)
+        body = replace(body, rcs_m2=body.rcs_m2 * 10 ** (level_db / 10), actor=np.full(len(rays), row))
+        moving_body = replace(body, velocity_m_s=_body_velocity(window, cast.own_body[rays], body, world_T_radar))
+        parts += _visible_and_hidden(
+            window, model, cast, rays, moving_body, actor, int(row), float(bottom[2]), radar_T_world
+        )
     return ScatterPoints.join(parts)
 
 
@@ -120,18 +122,18 @@ def _body_velocity(
     span_s = window.knots_s[-1] - window.knots_s[0]
     world_m = transform_points(world_T_radar, points.position_m)
     for row in np.unique(body):
-        mine, moved = body == row, window.bodies[row]
+        on_body, moved = body == row, window.bodies[row]
         if span_s > 0:
             middle = moved.world_T_body[len(window.knots_s) // 2]
-            local = transform_points(invert(middle), world_m[mine])
+            local = transform_points(invert(middle), world_m[on_body])
             first, last = (transform_points(moved.world_T_body[k], local) for k in (0, -1))
-            out[mine] = (last - first) / span_s
+            out[on_body] = (last - first) / span_s
         else:
-            out[mine] = window.velocity_m_s[moved.actor]
+            out[on_body] = window.velocity_m_s[moved.actor]
     return np.asarray(out @ world_T_radar[:3, :3])
 
 
-def _seen_and_hidden(
+def _visible_and_hidden(
     window: SceneWindow,
     model: RadarModel,
     cast: CastRays,
@@ -143,18 +145,18 @@ def _seen_and_hidden(
     radar_T_world: Float[np.ndarray, "4 4"],
 ) -> list[ScatterPoints]:
     """Split a road user's points by what hides them: nothing, another vehicle (a way under it remains), or more."""
-    free = (cast.own_range_m[rays] <= cast.range_m[rays] + _SAME_M) | (cast.actor[rays] == row)
-    share = float(body.rcs_m2[free].sum() / body.rcs_m2.sum())
-    seen = body.take(np.flatnonzero(free))
+    is_visible = (cast.own_range_m[rays] <= cast.range_m[rays] + _SAME_M) | (cast.actor[rays] == row)
+    share = float(body.rcs_m2[is_visible].sum() / body.rcs_m2.sum())
+    visible = body.take(np.flatnonzero(is_visible))
     if actor.label in _WALKERS and share > 0:
         velocity = radar_T_world[:3, :3] @ window.velocity_m_s[row]
         heading = radar_T_world[:3, :3] @ np.array([np.cos(window.yaw_rad[row]), np.sin(window.yaw_rad[row]), 0.0])
         base = transform_points(radar_T_world, window.bottom_m[row][None])[0]
         limbs = limb_points(actor, base, heading, velocity, window.time_s)
-        seen = replace(limbs, rcs_m2=limbs.rcs_m2 * body.rcs_m2.sum() * share, actor=np.full(len(limbs), row))
-    parts = [replace(seen, rcs_m2=seen.rcs_m2 * _two_ray(seen, model, ground_m))]
+        visible = replace(limbs, rcs_m2=limbs.rcs_m2 * body.rcs_m2.sum() * share, actor=np.full(len(limbs), row))
+    parts = [replace(visible, rcs_m2=visible.rcs_m2 * _two_ray(visible, model, ground_m))]
     vehicles = np.array([other.label in _VEHICLES for other in window.actors] + [False])
-    under = ~free & vehicles[cast.actor[rays]] & (actor.label in _VEHICLES)
+    under = ~is_visible & vehicles[cast.actor[rays]] & (actor.label in _VEHICLES)
     if under.any():
         image = body.take(np.flatnonzero(under))
         mirrored = image.position_m * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * ground_m]
@@ -180,33 +182,33 @@ def _two_ray(points: ScatterPoints, model: RadarModel, ground_m: float) -> Float
     return np.asarray(np.abs(factor) ** 4 / ((1 + g**2) ** 2 + 2 * g**2))
 
 
-def _merged(seen: Scatterers, model: RadarModel) -> Scatterers:
+def _merged(echoes: Scatterers, model: RadarModel) -> Scatterers:
     """Join what falls into a quarter of a range bin, half a degree of azimuth and 1.5 of elevation, by road user."""
-    azimuth, elevation, range_m = np.degrees(seen.azimuth_rad), np.degrees(seen.elevation_rad), seen.range_m
-    kept = (range_m > 0.5) & (range_m < model.axes.range_m[-1] + model.axes.range_step_m) & (seen.rcs_m2 > 0)
-    kept &= (np.abs(azimuth) < _SEEN_DEG[0]) & (np.abs(elevation) < _SEEN_DEG[1])
-    rows = np.flatnonzero(kept)
+    azimuth, elevation, range_m = np.degrees(echoes.azimuth_rad), np.degrees(echoes.elevation_rad), echoes.range_m
+    in_view = (range_m > 0.5) & (range_m < model.axes.range_m[-1] + model.axes.range_step_m) & (echoes.rcs_m2 > 0)
+    in_view &= (np.abs(azimuth) < _SEEN_DEG[0]) & (np.abs(elevation) < _SEEN_DEG[1])
+    rows = np.flatnonzero(in_view)
     if not rows.size:
-        return seen.take(rows)
-    seen = seen.take(rows)
-    speed = np.where(seen.kind == ScattererKind.LIMB, np.round(seen.velocity_m_s / model.axes.doppler_step_m_s), 0)
+        return echoes.take(rows)
+    echoes = echoes.take(rows)
+    speed = np.where(echoes.kind == ScattererKind.LIMB, np.round(echoes.velocity_m_s / model.axes.doppler_step_m_s), 0)
     keys = [
-        seen.actor, seen.kind, np.floor(range_m[rows] / (_MERGE_BINS * model.axes.range_step_m)),
+        echoes.actor, echoes.kind, np.floor(range_m[rows] / (_MERGE_BINS * model.axes.range_step_m)),
         np.floor(azimuth[rows] / _MERGE_AZIMUTH_DEG), np.floor(elevation[rows] / _MERGE_ELEVATION_DEG), speed,
     ]  # fmt: skip
     cells, which = np.unique(np.stack(keys).astype(np.int64), axis=1, return_inverse=True)
     which = which.reshape(-1)
-    total = np.bincount(which, seen.rcs_m2)
-    columns = (*seen.position_m.T, seen.velocity_m_s)
-    *position, velocity = (np.asarray(np.bincount(which, values * seen.rcs_m2) / total) for values in columns)
+    total = np.bincount(which, echoes.rcs_m2)
+    columns = (*echoes.position_m.T, echoes.velocity_m_s)
+    *position, velocity = (np.asarray(np.bincount(which, values * echoes.rcs_m2) / total) for values in columns)
     return Scatterers(np.stack(position, axis=1), velocity, total, cells[0], cells[1], np.zeros(len(total)))
 
 
-def _strongest(seen: Scatterers, model: RadarModel) -> Scatterers:
-    if len(seen) <= model.max_scatterers:
-        return seen
-    order = np.argsort(-cell_snr(seen, model), kind="stable")[: model.max_scatterers]
-    return seen.take(np.sort(order))
+def _strongest(echoes: Scatterers, model: RadarModel) -> Scatterers:
+    if len(echoes) <= model.max_scatterers:
+        return echoes
+    order = np.argsort(-cell_snr(echoes, model), kind="stable")[: model.max_scatterers]
+    return echoes.take(np.sort(order))
 
 
 # Mirrors: planes of rails and walls among the rays' hits, the images in them, and the posts of rails
@@ -263,13 +265,13 @@ def find_mirrors(cast: CastRays) -> list[Mirror]:
     for plane in np.argsort(-count, kind="stable")[:_MAX_MIRRORS]:
         if count[plane] < _LEAST_RAYS:
             break
-        mine = which == plane
-        normal = level[mine].mean(axis=0)
+        on_plane = which == plane
+        normal = level[on_plane].mean(axis=0)
         normal /= np.linalg.norm(normal)
-        offset = -float(np.mean(hits[mine] @ normal))
-        metal = float(np.mean(cast.material[rows[mine]] == Material.METAL)) > 0.5
+        offset = -float(np.mean(hits[on_plane] @ normal))
+        metal = float(np.mean(cast.material[rows[on_plane]] == Material.METAL)) > 0.5
         if offset > 0:
-            mirrors.append(Mirror(normal, offset, hits[mine], metal))
+            mirrors.append(Mirror(normal, offset, hits[on_plane], metal))
     return mirrors
 
 
@@ -292,10 +294,10 @@ def ghosts(points: ScatterPoints, mirrors: list[Mirror], level_db: float) -> Sca
         level_db: Power relative to the original.
     """
     parts = []
-    solid = points.take(np.flatnonzero((points.kind == ScattererKind.OBJECT) | (points.kind == ScattererKind.LIMB)))
+    bodies = points.take(np.flatnonzero((points.kind == ScattererKind.OBJECT) | (points.kind == ScattererKind.LIMB)))
     for mirror in mirrors:
-        side = solid.position_m @ mirror.normal + mirror.distance_m
-        image = solid.position_m - 2 * side[:, None] * mirror.normal
+        side = bodies.position_m @ mirror.normal + mirror.distance_m
+        image = bodies.position_m - 2 * side[:, None] * mirror.normal
         towards = image @ mirror.normal
         step = np.divide(-mirror.distance_m, towards, out=np.full(len(side), np.inf), where=towards < -1e-6)
         crossing = image * np.where(np.isfinite(step), step, 0.0)[:, None]
@@ -303,10 +305,10 @@ def ghosts(points: ScatterPoints, mirrors: list[Mirror], level_db: float) -> Sca
         inside = _gap_m(mirror, crossing @ mirror.along) < _MARGIN_M
         inside &= (height > up.min() - _MARGIN_M) & (height < up.max() + _MARGIN_M)
         rows = np.flatnonzero(inside & (side > 0.3) & (step > 0) & (step < 1))
-        velocity = solid.velocity_m_s - 2 * (solid.velocity_m_s @ mirror.normal)[:, None] * mirror.normal
-        level = solid.rcs_m2[rows] * 10 ** (level_db / 10)
+        velocity = bodies.velocity_m_s - 2 * (bodies.velocity_m_s @ mirror.normal)[:, None] * mirror.normal
+        level = bodies.rcs_m2[rows] * 10 ** (level_db / 10)
         kind = np.full(len(rows), int(ScattererKind.GHOST))
-        parts.append(ScatterPoints(image[rows], velocity[rows], level, solid.actor[rows], kind))
+        parts.append(ScatterPoints(image[rows], velocity[rows], level, bodies.actor[rows], kind))
     return ScatterPoints.join(parts)
 
 
@@ -322,9 +324,11 @@ def posts(mirrors: list[Mirror], world_T_radar: Float[np.ndarray, "4 4"], rng: n
         first, last = np.ceil((along.min() + shift) / _POST_STEP_M), np.floor((along.max() + shift) / _POST_STEP_M)
         at = np.arange(first, last + 1) * _POST_STEP_M - shift
         near = _gap_m(mirror, at) < _POST_GAP_M
-        place = -mirror.distance_m * mirror.normal + at[near, None] * mirror.along
-        place[:, 2] = float(np.median(hits[:, 2]))
-        parts.append(ScatterPoints.fixed(place, 10 ** (rng.uniform(*_POST_DB, len(place)) / 10), ScattererKind.POST))
+        position_m = -mirror.distance_m * mirror.normal + at[near, None] * mirror.along
+        position_m[:, 2] = float(np.median(hits[:, 2]))
+        parts.append(
+            ScatterPoints.fixed(position_m, 10 ** (rng.uniform(*_POST_DB, len(position_m)) / 10), ScattererKind.POST)
+        )
     return ScatterPoints.join(parts)
 
 
@@ -369,8 +373,8 @@ def limb_points(
         time_s: The moment; the phase of an individual's gait comes from its seed.
     """
     seed = actor.seed
-    own = np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, 0x6A17))
-    start = float(np.random.default_rng(own).random())
+    seed_of_gait = np.random.SeedSequence(entropy=seed.entropy, spawn_key=(*seed.spawn_key, 0x6A17))
+    start = float(np.random.default_rng(seed_of_gait).random())
     speed = float(np.linalg.norm(velocity_m_s))
     offset, swing, share = (_riding if actor.label == "bicycle" else _walking)(actor, speed, time_s, start)
     up = np.array([0.0, 0.0, 1.0])
@@ -388,9 +392,9 @@ def _walking(actor: Actor, speed: float, time_s: float, start: float) -> _Swing:
     height, side, swing, phase, share = parts.T
     stride_m = max(actor.cycle_m, 0.7 * actor.size_m[2])
     turn = 2 * np.pi * (speed * time_s / stride_m + start + phase)
-    reach = stride_m / 4 * swing if speed > 0.1 else np.zeros(len(parts))
-    offset = np.stack([reach * np.sin(turn), side * actor.size_m[1], height * actor.size_m[2]], axis=1)
-    ahead = reach * np.cos(turn) * 2 * np.pi * speed / stride_m
+    swing_m = stride_m / 4 * swing if speed > 0.1 else np.zeros(len(parts))
+    offset = np.stack([swing_m * np.sin(turn), side * actor.size_m[1], height * actor.size_m[2]], axis=1)
+    ahead = swing_m * np.cos(turn) * 2 * np.pi * speed / stride_m
     return offset, np.stack([ahead, 0 * ahead, 0 * ahead], axis=1), share
 
 

@@ -60,7 +60,7 @@ def _wrap(x, count):
 @njit(cache=True, parallel=True)
 @no_type_check
 def scatter(
-    channel_re, channel_im, range_bin, walk_bins, doppler_bin, amplitude, phase, reach, azimuth, elevation,
+    channel_re, channel_im, range_bin, walk_bins, doppler_bin, amplitude, phase, snr_amplitude, azimuth, elevation,
     least, parts, order,
 ):  # fmt: skip
     """Add every scatterer's echo to the virtual channels.
@@ -73,7 +73,7 @@ def scatter(
         doppler_bin: Fractional Doppler bin, (n,).
         amplitude: Amplitude in each channel, (n,).
         phase: Phase of the echo, (n,).
-        reach: Amplitude after beam forming over that of the noise, (n,): decides how far side lobes are computed.
+        snr_amplitude: Amplitude after beam forming over that of the noise, (n,): decides how far side lobes go.
         azimuth: Phases across the azimuth elements, (n, a).
         elevation: Phases across the elevation elements, (n, e).
         least: Amplitude over that of the noise below which side lobes are left out; 0 keeps all.
@@ -93,7 +93,7 @@ def scatter(
         for i in range(range_bin.size):
             blocks = 1 if walk_bins[i] == 0.0 else parts
             half = 0.5 * abs(walk_bins[i])
-            width = 0.5 * ranges if least <= 0.0 else max(1.5, reach[i] / (math.pi * least))
+            width = 0.5 * ranges if least <= 0.0 else max(1.5, snr_amplitude[i] / (math.pi * least))
             ready = False
             for row in range(first_row, last_row):
                 middle = _wrap(range_bin[i] - row, ranges)
@@ -107,7 +107,7 @@ def scatter(
                             steer_re[e * wide + a] = amplitude[i] * math.cos(angle)
                             steer_im[e * wide + a] = amplitude[i] * math.sin(angle)
                     centre = math.floor(doppler_bin[i] + 0.5)
-                    spread = _doppler_width(reach[i], least, dopplers)
+                    spread = _doppler_width(snr_amplitude[i], least, dopplers)
                     length = dopplers // blocks
                     for q in range(blocks):
                         for k in range(-spread, min(spread, dopplers - 1 - spread) + 1):
@@ -117,22 +117,34 @@ def scatter(
                             )
                 _row(
                     channel_re[row], channel_im[row], steer_re, steer_im, doppler_re, doppler_im, blocks, middle,
-                    walk_bins[i], reach[i], least, math.floor(doppler_bin[i] + 0.5), ranges,
+                    walk_bins[i], snr_amplitude[i], least, math.floor(doppler_bin[i] + 0.5), ranges,
                 )  # fmt: skip
 
 
 @njit(cache=True)
 @no_type_check
-def _doppler_width(reach, least, dopplers):
+def _doppler_width(snr_amplitude, least, dopplers):
     if least <= 0.0:
         return dopplers // 2
-    return min(dopplers // 2, max(2, math.ceil(reach / (math.pi * least))))
+    return min(dopplers // 2, max(2, math.ceil(snr_amplitude / (math.pi * least))))
 
 
 @njit(cache=True)
 @no_type_check
 def _row(
-    row_re, row_im, steer_re, steer_im, doppler_re, doppler_im, blocks, middle, walk, reach, least, centre, ranges
+    row_re,
+    row_im,
+    steer_re,
+    steer_im,
+    doppler_re,
+    doppler_im,
+    blocks,
+    middle,
+    walk,
+    snr_amplitude,
+    least,
+    centre,
+    ranges,
 ):
     """Add one scatterer to one range bin: only where its echo there stands out, both ways."""
     dopplers, channels = row_re.shape
@@ -141,11 +153,11 @@ def _row(
     for q in range(blocks):  # a target's phase turns at the carrier, the middle of the sweep: walking adds none
         size[q] = _size(middle + walk * ((q + 0.5) / blocks - 0.5), ranges, ranges)
         peak = max(peak, abs(size[q]))
-    if peak * reach < least and abs(middle) > 1.5 + 0.5 * abs(walk):
+    if peak * snr_amplitude < least and abs(middle) > 1.5 + 0.5 * abs(walk):
         return
     phase = math.pi * middle * (ranges - 1) / ranges
     turn_re, turn_im = math.cos(phase), math.sin(phase)
-    spread = _doppler_width(peak * reach, least, dopplers)
+    spread = _doppler_width(peak * snr_amplitude, least, dopplers)
     for k in range(-spread, min(spread, dopplers - 1 - spread) + 1):
         d = (centre + k) % dopplers
         re, im = 0.0, 0.0
@@ -224,13 +236,13 @@ def moments_kernel(channel_re, channel_im, az_re, az_im, el_re, el_im, scale, ve
                 channel_re[r, d], channel_im[r, d], az_re, az_im, el_re, el_im, y_re, y_im, sum_re, sum_im, scale[r],
                 power,
             )  # fmt: skip
-            whole = np.float32(1.0 / dopplers)
-            kept = np.float32(1.0 / (dopplers - 1)) if d > 0 else np.float32(0)
-            moving = kept * velocity[d]
+            share_all = np.float32(1.0 / dopplers)
+            share_63 = np.float32(1.0 / (dopplers - 1)) if d > 0 else np.float32(0)
+            moving = share_63 * velocity[d]
             for q in range(power.shape[0]):
                 for j in range(power.shape[1]):
-                    out[0, r, q, j] += whole * power[q, j]
-                    out[1, r, q, j] += kept * power[q, j]
+                    out[0, r, q, j] += share_all * power[q, j]
+                    out[1, r, q, j] += share_63 * power[q, j]
                     out[2, r, q, j] += moving * power[q, j]
 
 

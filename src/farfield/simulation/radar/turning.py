@@ -73,24 +73,24 @@ def sector_yaw_rad(sector: int) -> float:
     return -2 * np.pi * (sector + 0.5) / SECTORS
 
 
-def in_sector(seen: Scatterers, sector: int) -> Scatterers:
+def in_sector(echoes: Scatterers, sector: int) -> Scatterers:
     """What a sector's antenna meets, turned into the radar's own axes and moved to when the beam passes.
 
     Args:
-        seen: Scatterers in axes whose x looks along the sector's middle, at the middle of its time.
+        echoes: Scatterers in axes whose x looks along the sector's middle, at the middle of its time.
         sector: Which, from 0.
     """
-    kept = seen.take(np.abs(seen.azimuth_rad) <= np.pi / SECTORS)
-    late_s = -kept.azimuth_rad / (2 * np.pi) * TURN_S  # to the right is later
-    range_m = np.maximum(kept.range_m, 1e-6)
-    grown = np.maximum(1.0 + kept.velocity_m_s * late_s / range_m, 0.1)
+    within = echoes.take(np.abs(echoes.azimuth_rad) <= np.pi / SECTORS)
+    late_s = -within.azimuth_rad / (2 * np.pi) * TURN_S  # to the right is later
+    range_m = np.maximum(within.range_m, 1e-6)
+    grown = np.maximum(1.0 + within.velocity_m_s * late_s / range_m, 0.1)
     yaw = sector_yaw_rad(sector)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-    return replace(kept, position_m=(kept.position_m * grown[:, None]) @ turn.T)
+    return replace(within, position_m=(within.position_m * grown[:, None]) @ turn.T)
 
 
 def polar_picture(
-    seen: Scatterers,
+    echoes: Scatterers,
     strength: Float[np.ndarray, " n"],
     radar: TurningRadar,
     rng: np.random.Generator,
@@ -98,22 +98,22 @@ def polar_picture(
     """The picture: coherent sum of all echoes in beam and range, noise and leakage added, in counts of decibels.
 
     Args:
-        seen: Scatterers in the radar's axes, x forward.
+        echoes: Scatterers in the radar's axes, x forward.
         strength: Signal over noise of each, linear, shape (n,), as :func:`strengths` gives it.
         radar: The radar.
         rng: Draws phases and noise.
     """
-    phase = rng.uniform(0.0, 2 * np.pi, len(seen))
+    phase = rng.uniform(0.0, 2 * np.pi, len(echoes))
     echo = np.sqrt(strength) * np.exp(1j * phase)
-    place = seen.range_m / CELL_M
-    beam = (-np.degrees(seen.azimuth_rad) / _STEP_DEG - 0.5) % _AZIMUTHS
+    range_cells = echoes.range_m / CELL_M
+    azimuth_cells = (-np.degrees(echoes.azimuth_rad) / _STEP_DEG - 0.5) % _AZIMUTHS
     field_ = np.zeros(_RANGES * _AZIMUTHS, dtype=np.complex128)
     for down in range(-_SPREAD_BINS, _SPREAD_BINS + 1):
-        row = np.rint(place).astype(np.int64) + down
-        along = np.exp(-(((row - place) / radar.range_sigma_cells) ** 2) / 4)  # of amplitudes
+        row = np.rint(range_cells).astype(np.int64) + down
+        along = np.exp(-(((row - range_cells) / radar.range_sigma_cells) ** 2) / 4)  # of amplitudes
         for across in range(-_SPREAD_BEAMS, _SPREAD_BEAMS + 1):
-            column = np.rint(beam).astype(np.int64) + across
-            off = (column - beam) * _STEP_DEG / (radar.beam_deg / 2)
+            column = np.rint(azimuth_cells).astype(np.int64) + across
+            off = (column - azimuth_cells) * _STEP_DEG / (radar.beam_deg / 2)
             gain = along * 2.0 ** -(off**2)  # two ways of power: once the amplitude of 2 ** -(2 off ** 2)
             inside = (row >= 0) & (row < _RANGES)
             cell = row[inside] * _AZIMUTHS + column[inside] % _AZIMUTHS
@@ -124,9 +124,9 @@ def polar_picture(
     return np.clip(np.rint(counts), 0, 255).astype(np.uint8)
 
 
-def strengths(seen: Scatterers, radar: TurningRadar) -> Float64[np.ndarray, " n"]:
+def strengths(echoes: Scatterers, radar: TurningRadar) -> Float64[np.ndarray, " n"]:
     """Signal over noise of each scatterer, in axes whose x looks along its sector's middle."""
-    return cell_snr(seen, radar.echoes)
+    return cell_snr(echoes, radar.echoes)
 
 
 def _summed(cell: np.ndarray, echo: np.ndarray) -> np.ndarray:
@@ -141,6 +141,6 @@ def _noise(radar: TurningRadar, rng: np.random.Generator) -> np.ndarray:
     kernel = np.exp(-((offsets / radar.range_sigma_cells) ** 2) / 4)
     kernel /= np.sqrt((kernel**2).sum())
     white = rng.standard_normal((_RANGES + 2 * _SPREAD_BINS, _AZIMUTHS, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
-    drawn = sum(weight * white[k : k + _RANGES] for k, weight in enumerate(kernel))
+    noise = sum(weight * white[k : k + _RANGES] for k, weight in enumerate(kernel))
     level_db = np.interp(CELL_M * np.arange(_RANGES), radar.leakage_range_m, radar.leakage_db)
-    return np.asarray(drawn * 10 ** (level_db / 20)[:, None])
+    return np.asarray(noise * 10 ** (level_db / 20)[:, None])

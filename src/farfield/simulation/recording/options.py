@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
-from farfield.simulation.rigs import RIGS
+from farfield.simulation.rig import RIGS
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -200,9 +200,9 @@ def spread(total: int, capacity: list[int]) -> list[int]:
             "--sequences or a smaller --stride-s."
         )
     plan = [0] * len(capacity)
-    while (left := total - sum(plan)) > 0:
+    while (remaining := total - sum(plan)) > 0:
         unfilled = [i for i, most in enumerate(capacity) if plan[i] < most]
         for rank, i in enumerate(unfilled):
-            share = left // len(unfilled) + (rank < left % len(unfilled))
+            share = remaining // len(unfilled) + (rank < remaining % len(unfilled))
             plan[i] = min(plan[i] + share, capacity[i])
     return plan

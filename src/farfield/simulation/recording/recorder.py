@@ -13,7 +13,7 @@ from farfield.jobs.journal import mark_of, state_of
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording.frames import Simulate, bytes_needed, check_disk, claim, journal_of, units_of
 from farfield.simulation.recording.options import Recording, RecordingOptions
-from farfield.simulation.rigs import RIGS
+from farfield.simulation.rig import RIGS
 from farfield.vocabulary.conditions import Side
 
 _FINISHED = Unit("what belongs to whole sequences")
@@ -91,10 +91,10 @@ def record_frames(
     # claim the folder, and find what is left to do
     claim(recording)
     journal = journal_of(recording)
-    left = sum(not journal.has(unit) for unit in units)
-    for line in announced(recording, left, jobs.hands(work, left)):
+    missing = sum(not journal.has(unit) for unit in units)
+    for line in announced(recording, missing, jobs.hands(work, missing)):
         report(line)
-    check_disk(recording, left)
+    check_disk(recording, missing)
     # simulate and write the frames that are missing
     with JobRun(work, units, jobs, journal=journal) as running:
         for number in jobs.progress(running):

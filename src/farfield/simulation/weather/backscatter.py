@@ -140,16 +140,16 @@ class Strongest:
         most = self.mean_count[0] if least <= _LEVELS[0] else self.count_above(_ROUNDING * least)
         likely = np.maximum(uniform, 1e-12)
         shots = np.flatnonzero(likely > np.exp(-most) * _ROUNDING)
-        wanted = -np.log(likely[shots])
-        level = np.interp(wanted, self.mean_count[::-1], _LOG_LEVELS[::-1])
-        power[shots] = np.where(wanted < self.mean_count[0], np.exp(level), 0.0)
+        count = -np.log(likely[shots])
+        level = np.interp(count, self.mean_count[::-1], _LOG_LEVELS[::-1])
+        power[shots] = np.where(count < self.mean_count[0], np.exp(level), 0.0)
         return power
 
     def count_above(self, strength: float) -> float:
         """Mean count of particles in a shot that are stronger than a signal."""
         return float(np.interp(np.log(strength), _LOG_LEVELS, self.mean_count))
 
-    def place(
+    def locate(
         self, strength: Float[np.ndarray, " n"], uniform: Float[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Range of particles of given strengths, and the share of the beam that each fills.
@@ -218,8 +218,8 @@ class SoftEcho:
 
     def beyond(self, blank_m: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Distance and strength of the strongest echo from beyond each blanking distance."""
-        place = np.clip(np.ceil(blank_m / _STEP_M).astype(np.int64), 0, len(self.range_m) - 1)
-        return self.peak_range_m[place], self.peak_strength[place]
+        index = np.clip(np.ceil(blank_m / _STEP_M).astype(np.int64), 0, len(self.range_m) - 1)
+        return self.peak_range_m[index], self.peak_strength[index]
 
 
 @lru_cache(maxsize=16)
@@ -235,10 +235,10 @@ def soft_echo(beam: Beam, extinction_per_m: float) -> SoftEcho:
     source = beam.overlap(r) * np.exp(-2 * extinction_per_m * r) / r**2
     source *= extinction_per_m * FOG_BACKSCATTER_PER_EXTINCTION
     pulse = np.sin(np.pi * np.arange(0.0, 2 * beam.pulse_m, _STEP_M) / (2 * beam.pulse_m)) ** 2
-    heard = np.convolve(source, pulse)[len(pulse) // 2 :][: len(range_m)] * _STEP_M
-    strength = np.pi / _REFERENCE_REFLECTANCE * beam.reference_range_m**2 * heard
+    echo = np.convolve(source, pulse)[len(pulse) // 2 :][: len(range_m)] * _STEP_M
+    strength = np.pi / _REFERENCE_REFLECTANCE * beam.reference_range_m**2 * echo
     last = len(strength) - 1
     backwards = np.maximum.accumulate(strength[::-1])[::-1]
     new_peak = np.where(strength >= backwards, np.arange(last + 1), last)
-    place = np.minimum.accumulate(new_peak[::-1])[::-1]
-    return SoftEcho(range_m, strength, backwards, range_m[place])
+    peak = np.minimum.accumulate(new_peak[::-1])[::-1]
+    return SoftEcho(range_m, strength, backwards, range_m[peak])

@@ -58,8 +58,8 @@ class Plume:
         peak = self.extinction_per_m * np.exp(-0.5 * (c - b**2 / a))
         root = np.sqrt(a / 2)
         depth = peak * np.sqrt(np.pi / (2 * a)) * (erf(root * (range_m + b / a)) - erf(root * b / a))
-        there = self.extinction_per_m * np.exp(-0.5 * (a * densest**2 + 2 * b * densest + c))
-        return depth, densest, there
+        density = self.extinction_per_m * np.exp(-0.5 * (a * densest**2 + 2 * b * densest + c))
+        return depth, densest, density
 
 
 def plumes(
@@ -84,7 +84,7 @@ def plumes(
         return []
     speed = np.linalg.norm(velocity_m_s[:, :2], axis=1)
     wheeled = np.array([name in WHEELED for name in label], dtype=bool)
-    found = []
+    plumes_behind = []
     for row in np.flatnonzero((speed > _LEAST_SPEED_M_S) & wheeled):
         vigour = min((speed[row] - _LEAST_SPEED_M_S) / (_FULL_SPEED_M_S - _LEAST_SPEED_M_S), 1.0)
         vigour *= min(weather.water_mm, 1.0)
@@ -94,6 +94,6 @@ def plumes(
         middle = bottom_m[row] - forward * (size_m[row, 0] / 2 + length / 2) + np.array([0.0, 0.0, height])
         spread = (float(length) / 4, 0.5 * float(size_m[row, 1]), height)
         extinction = _EXTINCTION_PER_M[0] + vigour * (_EXTINCTION_PER_M[1] - _EXTINCTION_PER_M[0])
-        place = (float(middle[0]), float(middle[1]), float(middle[2]))
-        found.append(Plume(place, float(yaw_rad[row]), spread, float(extinction)))
-    return found
+        middle_m = (float(middle[0]), float(middle[1]), float(middle[2]))
+        plumes_behind.append(Plume(middle_m, float(yaw_rad[row]), spread, float(extinction)))
+    return plumes_behind

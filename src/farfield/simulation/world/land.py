@@ -150,11 +150,11 @@ class Land:
         z = self.road.point_m(s, d)[:, 2] + self.rise_m(s, d) - np.where(under, self._below_m, 0.0)
         points = np.concatenate([xy, z[:, None]], axis=1).reshape(*shape, 3)
         own_s, own_d = self._locate((xy.reshape(*shape, 2)[:-1, :-1] + _CELL_M / 2).reshape(-1, 2))
-        kept = (own_s >= first_m) & (own_s < last_m) & (np.abs(own_d) < LAND_REACH_M)
-        kept &= (own_d < self.d_m[0] + 0.75 * _CELL_M) | (own_d > self.d_m[-1] - 0.75 * _CELL_M)
+        nearest = (own_s >= first_m) & (own_s < last_m) & (np.abs(own_d) < LAND_REACH_M)
+        nearest &= (own_d < self.d_m[0] + 0.75 * _CELL_M) | (own_d > self.d_m[-1] - 0.75 * _CELL_M)
         corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
         side = np.where(own_d < 0, self.far[0].material, self.far[1].material)
-        return quads(corners.reshape(-1, 4, 3)[kept], side[kept])
+        return quads(corners.reshape(-1, 4, 3)[nearest], side[nearest])
 
 
 def _edges(strips: Sequence[Strip], name: str) -> Float[np.ndarray, " n"]:

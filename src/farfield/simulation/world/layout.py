@@ -58,7 +58,7 @@ class RoadLayout:
         inner = [s for s in self.breaks_m if first < s < last]
         rows = np.unique(np.concatenate([np.linspace(first, last, 26), inner]))
         parts = [self.land.strips(rows), self.land.beyond(first, last), *(build(rows) for build in self.running)]
-        parts += [place.build(rng) for place in self.placements if first <= place.s_m < last]
+        parts += [fixed.build(rng) for fixed in self.placements if first <= fixed.s_m < last]
         return Mesh.merge([part.painted(rng) for part in parts if len(part.faces)])
 
 
@@ -117,9 +117,9 @@ class Roadside:
 
     def put(self, model: Mesh, s_m: float, d_m: float, *, turn_rad: float = 0.0, raise_m: float = 0.0) -> None:
         """Stand one object on the ground."""
-        self.place(partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m), s_m)
+        self.add(partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m), s_m)
 
-    def place(self, build: "partial[Mesh]", s_m: float) -> None:
+    def add(self, build: "partial[Mesh]", s_m: float) -> None:
         """Add an object that knows its place in the world."""
         self.layout.placements.append(FixedObject(s_m, partial(_undrawn, build)))
 
@@ -135,9 +135,9 @@ class Roadside:
         rng, count = self.rng, int(self.rng.poisson(per_m * (self.last_m - self.first_m)))
         for s, d, draw, pick, turn in zip(*rng.uniform(size=(5, count)), strict=True):
             models = self.conifers if draw < conifers else self.bushes if draw < conifers + bushes else self.trees
-            place = self.first_m + s * (self.last_m - self.first_m)
+            station_m = self.first_m + s * (self.last_m - self.first_m)
             self.put(
-                models[int(pick * len(models))], place, side * (near_m + d * (far_m - near_m)), turn_rad=6.28 * turn
+                models[int(pick * len(models))], station_m, side * (near_m + d * (far_m - near_m)), turn_rad=6.28 * turn
             )
 
     def lamps(self, side: int, d_m: float, pitch_m: float, height_m: float, arm_m: float) -> None:
@@ -162,7 +162,7 @@ class Roadside:
         """A piece of wall or hedge along the road."""
         rows = np.linspace(s_m, s_m + length_m, max(2, int(length_m / 4) + 1))
         d = np.array([-0.5, -0.5, 0.5, 0.5]) * thick_m + d_m
-        self.place(partial(_wall, self.layout.land, rows, d, height_m, material), s_m)
+        self.add(partial(_wall, self.layout.land, rows, d, height_m, material), s_m)
 
     def block(self, s_m: float, side: int, d_m: float, length_m: float, depth_m: float, height_m: float) -> None:
         """A building whose front stands at a distance from the reference line."""
@@ -218,7 +218,7 @@ class RoadBuild:
 
     def __post_init__(self) -> None:
         road, traffic, around, self._paint_seed = self.seed.spawn(4)
-        self.rng, self.around, self._traffic = (np.random.default_rng(each) for each in (road, around, traffic))
+        self.rng, self.around, self._traffic = (np.random.default_rng(stream) for stream in (road, around, traffic))
 
     def line(self, bends: Bends, ego_m_s: float) -> RoadLine:
         """A road long enough for everything that moves on it."""

@@ -102,12 +102,12 @@ def in_conflict(
     Returns:
         True for each actor to take away, shape (n,).
     """
-    gone = np.zeros(len(size_m), dtype=bool)
+    removed = np.zeros(len(size_m), dtype=bool)
     if not loose.any():
-        return gone
+        return removed
     steps = position_m.shape[1]
     still = np.ptp(position_m[..., :2], axis=1).max(axis=1) < 1e-6
-    seen = [
+    contacts = [
         _touching(position_m, yaw_rad, size_m, _near(position_m[:, :1], size_m, loose & still, still), [0], margin_m)
     ]
     for first in range(0, steps, _BLOCK):
@@ -119,29 +119,29 @@ def in_conflict(
             ]
         )
         moments = list(range(first, min(first + _BLOCK, steps), every))
-        seen.append(_touching(position_m, yaw_rad, size_m, pairs, moments, margin_m))
-    touching = np.unique(np.sort(np.concatenate(seen), axis=1), axis=0)
+        contacts.append(_touching(position_m, yaw_rad, size_m, pairs, moments, margin_m))
+    touching = np.unique(np.sort(np.concatenate(contacts), axis=1), axis=0)
     for first, second in touching[np.argsort(touching.max(axis=1), kind="stable")]:
-        if gone[first] or gone[second]:
+        if removed[first] or removed[second]:
             continue
-        gone[max(first, second) if loose[max(first, second)] else min(first, second)] = True
-    return gone
+        removed[max(first, second) if loose[max(first, second)] else min(first, second)] = True
+    return removed
 
 
 def _near(
     block_m: Float[np.ndarray, "n k 3"],
     size_m: Float[np.ndarray, "n 3"],
-    one: Bool[np.ndarray, " n"],
-    other: Bool[np.ndarray, " n"],
+    first_kind: Bool[np.ndarray, " n"],
+    second_kind: Bool[np.ndarray, " n"],
 ) -> Int[np.ndarray, "p 2"]:
     """Pairs of one of each kind whose circles around their bodies and their ways over some steps overlap."""
     low, high = block_m[..., :2].min(axis=1), block_m[..., :2].max(axis=1)
     middle = ((low + high) / 2).astype(np.float32)
-    reach = (np.hypot(*(high - low).T) / 2 + np.hypot(size_m[:, 0], size_m[:, 1]) / 2 + 0.5).astype(np.float32)
-    first, second = np.flatnonzero(one), np.flatnonzero(other)
+    radius_m = (np.hypot(*(high - low).T) / 2 + np.hypot(size_m[:, 0], size_m[:, 1]) / 2 + 0.5).astype(np.float32)
+    first, second = np.flatnonzero(first_kind), np.flatnonzero(second_kind)
     x = middle[first, None, 0] - middle[None, second, 0]
     y = middle[first, None, 1] - middle[None, second, 1]
-    row, column = np.nonzero(x * x + y * y < (reach[first, None] + reach[None, second]) ** 2)
+    row, column = np.nonzero(x * x + y * y < (radius_m[first, None] + radius_m[None, second]) ** 2)
     pairs = np.stack([first[row], second[column]], axis=1)
     return pairs[pairs[:, 0] != pairs[:, 1]]
 
@@ -156,12 +156,12 @@ def _touching(
 ) -> Int[np.ndarray, "q 2"]:
     """Those pairs that touch at one of the moments."""
     half = np.hypot(size_m[:, 0] + margin_m, size_m[:, 1] + margin_m) / 2
-    found: list[Int[np.ndarray, "q 2"]] = [np.zeros((0, 2), dtype=np.int64)]
+    touching: list[Int[np.ndarray, "q 2"]] = [np.zeros((0, 2), dtype=np.int64)]
     for step in moments:
         a, b = pairs.T
         offset = position_m[a, step, :2] - position_m[b, step, :2]
         close = pairs[np.einsum("ij,ij->i", offset, offset) < (half[a] + half[b]) ** 2]
         if len(close):
             rows = np.column_stack([position_m[:, step, :2], size_m[:, :2] + margin_m, yaw_rad[:, step]])
-            found.append(close[bev_intersection_m2(rows[close[:, 0]], rows[close[:, 1]]) > _TOUCH_M2])
-    return np.concatenate(found)
+            touching.append(close[bev_intersection_m2(rows[close[:, 0]], rows[close[:, 1]]) > _TOUCH_M2])
+    return np.concatenate(touching)

@@ -142,13 +142,13 @@ class Population:
         self, s_m: float, d_m: float, *, turn_rad: float = 0.0, kind: str | None = None, raise_m: float = 0.0
     ) -> None:
         """Add a standing road user on the road's frame; it yields its place if that is taken."""
-        place = np.array(s_m)
-        heading = float(self.road.heading_rad(place)) + turn_rad + float(self.rng.normal(0, 0.02))
-        chosen = kind or self.draw_car()
-        size = self.draw_size_m(chosen)
-        if chosen in ("pedestrian", "child"):
+        station_m = np.array(s_m)
+        heading = float(self.road.heading_rad(station_m)) + turn_rad + float(self.rng.normal(0, 0.02))
+        body = kind or self.draw_car()
+        size = self.draw_size_m(body)
+        if body in ("pedestrian", "child"):
             size = size * np.array([_STANDING, 1.0, 1.0])
-        self.add(chosen, self.road.point_m(place, d_m) + np.array([0, 0, raise_m]), heading, s_m, size_m=size)
+        self.add(body, self.road.point_m(station_m, d_m) + np.array([0, 0, raise_m]), heading, s_m, size_m=size)
 
     def add_crossing(
         self,
@@ -174,12 +174,12 @@ class Population:
             turn_rad: Angle of its way against the road's normal.
             raise_m: Height of its way above the road's surface.
         """
-        place = np.array(s_m)
-        heading = float(self.road.heading_rad(place)) + direction * np.pi / 2 + turn_rad
+        station_m = np.array(s_m)
+        heading = float(self.road.heading_rad(station_m)) + direction * np.pi / 2 + turn_rad
         time = np.arange(self.steps) * STEP_S - delay_s
         run = (np.maximum(time, 0.0) if delay_s > 0 else time) * speed_m_s
         along = np.array([np.cos(heading), np.sin(heading), 0.0])
-        start = self.road.point_m(place, from_d_m) + np.array([0.0, 0.0, raise_m])
+        start = self.road.point_m(station_m, from_d_m) + np.array([0.0, 0.0, raise_m])
         self.add(kind, start + run[:, None] * along, heading, s_m)
 
     def add_along(
@@ -309,22 +309,22 @@ class Population:
         length = float(size[0])
         if kind in ("suv", "pickup", "van") and self.rng.random() < lane.trailer_share:
             towed = self.draw_size_m("trailer")
-            whole = length + _HITCH_M + float(towed[0])
-            return [(kind, size, (length - whole) / 2), ("trailer", towed, (whole - float(towed[0])) / 2)], whole
+            total_m = length + _HITCH_M + float(towed[0])
+            return [(kind, size, (length - total_m) / 2), ("trailer", towed, (total_m - float(towed[0])) / 2)], total_m
         return [(kind, size, 0.0)], length
 
     def finish(self, seed: np.random.SeedSequence) -> tuple[list[Actor], Motion]:
         """Take away loose actors that would touch others; give each of the rest its own seed."""
         size = np.stack(self._size)
         position, yaw = np.stack(self._position), np.unwrap(np.stack(self._yaw), axis=1)
-        gone = in_conflict(position, yaw, size, np.array(self._loose), margin_m=_MARGIN_M)
+        removed = in_conflict(position, yaw, size, np.array(self._loose), margin_m=_MARGIN_M)
         seeds = seed.spawn(len(size))
-        kept = np.flatnonzero(~gone)
+        remaining = np.flatnonzero(~removed)
         actors = [
             Actor(int(i), self._kind[i], (float(size[i, 0]), float(size[i, 1]), float(size[i, 2])), seeds[i])
-            for i in kept
+            for i in remaining
         ]
-        return actors, Motion(position[kept], yaw[kept], np.stack(self._slope)[kept])
+        return actors, Motion(position[remaining], yaw[remaining], np.stack(self._slope)[remaining])
 
 
 def _beside(lanes: Sequence[Lane]) -> Int[np.ndarray, "2 lanes"]:

@@ -48,10 +48,10 @@ def _bend_curvature(length: int, bends: Bends, rng: np.random.Generator) -> Floa
         turn = rng.uniform(*bends.turn_rad) * (rng.choice([-1, 1]) if abs(heading) < limit / 2 else -np.sign(heading))
         turn = float(np.clip(heading + turn, -limit, limit)) - heading
         peak = bends.curvature_per_m * rng.uniform(0.55, 0.97)
-        whole = abs(turn) / peak
-        ramp = max(int(0.5 * whole), 12)
-        flat = max(int(whole - ramp), 1)
-        shape = np.concatenate([np.linspace(0, 1, ramp), np.ones(flat), np.linspace(1, 0, ramp)])
+        length_m = abs(turn) / peak
+        ramp = max(int(0.5 * length_m), 12)
+        arc = max(int(length_m - ramp), 1)
+        shape = np.concatenate([np.linspace(0, 1, ramp), np.ones(arc), np.linspace(1, 0, ramp)])
         shape *= np.sign(turn) * min(peak, abs(turn) / shape.sum())
         piece = shape[: length - at]
         out[at : at + len(piece)] = piece
@@ -127,8 +127,8 @@ class RoadLine:
         self, s_m: Float[np.ndarray, "*shape"], d_m: Float[np.ndarray, "*shape"] | float
     ) -> Float[np.ndarray, "*shape 3"]:
         """World coordinates of a place on the road's surface."""
-        place = (s_m - self.first_s_m) / _STEP_M
-        x, y, z, heading, bank = (np.interp(place, self._rows, self._columns[number]) for number in (0, 1, 2, 3, 5))
+        row = (s_m - self.first_s_m) / _STEP_M
+        x, y, z, heading, bank = (np.interp(row, self._rows, self._columns[number]) for number in (0, 1, 2, 3, 5))
         tilt = -bank * np.clip(d_m, -BANKED_HALF_M, BANKED_HALF_M)
         return np.stack([x - d_m * np.sin(heading), y + d_m * np.cos(heading), z + tilt], axis=-1)
 

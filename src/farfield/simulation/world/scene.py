@@ -141,21 +141,29 @@ class WorldScene:
         moments = np.clip(time_s + knots_s, 0.0, self.duration_s + STEP_S)
         world_T_ego = np.stack([self.ego_pose(float(moment)) for moment in moments])
         position, yaw = self.motion.at(time_s)
-        here = self.ego_pose(time_s)
-        offset = position - here[:3, 3]
-        ahead = offset @ here[:3, 0]
-        reach = np.array([actor.size_m[0] for actor in self.actors]) / 2
-        near = (np.hypot(offset[:, 0], offset[:, 1]) < reach_m) & (ahead > -reach - behind_m)
+        world_T_ego_now = self.ego_pose(time_s)
+        offset = position - world_T_ego_now[:3, 3]
+        ahead = offset @ world_T_ego_now[:3, 0]
+        half_length_m = np.array([actor.size_m[0] for actor in self.actors]) / 2
+        near = (np.hypot(offset[:, 0], offset[:, 1]) < reach_m) & (ahead > -half_length_m - behind_m)
         near[0] = False
-        chosen = np.flatnonzero(near)
-        paths = np.stack([self.motion.poses(float(moment), rows=chosen) for moment in moments])
+        index_in_view = np.flatnonzero(near)
+        paths = np.stack([self.motion.poses(float(moment), rows=index_in_view) for moment in moments])
         bodies = [self._fixed(time_s, reach_m, behind_m, len(knots_s))]
-        for row, index in enumerate(chosen):
+        for row, index in enumerate(index_in_view):
             bodies.append(Body(self._tracer(int(index), time_s), paths[:, row], row))
-        actors = [self.actors[index] for index in chosen]
+        actors = [self.actors[index] for index in index_in_view]
         velocity = self.motion.velocity_m_s(time_s)
         return SceneWindow(
-            time_s, knots_s, world_T_ego, bodies, actors, position[chosen], yaw[chosen], velocity[chosen], velocity[0]
+            time_s,
+            knots_s,
+            world_T_ego,
+            bodies,
+            actors,
+            position[index_in_view],
+            yaw[index_in_view],
+            velocity[index_in_view],
+            velocity[0],
         )
 
     def gait_phase(self, row: int, time_s: float) -> float | None:

@@ -144,7 +144,7 @@ class _Simulation:
         self.left_at_m = np.full(len(self.lane), np.inf)
         self.calm_until = np.arange(len(self.lane)) * 37 % _PAUSE_STEPS  # not all at once in the beginning
         self.changes: list[LaneChange] = []
-        signals = sorted(signals, key=lambda one: (one.lane, one.progress_m))
+        signals = sorted(signals, key=lambda signal: (signal.lane, signal.progress_m))
         self.signals = np.array([[s.lane, s.progress_m, s.shift_s, s.period_s, s.red_s] for s in signals]).reshape(
             -1, 5
         )
@@ -158,8 +158,8 @@ class _Simulation:
     def gaps(self, progress_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " e"]:
         """Free distance of each entry to its leader."""
         row, leader = self.order.row, self.order.leader
-        reach = (self.drivers.length_m[row] + self.drivers.length_m[leader]) / 2
-        return np.where(leader >= 0, progress_m[leader] - progress_m[row] - reach, _NONE_M)
+        half_lengths_m = (self.drivers.length_m[row] + self.drivers.length_m[leader]) / 2
+        return np.where(leader >= 0, progress_m[leader] - progress_m[row] - half_lengths_m, _NONE_M)
 
     def accelerate(
         self, progress_m: Float[np.ndarray, " n"], speed_m_s: Float[np.ndarray, " n"], time_s: float
@@ -170,9 +170,9 @@ class _Simulation:
         ease: Float[np.ndarray, " e"] | float = 1.0
         if self.drivers.surge:
             ease = 1.0 + self.drivers.surge * np.sin(2 * np.pi * (time_s / 30.0 + progress_m[row] / 300.0))
-        each = self.drivers.idm_m_s2(row, speed_m_s[row], self.gaps(progress_m), closing, ease)
-        out = each[:n].copy()
-        np.minimum.at(out, row[n:], each[n:])
+        accelerations = self.drivers.idm_m_s2(row, speed_m_s[row], self.gaps(progress_m), closing, ease)
+        out = accelerations[:n].copy()
+        np.minimum.at(out, row[n:], accelerations[n:])
         return np.minimum(out, self._at_signals(progress_m, speed_m_s, time_s)) if len(self.signals) else out
 
     def _at_signals(
@@ -181,8 +181,8 @@ class _Simulation:
         front = progress_m + self.drivers.length_m / 2
         keys = self.signals[:, 0] * _LANE_KEY_M + self.signals[:, 1]
         index = np.minimum(np.searchsorted(keys, self.lane * _LANE_KEY_M + front), len(keys) - 1)
-        lane, place, shift, period, red = self.signals[index].T
-        gap = place - front
+        lane, line_m, shift, period, red = self.signals[index].T
+        gap = line_m - front
         holds = (lane == self.lane) & (gap > 0) & ((time_s + shift) % period < red)
         holds &= speed_m_s**2 < 2 * 3.5 * np.maximum(gap, 0.05)
         wait = self.drivers.idm_m_s2(slice(None), speed_m_s, np.where(holds, gap, _NONE_M), speed_m_s)
@@ -190,19 +190,21 @@ class _Simulation:
 
     def keep_apart(self, progress_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Hold vehicles back, leaders first, so that a metre stays between bodies."""
-        kept, length = progress_m.copy(), self.drivers.length_m
+        corrected_m, length = progress_m.copy(), self.drivers.length_m
         entries = np.argsort(-progress_m[self.order.row], kind="stable")
         for entry in entries[self.order.leader[entries] >= 0]:
             row, leader = self.order.row[entry], self.order.leader[entry]
-            kept[row] = min(kept[row], kept[leader] - (length[row] + length[leader]) / 2 - _LEAST_GAP_M)
-        return kept
+            corrected_m[row] = min(
+                corrected_m[row], corrected_m[leader] - (length[row] + length[leader]) / 2 - _LEAST_GAP_M
+            )
+        return corrected_m
 
     def finish_changes(self, progress_m: Float[np.ndarray, " n"], step: int) -> None:
         """Vehicles that have reached their new lane leave the old one."""
-        done = (self.old >= 0) & (progress_m > self.left_at_m)
-        if done.any():
-            self.old[done] = -1
-            self.calm_until[done] = step + _PAUSE_STEPS
+        finished = (self.old >= 0) & (progress_m > self.left_at_m)
+        if finished.any():
+            self.old[finished] = -1
+            self.calm_until[finished] = step + _PAUSE_STEPS
             self.order = self._ordered(progress_m)
 
     def consider_changes(
@@ -215,19 +217,19 @@ class _Simulation:
         """Let those change lanes whom MOBIL tells to, one at a time in any stretch of road."""
         wish = np.stack([self._incentive(side, progress_m, speed_m_s, change_m_s2, step) for side in (0, 1)])
         gain, side = wish.max(axis=0), wish.argmax(axis=0)
-        taken: list[float] = []
+        changed_m: list[float] = []
         for row in np.argsort(-gain, kind="stable"):
             if gain[row] <= 0:
                 break
-            if any(abs(progress_m[row] - other) < _CALM_M for other in taken):
+            if any(abs(progress_m[row] - other) < _CALM_M for other in changed_m):
                 continue
-            taken.append(float(progress_m[row]))
+            changed_m.append(float(progress_m[row]))
             length = max(3.0 * float(speed_m_s[row]), 22.0) + float(self.drivers.length_m[row])
             before, after = int(self.lane[row]), int(self.beside[side[row], self.lane[row]])
             self.old[row], self.lane[row] = before, after
             self.left_at_m[row] = progress_m[row] + length + self.drivers.length_m[row] / 2
             self.changes.append(LaneChange(int(row), step, float(progress_m[row]), length, before, after))
-        if taken:
+        if changed_m:
             self.order = self._ordered(progress_m)
 
     def _incentive(
@@ -242,13 +244,13 @@ class _Simulation:
         drivers, order, n = self.drivers, self.order, len(self.lane)
         target = self.beside[side, self.lane]
         keys = order.sorted_lane * _LANE_KEY_M + progress_m[order.sorted_row]
-        place = np.searchsorted(keys, target * _LANE_KEY_M + progress_m)
+        slot = np.searchsorted(keys, target * _LANE_KEY_M + progress_m)
         last = len(keys) - 1
-        ahead, behind = np.minimum(place, last), np.maximum(place - 1, 0)
-        lead = np.where((place <= last) & (order.sorted_lane[ahead] == target), order.sorted_row[ahead], -1)
-        tail = np.where((place > 0) & (order.sorted_lane[behind] == target), order.sorted_row[behind], -1)
+        ahead, behind = np.minimum(slot, last), np.maximum(slot - 1, 0)
+        lead = np.where((slot <= last) & (order.sorted_lane[ahead] == target), order.sorted_row[ahead], -1)
+        tail = np.where((slot > 0) & (order.sorted_lane[behind] == target), order.sorted_row[behind], -1)
         rows, meet = np.arange(n), partial(_meet, drivers, progress_m, speed_m_s)
-        gap_lead, own = meet(rows, lead)
+        gap_lead, acceleration_after = meet(rows, lead)
         gap_tail, tail_after = meet(tail, rows)
         if side == 0:  # who moves left minds those on the left, who moves right minds those behind
             minded, after = tail, tail_after
@@ -256,16 +258,16 @@ class _Simulation:
             minded, led = np.full(n, -1), order.leader[:n] >= 0
             minded[order.leader[:n][led]] = np.flatnonzero(led)
             _, after = meet(minded, order.leader[:n])
-        others = np.where(minded >= 0, after - change_m_s2[minded], 0.0)
+        loss = np.where(minded >= 0, after - change_m_s2[minded], 0.0)
         gain = (
-            own
+            acceleration_after
             - change_m_s2
-            + _POLITENESS * others
+            + _POLITENESS * loss
             - _THRESHOLD_M_S2
             + (_KEEP_RIGHT_M_S2 if side else -_KEEP_RIGHT_M_S2)
         )
         able = (target >= 0) & (self.old < 0) & (step >= self.calm_until) & ~drivers.steady & (speed_m_s > 4.0)
-        safe = (own > -_SAFE_M_S2) & ((tail < 0) | (tail_after > -_SAFE_M_S2))
+        safe = (acceleration_after > -_SAFE_M_S2) & ((tail < 0) | (tail_after > -_SAFE_M_S2))
         safe &= (gap_lead > 3.0 + 0.3 * speed_m_s) & (gap_tail > 3.0 + 0.3 * np.where(tail >= 0, speed_m_s[tail], 0.0))
         return np.where(able & safe, gain, -np.inf)
 
@@ -278,10 +280,10 @@ def _meet(
     front: Int[np.ndarray, " n"],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gap and acceleration of the ``back`` ones if they followed the ``front`` ones; -1 stands for nobody."""
-    there = (back >= 0) & (front >= 0)
-    reach = (drivers.length_m[back] + drivers.length_m[front]) / 2
-    gap = np.where(there, progress_m[front] - progress_m[back] - reach, _NONE_M)
-    closing = np.where(there, speed_m_s[back] - speed_m_s[front], 0.0)
+    both_exist = (back >= 0) & (front >= 0)
+    half_lengths_m = (drivers.length_m[back] + drivers.length_m[front]) / 2
+    gap = np.where(both_exist, progress_m[front] - progress_m[back] - half_lengths_m, _NONE_M)
+    closing = np.where(both_exist, speed_m_s[back] - speed_m_s[front], 0.0)
     return gap, drivers.idm_m_s2(back, speed_m_s[back], gap, closing)
 
 
@@ -303,15 +305,15 @@ def drive(
     path = np.empty((len(drivers.lane), steps))
     path[:, 0] = drivers.progress_m
     for step in range(1, steps):
-        here = path[:, step - 1]
-        change = run.accelerate(here, speed, step * STEP_S)
+        position_before = path[:, step - 1]
+        change = run.accelerate(position_before, speed, step * STEP_S)
         if step % _CONSIDER_STEPS == 0 and (beside >= 0).any():
-            run.consider_changes(here, speed, change, step)
+            run.consider_changes(position_before, speed, change, step)
         speed = np.maximum(speed + STEP_S * change, 0.0)
-        position = here + STEP_S * speed
+        position = position_before + STEP_S * speed
         if (run.gaps(position) < _LEAST_GAP_M).any():
             position = run.keep_apart(position)
-            speed = (position - here) / STEP_S
+            speed = (position - position_before) / STEP_S
         path[:, step] = position
         run.finish_changes(position, step)
     return Trajectories(path, run.changes)

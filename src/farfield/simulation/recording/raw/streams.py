@@ -102,10 +102,10 @@ def record_raw(
     claim(recording)
     setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
     journal = JobJournal(recording.out / JOURNAL_NAME, setting)
-    left = sum(not journal.has(unit) for unit in units)
-    _announce(recording, left, len(units), report)
-    if left:
-        _check_room(recording, left / len(units))
+    missing = sum(not journal.has(unit) for unit in units)
+    _announce(recording, missing, len(units), report)
+    if missing:
+        _check_room(recording, missing / len(units))
         _clear(recording)
     # simulate and write the files that are missing
     jobs = JobOptions(workers=options.workers, engine=options.engine, progress=progress)
@@ -125,12 +125,12 @@ def _silent(line: str) -> None:
     """Report nothing."""
 
 
-def _announce(recording: Recording, left: int, count: int, report: Callable[[str], object]) -> None:
+def _announce(recording: Recording, missing: int, count: int, report: Callable[[str], object]) -> None:
     report(
         f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * SWEEP_PERIOD_S:g} s of raw "
-        f"streams in {len(recording.plan)} bags, {left} of {count} files still to write"
+        f"streams in {len(recording.plan)} bags, {missing} of {count} files still to write"
     )
-    room = f"at most {_bytes_needed(recording, left / count) / 1e9:.2f} GB"
+    room = f"at most {_bytes_needed(recording, missing / count) / 1e9:.2f} GB"
     report(f"  {', '.join(streams_of(recording))}; {room}; into {recording.out}")
 
 

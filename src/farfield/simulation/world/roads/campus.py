@@ -87,8 +87,8 @@ def build_university(plot: RoadBuild) -> RoadLayout:
         side.lamps(sign, float(street.kerb_at_m[index]) + 0.4, float(around.uniform(22, 34)), 5.0, 0.8)
         side.signs(sign, float(street.kerb_at_m[index]) + 0.35, 80.0)
     for junction in street.junctions_m:
-        place = float(junction) - street.side_half_m
-        side.place(partial(zebra, road, street, place), place)
+        station_m = float(junction) - street.side_half_m
+        side.add(partial(zebra, road, street, station_m), station_m)
     return layout
 
 
@@ -113,7 +113,7 @@ def _marks(road: RoadLine, rows: list[tuple[float, int]], gap_m: float, s_m: Flo
     stalls = np.arange(np.ceil(s_m[0] / STALL_M), np.floor((s_m[-1] - 0.01) / STALL_M) + 1) * STALL_M
     stalls = stalls[~_cross_aisle(stalls + 0.01, gap_m)]
     middles = np.array([d for d, _ in rows])
-    s, d = (each.reshape(-1, 1) for each in np.meshgrid(stalls, middles, indexing="ij"))
+    s, d = (coordinate.reshape(-1, 1) for coordinate in np.meshgrid(stalls, middles, indexing="ij"))
     along, across = np.array([-0.06, 0.06, 0.06, -0.06]), np.array([-0.5, -0.5, 0.5, 0.5]) * DEPTH_M
     if not len(s):
         return Mesh.merge([])

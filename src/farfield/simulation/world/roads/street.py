@@ -180,8 +180,8 @@ def add_kerbside(population: Population, street: Street, last_m: float, share: t
             if street.clear(float(s), 6.0) and rng.random() < filled:
                 straight = 0.0 if (side < 0) != (rng.random() < 0.1) else np.pi
                 kind = population.draw_truck() if rng.random() < 0.03 and not angled else None
-                place = float(s) + float(rng.normal(0, 0.2))
-                population.add_parked(place, d, turn_rad=turn if angled else straight, kind=kind)
+                station_m = float(s) + float(rng.normal(0, 0.2))
+                population.add_parked(station_m, d, turn_rad=turn if angled else straight, kind=kind)
 
 
 def add_crossers(plot: RoadBuild, population: Population, street: Street, signals: list[Signal], last_m: float) -> None:
@@ -209,8 +209,8 @@ def add_crossers(plot: RoadBuild, population: Population, street: Street, signal
             for row in range(6):
                 if rng.random() < 0.35:
                     d = direction * (float(street.front_m.max()) + 8 + 6.5 * row)
-                    place = float(junction) + float(rng.choice([-1, 1])) * (street.side_half_m - 1.2)
-                    population.add_parked(place, d, turn_rad=float(rng.choice([-1, 1])) * np.pi / 2)
+                    station_m = float(junction) + float(rng.choice([-1, 1])) * (street.side_half_m - 1.2)
+                    population.add_parked(station_m, d, turn_rad=float(rng.choice([-1, 1])) * np.pi / 2)
 
 
 def add_walkers(
@@ -237,8 +237,8 @@ def add_walkers(
         d = float(street.kerb_at_m[index]) + float(rng.uniform(min(0.8, 0.4 * walk), max(walk - 0.4, 0.5 * walk)))
         group = int(rng.choice([1, 2, 3], p=[0.7, 0.2, 0.1])) if kind == "pedestrian" else 1
         for mate in range(group):
-            place = float(s) + 0.3 * mate
-            population.add_along(kind, place, side * (d + 0.85 * mate), heading, speed, raise_m=raised)
+            station_m = float(s) + 0.3 * mate
+            population.add_along(kind, station_m, side * (d + 0.85 * mate), heading, speed, raise_m=raised)
     for s in rng.uniform(first, last_m, rng.poisson(cyclists * span / 250)):
         side = int(rng.choice([-1, 1]))
         if street.cycle_m:

@@ -90,7 +90,7 @@ def _furnish(side: Roadside, street: Street, signalled: bool) -> None:
         model = furniture.traffic_light(3.5) if signalled else furniture.sign(2.3, 0.6, 0.6)
         side.put(model, near, -(float(street.kerb_at_m[0]) + 0.45))
         side.put(model, away, float(street.kerb_at_m[1]) + 0.45, turn_rad=np.pi)
-        side.place(partial(zebra, road, street, float(junction) - street.side_half_m), near)
+        side.add(partial(zebra, road, street, float(junction) - street.side_half_m), near)
 
 
 def build_urban(plot: RoadBuild) -> RoadLayout:
@@ -143,7 +143,7 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
     rows, d = drive + np.array([-_DRIVE_M / 2, _DRIVE_M / 2]), sign * np.array([front, set_back + 3.0])
     d = np.sort(np.concatenate([d, d.mean(keepdims=True)]))
 
-    side.place(partial(_driveway, land, rows, d), drive)
+    side.add(partial(_driveway, land, rows, d), drive)
     draw, height = rng.random(), float(rng.uniform(0.8, 2.0))
     kind, thick = (FOLIAGE, 0.7) if draw < 0.6 else (int(Material.BRICK), 0.25)
     if draw < 0.8:
