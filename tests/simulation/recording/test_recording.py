@@ -78,5 +78,5 @@ def test_every_rig_has_a_writer_and_an_unknown_one_is_named(tmp_path: Path) -> N
         assert preset.rig == rig
         assert isinstance(RIGS[rig].writer(tmp_path, preset), FrameWriter)
         assert RIGS[rig].writer(tmp_path, preset).root == tmp_path or rig == "cirrus"
-    with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti, radiate; got drone"):
+    with pytest.raises(ConfigError, match="one of cirrus, kradar, kitti, radiate; got 'drone'"):
         simulate_frame(replace(preset, rig="drone"), sequence=0, index=0)
