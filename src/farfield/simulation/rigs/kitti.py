@@ -157,7 +157,7 @@ class SimulatedKittiWriter:
     """
 
     def __init__(self, root: Path) -> None:
-        from farfield.datasets.kitti.writer import KittiWriter
+        from farfield.datasets.kitti.object import KittiWriter
 
         self.root, self._writer = root, KittiWriter(root)
 
